@@ -1,0 +1,1 @@
+"""Points, meshes, assets: reading, sampling, picking, splitting, writing."""

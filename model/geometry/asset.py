@@ -1,0 +1,94 @@
+"""The :class:`Asset`: what a person opened, with where it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import GeometryError
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+
+UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+ElementKind = Literal["face", "point"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where an asset came from and what was done on reading.
+
+    Attributes:
+        path: the file or folder.
+        sha256: of the file's bytes (of the sorted files' digests for a folder).
+        up_axis: the source's up axis, turned to +z on reading.
+        unit_scale: metres per source unit, applied on reading.
+    """
+
+    path: Path
+    sha256: str
+    up_axis: UpAxis = "z"
+    unit_scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Asset:
+    """An object: a mesh with its textures, or a cloud. Metres, object frame, +z up.
+
+    The *elements* are what labels belong to: faces where there is a mesh, else points.
+
+    Attributes:
+        name: short, for people.
+        mesh, cloud: exactly one leads; where both are given the mesh leads.
+        source: None for an asset made in memory.
+        element_part: (E,) int32 part of each element where the source was already cut into parts
+            (a folder of part meshes), else None.
+        part_names: names of those parts in order.
+        category: the object's category where the source tells it.
+    """
+
+    name: str
+    mesh: Mesh | None = None
+    cloud: PointCloud | None = None
+    source: Source | None = None
+    element_part: npt.NDArray[np.int32] | None = None
+    part_names: tuple[str, ...] = ()
+    category: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mesh is None and self.cloud is None:
+            raise GeometryError(f"{self.name}: an asset needs a mesh or a point cloud")
+        if self.element_part is not None and len(self.element_part) != self.element_count:
+            raise GeometryError(f"{self.name}: element_part must have one entry an element")
+
+    @property
+    def element_kind(self) -> ElementKind:
+        """What labels belong to."""
+        return "face" if self.mesh is not None else "point"
+
+    @property
+    def element_count(self) -> int:
+        """Number of faces, or of points where there is no mesh."""
+        return len(self.mesh.faces) if self.mesh is not None else len(self.cloud)  # type: ignore[arg-type]
+
+    @property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """(2, 3) lowest and highest corner."""
+        return (self.mesh if self.mesh is not None else self.cloud).bounds  # type: ignore[union-attr]
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal in metres."""
+        low, high = self.bounds
+        return float(np.linalg.norm(high - low))
+
+    @property
+    def element_centers(self) -> npt.NDArray[np.float64]:
+        """(E, 3) face centroids or points."""
+        if self.mesh is not None:
+            return self.mesh.triangles.mean(axis=1)
+        assert self.cloud is not None
+        return self.cloud.points.astype(np.float64)

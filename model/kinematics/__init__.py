@@ -1,0 +1,1 @@
+"""Joints, kinematic trees, poses, URDF, contact and motion sweeps."""

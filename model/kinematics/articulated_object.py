@@ -1,0 +1,122 @@
+"""Parts and a tree that agree, and what a predictor answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import GeometryError, KinematicsError
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A rigid part in the object's rest frame.
+
+    Attributes:
+        link: name of its link (``link_0``).
+        mesh, cloud: its geometry; at least one.
+        name: what it is in the field's words (door, drawer, lid, …), or None.
+    """
+
+    link: str
+    mesh: Mesh | None = None
+    cloud: PointCloud | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mesh is None and self.cloud is None:
+            raise GeometryError(f"part {self.link!r} needs a mesh or a cloud")
+
+    @property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """(2, 3) lowest and highest corner."""
+        return (self.mesh if self.mesh is not None else self.cloud).bounds  # type: ignore[union-attr]
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentedObject:
+    """What a predictor reads: the rigid parts of one object, in one frame.
+
+    The order of the parts says nothing about which one is the base.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    category: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise GeometryError(f"{self.name}: an object needs at least one part")
+        links = [p.link for p in self.parts]
+        twice = sorted({n for n in links if links.count(n) > 1})
+        if twice:
+            raise GeometryError(f"{self.name}: parts with the same link name: {', '.join(twice)}")
+
+    @property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """(2, 3) lowest and highest corner of all parts."""
+        each = np.stack([p.bounds for p in self.parts])
+        return np.stack([each[:, 0].min(0), each[:, 1].max(0)])
+
+
+@dataclass(frozen=True, eq=False)
+class ArticulatedObject:
+    """Parts and tree that agree: every part is a link, every other link is a helper.
+
+    Raises:
+        KinematicsError: where they don't.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    tree: KinematicTree
+    category: str | None = None
+
+    def __post_init__(self) -> None:
+        links, owned = set(self.tree.links), {p.link for p in self.parts}
+        problems = [f"part {link!r} has no link in the tree" for link in sorted(owned - links)]
+        problems += [
+            f"link {link!r} has no part; helper links must not begin with 'link_'"
+            for link in sorted(links - owned)
+            if link.startswith("link_")
+        ]
+        if problems:
+            raise KinematicsError(problems)
+
+    def pose(self, q: Mapping[str, float]) -> dict[str, npt.NDArray[np.float64]]:
+        """Link → (4, 4), as :meth:`KinematicTree.pose`."""
+        return self.tree.pose(q)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A predictor's answer. Bad model text never raises: it becomes ``problems``.
+
+    Attributes:
+        tree: None where nothing usable came out.
+        problems: what went wrong or is doubtful, for people.
+        confidence: child link → 0..1 for its joint.
+        backend: predictor and version.
+        raw_text: the model's own words, "" for a predictor without any.
+        notes: child link → how the joint was decided, for people.
+    """
+
+    tree: KinematicTree | None
+    problems: tuple[str, ...] = ()
+    confidence: Mapping[str, float] = field(default_factory=dict)
+    backend: str = ""
+    seed: int = 0
+    seconds: float = 0.0
+    raw_text: str = ""
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def joint(self, child: str) -> Joint | None:
+        """The joint of ``child``, or None."""
+        return None if self.tree is None else self.tree.joint_of.get(child)

@@ -1,0 +1,150 @@
+"""The :class:`Joint` value, the sign of its axis, and the motion it makes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import KinematicsError
+
+JointType = Literal["revolute", "continuous", "prismatic", "fixed"]
+JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: q = multiplier * q(joint) + offset."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of an articulated object, in the object's rest frame.
+
+    q = 0 is the pose that was scanned.
+
+    Attributes:
+        name: unique within the tree.
+        type: revolute, continuous, prismatic or fixed.
+        parent, child: link names.
+        axis: unit vector, object frame. Positive q turns right-handed about it, or slides along it.
+        origin: a point on the axis in metres, object frame.
+        lower, upper: radians or metres; None for continuous and fixed.
+        mimic: the joint that this one follows, or None.
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lower: float | None = None
+    upper: float | None = None
+    mimic: Mimic | None = None
+
+    def __post_init__(self) -> None:
+        problems = self._problems()
+        if problems:
+            raise KinematicsError([f"joint {self.name!r}: {p}" for p in problems])
+        axis = np.asarray(self.axis, dtype=np.float64)
+        norm = float(np.linalg.norm(axis))
+        if self.moves and abs(norm - 1.0) > 1e-12:
+            axis = axis / norm
+        set_ = object.__setattr__
+        set_(self, "axis", tuple(float(v) for v in axis))
+        set_(self, "origin", tuple(float(v) for v in self.origin))
+        if not self.limited:
+            set_(self, "lower", None)
+            set_(self, "upper", None)
+
+    def _problems(self) -> list[str]:
+        out: list[str] = []
+        if not self.name:
+            out.append("needs a name")
+        if self.type not in JOINT_TYPES:
+            out.append(f"type {self.type!r} is none of {', '.join(JOINT_TYPES)}")
+        if self.parent == self.child:
+            out.append(f"parent and child are both {self.child!r}")
+        for what in ("axis", "origin"):
+            value = np.asarray(getattr(self, what), dtype=np.float64)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                out.append(f"{what} must be three finite numbers, got {getattr(self, what)}")
+            elif what == "axis" and self.moves and np.linalg.norm(value) < 1e-9:
+                out.append("axis must not be zero")
+        if self.type in ("revolute", "prismatic"):
+            if self.lower is None or self.upper is None:
+                out.append(f"a {self.type} joint needs lower and upper limits")
+            elif not (math.isfinite(self.lower) and math.isfinite(self.upper)):
+                out.append(f"limits must be finite, got {self.lower}..{self.upper}")
+            elif self.lower > self.upper:
+                out.append(f"lower limit {self.lower} is above upper limit {self.upper}")
+        return out
+
+    @property
+    def moves(self) -> bool:
+        """Whether the joint has a degree of freedom."""
+        return self.type != "fixed"
+
+    @property
+    def limited(self) -> bool:
+        """Whether the joint has limits."""
+        return self.type in ("revolute", "prismatic")
+
+    @property
+    def rotates(self) -> bool:
+        """Whether q is an angle in radians (else metres)."""
+        return self.type in ("revolute", "continuous")
+
+    def flipped(self) -> Joint:
+        """The same motion with the axis pointing the other way."""
+        lower = None if self.upper is None else -self.upper
+        upper = None if self.lower is None else -self.lower
+        axis = tuple(-v if v else 0.0 for v in self.axis)
+        return replace(self, axis=axis, lower=lower, upper=upper)  # type: ignore[arg-type]
+
+
+def canonical_axis_sign(joint: Joint) -> Joint:
+    """The one place that decides the sign of a joint's axis.
+
+    Positive q opens: where limits say that the joint moves further to the negative side, the axis
+    is flipped. Ties and continuous joints: the largest component of the axis is positive.
+    """
+    if not joint.moves:
+        return joint
+    if joint.limited:
+        assert joint.lower is not None and joint.upper is not None
+        if not math.isclose(-joint.lower, joint.upper, rel_tol=1e-6, abs_tol=1e-9):
+            return joint.flipped() if -joint.lower > joint.upper else joint
+    axis = np.asarray(joint.axis)
+    return joint.flipped() if axis[np.argmax(np.abs(axis))] < 0 else joint
+
+
+def motion(joint: Joint, q: float) -> npt.NDArray[np.float64]:
+    """The one place that turns (joint, q) into a motion.
+
+    Returns:
+        (4, 4) transform of the child's points from the rest pose to the pose at ``q``, in the
+        object's rest frame (the parent not moved). Identity at q = 0; ``motion(j, a) @
+        motion(j, b) == motion(j, a + b)``.
+    """
+    out = np.eye(4)
+    if not joint.moves:
+        return out
+    axis = np.asarray(joint.axis, dtype=np.float64)
+    if joint.type == "prismatic":
+        out[:3, 3] = axis * q
+        return out
+    x, y, z = axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out[:3, :3] = np.eye(3) + math.sin(q) * skew + (1.0 - math.cos(q)) * (skew @ skew)
+    origin = np.asarray(joint.origin, dtype=np.float64)
+    out[:3, 3] = origin - out[:3, :3] @ origin
+    return out

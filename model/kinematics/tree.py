@@ -1,0 +1,190 @@
+"""The :class:`KinematicTree` and the poses it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import KinematicsError
+from model.kinematics.joint import Joint, motion
+
+
+@dataclass(frozen=True)
+class KinematicTree:
+    """Links and the joints between them: one root, no cycle.
+
+    Attributes:
+        links: link names, unique. Links without a part are helpers; their names never begin with
+            ``link_``.
+        joints: one for each link but the root.
+
+    Raises:
+        KinematicsError: with all the violations.
+    """
+
+    links: tuple[str, ...]
+    joints: tuple[Joint, ...] = ()
+
+    def __post_init__(self) -> None:
+        problems = tree_problems(self.links, self.joints)
+        if problems:
+            raise KinematicsError(problems)
+
+    @cached_property
+    def root(self) -> str:
+        """The link that is nobody's child."""
+        children = {j.child for j in self.joints}
+        return next(link for link in self.links if link not in children)
+
+    @cached_property
+    def joint_of(self) -> Mapping[str, Joint]:
+        """Child link → its joint."""
+        return {j.child: j for j in self.joints}
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Joint]:
+        """Joint name → joint."""
+        return {j.name: j for j in self.joints}
+
+    @cached_property
+    def order(self) -> tuple[str, ...]:
+        """Links with every parent before its children."""
+        kids: dict[str, list[str]] = {}
+        for j in self.joints:
+            kids.setdefault(j.parent, []).append(j.child)
+        out, stack = [], [self.root]
+        while stack:
+            link = stack.pop()
+            out.append(link)
+            stack.extend(reversed(kids.get(link, [])))
+        return tuple(out)
+
+    def children(self, link: str) -> tuple[str, ...]:
+        """Child links of ``link`` in the joints' order."""
+        return tuple(j.child for j in self.joints if j.parent == link)
+
+    def descendants(self, link: str) -> frozenset[str]:
+        """``link`` and all that moves with it."""
+        out, stack = set(), [link]
+        while stack:
+            current = stack.pop()
+            out.add(current)
+            stack.extend(self.children(current))
+        return frozenset(out)
+
+    def with_joint(self, joint: Joint) -> KinematicTree:
+        """The tree with the joint of ``joint.child`` replaced."""
+        if joint.child not in self.joint_of:
+            raise KinematicsError([f"link {joint.child!r} has no joint to replace"])
+        joints = tuple(joint if j.child == joint.child else j for j in self.joints)
+        return replace(self, joints=joints)
+
+    def joint_values(self, q: Mapping[str, float]) -> dict[str, float]:
+        """Value of each moving joint by name: missing ones are 0, mimics follow.
+
+        Raises:
+            KinematicsError: where ``q`` names a joint that isn't there.
+        """
+        unknown = sorted(set(q) - set(self.by_name))
+        if unknown:
+            raise KinematicsError(
+                [f"no joint {name!r}; there are {', '.join(self.by_name) or 'none'}" for name in unknown]
+            )
+        out: dict[str, float] = {}
+
+        def value(joint: Joint) -> float:
+            if joint.name not in out:
+                if joint.mimic is None:
+                    out[joint.name] = float(q.get(joint.name, 0.0))
+                else:
+                    leader = value(self.by_name[joint.mimic.joint])
+                    out[joint.name] = joint.mimic.multiplier * leader + joint.mimic.offset
+            return out[joint.name]
+
+        for joint in self.joints:
+            if joint.moves:
+                value(joint)
+        return out
+
+    def pose(self, q: Mapping[str, float]) -> dict[str, npt.NDArray[np.float64]]:
+        """Where every link is.
+
+        Args:
+            q: joint name → radians or metres; missing joints are at 0. Limits are not applied.
+
+        Returns:
+            link → (4, 4) ``posed_from_rest``: moves the link's rest-frame geometry to its pose, in
+            the object frame. All are the identity at q = 0. See CONVENTIONS.md, "Link poses".
+        """
+        values = self.joint_values(q)
+        out = {self.root: np.eye(4)}
+        for link in self.order[1:]:
+            joint = self.joint_of[link]
+            out[link] = out[joint.parent] @ motion(joint, values.get(joint.name, 0.0))
+        return out
+
+
+def tree_problems(links: tuple[str, ...], joints: tuple[Joint, ...]) -> list[str]:
+    """Every way in which links and joints fail to be a tree; empty where they are one."""
+    out: list[str] = []
+    known = set(links)
+    if not links:
+        out.append("a kinematic tree needs at least one link")
+    for name in sorted({n for n in links if links.count(n) > 1}):
+        out.append(f"link {name!r} is there twice")
+    names = [j.name for j in joints]
+    for name in sorted({n for n in names if names.count(n) > 1}):
+        out.append(f"joint {name!r} is there twice")
+    parent_of: dict[str, str] = {}
+    for j in joints:
+        for end, link in (("parent", j.parent), ("child", j.child)):
+            if link not in known:
+                out.append(f"joint {j.name!r}: {end} link {link!r} doesn't exist")
+        if j.child in parent_of:
+            out.append(f"link {j.child!r} has two parents: {parent_of[j.child]!r} and {j.parent!r}")
+        else:
+            parent_of[j.child] = j.parent
+    roots = [link for link in dict.fromkeys(links) if link not in parent_of]
+    if links and not roots:
+        out.append("no root: every link is some joint's child")
+    if len(roots) > 1:
+        out.append(f"{len(roots)} roots instead of one: {', '.join(map(repr, roots))}")
+    out.extend(_cycles(parent_of))
+    out.extend(_mimic_problems(joints))
+    return out
+
+
+def _cycles(parent_of: Mapping[str, str]) -> list[str]:
+    out, done = [], set[str]()
+    for start in parent_of:
+        path: list[str] = []
+        link = start
+        while link in parent_of and link not in done and link not in path:
+            path.append(link)
+            link = parent_of[link]
+        if link in path:
+            out.append("cycle: " + " → ".join([*path[path.index(link) :], link]))
+        done.update(path)
+    return out
+
+
+def _mimic_problems(joints: tuple[Joint, ...]) -> list[str]:
+    out, by_name = [], {j.name: j for j in joints}
+    for j in joints:
+        if j.mimic is None:
+            continue
+        leader = by_name.get(j.mimic.joint)
+        if leader is None or not leader.moves:
+            out.append(f"joint {j.name!r} mimics {j.mimic.joint!r}, which is no moving joint")
+            continue
+        seen = {j.name}
+        while leader is not None and leader.mimic is not None and leader.name not in seen:
+            seen.add(leader.name)
+            leader = by_name.get(leader.mimic.joint)
+        if leader is not None and leader.name in seen:
+            out.append(f"joint {j.name!r} mimics itself through {', '.join(sorted(seen))}")
+    return out

@@ -1,0 +1,10 @@
+"""Where the files that ship with ArtiWorld are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def static_assets() -> Path:
+    """The folder ``static_assets`` beside the packages."""
+    return Path(__file__).resolve().parents[1] / "static_assets"

@@ -1,0 +1,1 @@
+"""Promptable part segmentation: encode once, answer each click."""
