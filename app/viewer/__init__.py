@@ -1,0 +1,1 @@
+"""The browser screens, one file per panel."""

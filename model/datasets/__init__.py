@@ -1,0 +1,1 @@
+"""Articulated objects with ground truth, behind one protocol."""

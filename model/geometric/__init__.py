@@ -1,0 +1,1 @@
+"""Joint candidates and the predictor from geometry alone."""

@@ -70,7 +70,8 @@ class Mesh:
             low, high = int(self.faces.min()), int(self.faces.max())
             if low < 0 or high >= len(self.vertices):
                 raise GeometryError(
-                    f"faces index vertices {low}..{high}, but there are {len(self.vertices)} vertices"
+                    f"faces index vertices {low}..{high}, but there are "
+                    f"{len(self.vertices)} vertices"
                 )
         if len(self.face_material) != len(self.faces):
             raise GeometryError("face_material must have one entry a face")
@@ -103,7 +104,9 @@ class Mesh:
     def face_normals(self) -> npt.NDArray[np.float64]:
         """(F, 3) unit normals; zero where the face has no area."""
         length = np.linalg.norm(self.face_cross, axis=1, keepdims=True)
-        return np.divide(self.face_cross, length, out=np.zeros_like(self.face_cross), where=length > 0)
+        return np.divide(
+            self.face_cross, length, out=np.zeros_like(self.face_cross), where=length > 0
+        )
 
     @property
     def bounds(self) -> npt.NDArray[np.float64]:

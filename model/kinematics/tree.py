@@ -92,7 +92,7 @@ class KinematicTree:
         unknown = sorted(set(q) - set(self.by_name))
         if unknown:
             raise KinematicsError(
-                [f"no joint {name!r}; there are {', '.join(self.by_name) or 'none'}" for name in unknown]
+X
             )
         out: dict[str, float] = {}
 

@@ -1,0 +1,1 @@
+"""Articulated objects made by rules, one file per family."""
