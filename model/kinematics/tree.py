@@ -89,11 +89,10 @@ class KinematicTree:
         Raises:
             KinematicsError: where ``q`` names a joint that isn't there.
         """
+        known = ", ".join(self.by_name) or "none"
         unknown = sorted(set(q) - set(self.by_name))
         if unknown:
-            raise KinematicsError(
-X
-            )
+            raise KinematicsError([f"no joint {n!r}; there are {known}" for n in unknown])
         out: dict[str, float] = {}
 
         def value(joint: Joint) -> float:
