@@ -1,0 +1,192 @@
+"""The child's side of :mod:`app.jobs`: reads jobs from a pipe, runs them one at a time, answers.
+
+Started by :class:`app.jobs.WorkerProcess` with one end of a pipe; imports nothing heavy itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import inspect
+import os
+import pickle
+import queue
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from model.errors import ArtiworldError
+from model.progress import Cancelled
+
+PROGRESS_PERIOD = 0.03
+"""Seconds between two progress messages; a loop may report far more often than people can see."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+def pack(value: object) -> list[Any]:
+    """Pickle ``value`` with its arrays beside it, not copied: [pickle, buffer, buffer, …]."""
+    buffers: list[pickle.PickleBuffer] = []
+    data = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
+    return [data, *(b.raw() for b in buffers)]
+
+
+def unpack(chunks: list[Any]) -> Any:
+    """The value that :func:`pack` took apart. Read-only arrays stay read-only."""
+    return pickle.loads(chunks[0], buffers=chunks[1:])
+
+
+def send(connection: Connection, kind: str, number: int, chunks: list[Any] | None = None) -> None:
+    """Send one message. ``chunks`` come from :func:`pack`."""
+    sizes = [(memoryview(c).nbytes, memoryview(c).readonly) for c in chunks or []]
+    connection.send_bytes(pickle.dumps((kind, number, sizes), protocol=5))
+    for chunk, (size, _) in zip(chunks or [], sizes, strict=True):
+        if size:
+            connection.send_bytes(chunk)
+
+
+def receive(connection: Connection) -> tuple[str, int, list[Any]]:
+    """Receive one message: kind, job number, chunks for :func:`unpack`.
+
+    Raises:
+        EOFError, OSError: where the other side is gone.
+    """
+    kind, number, sizes = pickle.loads(connection.recv_bytes())
+    chunks: list[Any] = []
+    for size, readonly in sizes:
+        buffer = bytearray(size)
+        if size:
+            connection.recv_bytes_into(buffer)
+        chunks.append(memoryview(buffer).toreadonly() if readonly else buffer)
+    return kind, number, chunks
+
+
+def describe_error(error: BaseException) -> dict[str, Any]:
+    """What the parent needs to raise ``error`` again: users' errors keep type and message.
+
+    Not the pickled exception itself: one with its own ``__init__`` doesn't survive pickling.
+    """
+    text = "".join(traceback.format_exception(error))
+    out: dict[str, Any] = {
+        "kind": "failed",
+        "message": f"{type(error).__name__}: {error}",
+        "text": text,
+    }
+    if isinstance(error, Cancelled):
+        out["kind"] = "cancelled"
+    elif isinstance(error, ArtiworldError):
+        state = {k: v for k, v in vars(error).items() if _picklable(v)}
+        out.update(kind="user", type=type(error), message=str(error), state=state)
+        if not _picklable(type(error)):
+            out["type"] = ArtiworldError
+    return out
+
+
+def _picklable(value: object) -> bool:
+    try:
+        pickle.dumps(value)
+    except (pickle.PicklingError, TypeError, AttributeError):
+        return False
+    return True
+
+
+class _Worker:
+    """The child process: one thread reads the pipe, the main thread runs the jobs."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._send_lock = threading.Lock()
+        self._jobs: queue.SimpleQueue[tuple[str, int, list[Any]]] = queue.SimpleQueue()
+        self._cancelled: set[int] = set()
+
+    def run(self) -> None:
+        threading.Thread(target=self._read, name="pipe reader", daemon=True).start()
+        while True:
+            kind, number, chunks = self._jobs.get()
+            answer = self._answer(number, chunks)
+            del chunks
+            self._send(
+                "ready" if kind == "setup" and answer[0] == "done" else "answer", number, answer
+            )
+            del answer
+
+    def _read(self) -> None:
+        while True:
+            try:
+                kind, number, chunks = receive(self._connection)
+            except (EOFError, OSError):
+                os._exit(0)  # the parent is gone; whatever runs now has nobody to answer to
+            if kind == "cancel":
+                self._cancelled.add(number)
+            else:
+                self._jobs.put((kind, number, chunks))
+
+    def _send(self, kind: str, number: int, value: object) -> None:
+        try:
+            chunks = pack(value)
+        except Exception as error:
+            chunks = pack(("error", describe_error(error)))
+        with self._send_lock:
+            try:
+                send(self._connection, kind, number, chunks)
+            except OSError:
+                os._exit(0)
+
+    def _answer(self, number: int, chunks: list[Any]) -> tuple[str, Any]:
+        try:
+            function, args, kwargs = unpack(chunks)
+            if "progress" not in kwargs and _takes_progress(function):
+                kwargs["progress"] = self._progress(number)
+            return "done", function(*args, **kwargs)
+        except (Exception, SystemExit, KeyboardInterrupt) as error:  # the boundary of a job
+            return "error", describe_error(error)
+        finally:
+            self._cancelled.discard(number)
+
+    def _progress(self, number: int) -> Callable[[float, str], None]:
+        last_time, last_message = 0.0, ""
+
+        def progress(fraction: float, message: str) -> None:
+            nonlocal last_time, last_message
+            if number in self._cancelled:
+                raise Cancelled(message)
+            now = time.monotonic()
+            if now - last_time >= PROGRESS_PERIOD or message != last_message:
+                last_time, last_message = now, message
+                self._send("progress", number, (float(fraction), str(message)))
+
+        return progress
+
+
+def _takes_progress(function: Callable[..., object]) -> bool:
+    try:
+        return "progress" in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return False
+
+
+def _die_with_parent(parent: int) -> None:
+    """Ask Linux to kill this process with its parent; the pipe's end is the second safety."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        # Short of memory, the kernel should take the worker and spare the server.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text("500")
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+def main(descriptor: int, parent: int, name: str) -> None:
+    """Run the child until the pipe closes."""
+    _die_with_parent(parent)
+    faulthandler.enable()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C belongs to the parent
+    threading.current_thread().name = name
+    _Worker(Connection(descriptor)).run()

@@ -1,0 +1,108 @@
+"""What the worker runs in tests: jobs must be importable by name in the child."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from app.jobs import WorkerProcess
+from model.errors import InputFileError, KinematicsError
+from model.geometry.point_cloud import PointCloud
+from model.progress import Progress
+
+_state: dict[str, int] = {}
+
+
+def echo(value):
+    return value
+
+
+def pid() -> int:
+    return os.getpid()
+
+
+def count_calls() -> int:
+    _state["calls"] = _state.get("calls", 0) + 1
+    return _state["calls"]
+
+
+def set_start(value: int) -> None:
+    _state["calls"] = value
+
+
+def broken_start() -> None:
+    raise OSError("no weights here")
+
+
+def fail(message: str) -> None:
+    raise ValueError(message)
+
+
+def bad_file() -> None:
+    raise InputFileError("scan.ply", "is empty", "export it again")
+
+
+def bad_tree() -> None:
+    raise KinematicsError(["no root", "a cycle"])
+
+
+def unpicklable():
+    return lambda: 1
+
+
+def leave(code: int) -> None:
+    sys.exit(code)
+
+
+def steps(count: int, seconds: float, *, progress: Progress) -> int:
+    for i in range(count):
+        progress(i / count, f"step {i}")
+        time.sleep(seconds)
+    return count
+
+
+def deaf(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+def kill_myself(number: int = signal.SIGKILL) -> None:
+    os.kill(os.getpid(), number)
+    time.sleep(5)
+
+
+def append(path: str, text: str, seconds: float = 0.0) -> str:
+    time.sleep(seconds)
+    with Path(path).open("a") as file:
+        file.write(text)
+    return text
+
+
+def threads() -> str | None:
+    return os.environ.get("OMP_NUM_THREADS")
+
+
+def cloud(count: int) -> PointCloud:
+    return PointCloud(np.arange(3.0 * count, dtype=np.float32).reshape(-1, 3))
+
+
+def mean(value: PointCloud) -> float:
+    return float(value.points.mean())
+
+
+def start_grandchild_then_die() -> None:
+    subprocess.Popen(["sleep", "6"], close_fds=False)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def hold_a_worker(seconds: float) -> None:
+    """A server with a busy worker, in a process of its own: prints the worker's pid."""
+    worker = WorkerProcess("held")
+    print(worker.submit(pid).result(30), flush=True)
+    worker.submit(deaf, seconds)
+    time.sleep(seconds)

@@ -1,0 +1,265 @@
+"""The worker process: what comes back, in which order, and what survives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
+from model.errors import InputFileError, KinematicsError
+from model.progress import Cancelled
+from tests.app import job_functions as functions
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def worker():
+    with WorkerProcess("test") as out:
+        out.submit(functions.pid).result(60)
+        yield out
+
+
+def alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
+
+
+def wait_for(condition, seconds: float = 10.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def test_runs_elsewhere_and_returns_the_value(worker):
+    job = worker.submit(functions.pid)
+    assert job.result(10) == worker.pid != os.getpid()
+    assert job.done and job.state == "done" and job.fraction == 1.0
+
+
+def test_same_child_keeps_its_module_state(worker):
+    assert [worker.submit(functions.count_calls).result(10) for _ in range(3)] == [1, 2, 3]
+
+
+def test_initializer_runs_before_the_first_job():
+    with WorkerProcess("test", initializer=functions.set_start, arguments=(41,)) as worker:
+        assert worker.submit(functions.count_calls).result(60) == 42
+
+
+def test_broken_initializer_fails_each_job_with_its_reason():
+    with WorkerProcess("test", initializer=functions.broken_start) as worker:
+        for _ in range(2):
+            with pytest.raises(JobFailed, match="no weights here"):
+                worker.submit(functions.pid).result(60)
+
+
+def test_round_trip_of_small_things_is_quick(worker):
+    times = []
+    for i in range(200):
+        start = time.perf_counter()
+        assert worker.submit(functions.echo, i).result(10) == i
+        times.append(time.perf_counter() - start)
+    assert np.median(times) < 3e-3
+
+
+def test_arrays_travel_both_ways_and_stay_read_only(worker):
+    there = np.arange(6.0).reshape(2, 3)
+    back = worker.submit(functions.echo, there).result(10)
+    np.testing.assert_array_equal(back, there)
+    assert back.flags.writeable
+    cloud = worker.submit(functions.cloud, 1_000_000).result(20)
+    assert len(cloud) == 1_000_000
+    assert not cloud.points.flags.writeable
+    assert worker.submit(functions.mean, cloud).result(20) == pytest.approx(1.5e6, rel=1e-3)
+    assert worker.submit(functions.echo, np.zeros((0, 3))).result(10).shape == (0, 3)
+
+
+def test_a_users_error_keeps_type_message_and_attributes(worker):
+    job = worker.submit(functions.bad_file)
+    with pytest.raises(InputFileError, match="scan.ply: is empty; export it again") as caught:
+        job.result(10)
+    assert caught.value.remedy == "export it again"
+    assert job.state == "failed" and job.error is caught.value
+    with pytest.raises(KinematicsError) as caught:
+        worker.submit(functions.bad_tree).result(10)
+    assert caught.value.problems == ("no root", "a cycle")
+
+
+def test_other_errors_bring_the_childs_traceback(worker):
+    with pytest.raises(JobFailed, match="ValueError: odd") as caught:
+        worker.submit(functions.fail, "odd").result(10)
+    assert "in fail" in caught.value.details
+    with pytest.raises(JobFailed, match="SystemExit"):
+        worker.submit(functions.leave, 3).result(10)
+    with pytest.raises(JobFailed, match="lambda|pickle"):
+        worker.submit(functions.unpicklable).result(10)
+    with pytest.raises(JobFailed, match="can't be sent"):
+        worker.submit(lambda: 1).result(10)
+    assert worker.submit(functions.echo, 1).result(10) == 1
+
+
+def test_progress_reaches_the_callback_in_order(worker):
+    seen: list[tuple[float, str]] = []
+    job = worker.submit(functions.steps, 20, 0.01, on_progress=lambda f, m: seen.append((f, m)))
+    assert job.result(20) == 20
+    wait_for(lambda: seen)
+    fractions = [f for f, _ in seen]
+    assert fractions == sorted(fractions) and all(0 <= f <= 1 for f in fractions)
+    assert all(message.startswith("step") for _, message in seen)
+
+
+def test_cancel_while_running_stops_at_the_next_step_and_keeps_the_child(worker):
+    before = worker.pid
+    job = worker.submit(functions.steps, 1000, 0.01)
+    wait_for(lambda: job.state == "running" and job.message)
+    job.cancel()
+    with pytest.raises(Cancelled):
+        job.result(2)
+    assert job.state == "cancelled" and worker.pid == before
+
+
+def test_cancel_of_a_deaf_job_kills_the_child_and_the_queue_goes_on(worker):
+    before = worker.pid
+    job = worker.submit(functions.deaf, 60)
+    after = worker.submit(functions.pid)
+    wait_for(lambda: job.state == "running")
+    start = time.monotonic()
+    job.cancel()
+    with pytest.raises(Cancelled):
+        job.result(CANCEL_SECONDS + 2)
+    assert time.monotonic() - start >= CANCEL_SECONDS - 0.1
+    assert after.result(60) != before
+
+
+def test_cancel_of_a_queued_job_ends_it_at_once(worker, tmp_path):
+    first = worker.submit(functions.deaf, 0.5)
+    second = worker.submit(functions.append, str(tmp_path / "log"), "second")
+    second.cancel()
+    second.cancel()
+    assert second.state == "cancelled"
+    first.result(10)
+    worker.submit(functions.pid).result(10)
+    assert not (tmp_path / "log").exists()
+    first.cancel()
+    assert first.state == "done"
+
+
+def test_priority_then_order_of_submission(worker, tmp_path):
+    log = tmp_path / "log"
+    blocker = worker.submit(functions.deaf, 0.3)
+    wait_for(lambda: blocker.state == "running")
+    jobs = [
+        worker.submit(functions.append, str(log), name, priority=p)
+        for name, p in (("a", 0), ("b", 0), ("C", 5), ("d", -1))
+    ]
+    for job in jobs:
+        job.result(10)
+    assert log.read_text() == "Cabd"
+
+
+def test_newest_of_a_key_replaces_the_queued_one_in_its_place(worker, tmp_path):
+    log = str(tmp_path / "log")
+    running = worker.submit(functions.append, log, "1", 0.3, key="clicks")
+    wait_for(lambda: running.state == "running")
+    stale = [worker.submit(functions.append, log, str(i), key="clicks") for i in (2, 3)]
+    other = worker.submit(functions.append, log, "x")
+    newest = worker.submit(functions.append, log, "4", key="clicks")
+    assert [job.state for job in stale] == ["cancelled", "cancelled"]
+    other.result(10)
+    assert running.state == newest.state == "done"
+    assert Path(log).read_text() == "14x"
+
+
+def test_callbacks_share_one_thread_and_a_bad_one_harms_nobody(worker, caplog):
+    threads: list[int] = []
+    done = threading.Event()
+
+    def good(job: Job[int]) -> None:
+        threads.append(threading.get_ident())
+        assert job.done
+        if job.result() == 2:
+            done.set()
+
+    def bad(job: Job[int]) -> None:
+        raise RuntimeError("bad callback")
+
+    first = worker.submit(functions.echo, 1)
+    first.add_done_callback(bad)
+    first.add_done_callback(good)
+    first.result(10)
+    late = worker.submit(functions.echo, 2)
+    late.result(10)
+    late.add_done_callback(good)  # after its end
+    assert done.wait(10)
+    assert len(set(threads)) == 1 and threads[0] != threading.get_ident()
+    assert "bad callback" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "memory"), (signal.SIGSEGV, "SIGSEGV")]
+)
+def test_a_dead_child_fails_its_job_and_the_queue_goes_on(worker, number, words):
+    before = worker.pid
+    victim = worker.submit(functions.kill_myself, number)
+    after = worker.submit(functions.pid)
+    with pytest.raises(JobFailed, match=words):
+        victim.result(20)
+    assert after.result(60) != before
+
+
+def test_a_child_killed_while_idle_comes_back(worker):
+    before = worker.pid
+    os.kill(before, signal.SIGKILL)
+    wait_for(lambda: worker.pid not in (None, before))
+    assert worker.submit(functions.pid).result(60) == worker.pid
+
+
+def test_death_is_noticed_though_a_grandchild_holds_the_pipe(worker):
+    with pytest.raises(JobFailed, match="SIGKILL"):
+        worker.submit(functions.start_grandchild_then_die).result(5)
+
+
+def test_close_cancels_everything_and_leaves_no_process():
+    worker = WorkerProcess("test")
+    pid = worker.submit(functions.pid).result(60)
+    jobs = [worker.submit(functions.deaf, 60), worker.submit(functions.deaf, 60)]
+    wait_for(lambda: jobs[0].state == "running")
+    worker.close()
+    worker.close()
+    assert [job.state for job in jobs] == ["cancelled", "cancelled"]
+    assert not alive(pid)
+    with pytest.raises(RuntimeError, match="closed"):
+        worker.submit(functions.pid)
+
+
+def test_no_orphan_when_the_server_is_killed():
+    code = "from tests.app.job_functions import hold_a_worker; hold_a_worker(60)"
+    server = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    assert server.stdout is not None
+    child = int(server.stdout.readline())
+    assert alive(child)
+    time.sleep(0.2)
+    server.kill()
+    server.wait()
+    wait_for(lambda: not alive(child), 3)
+    server.stdout.close()
+
+
+def test_numeric_threads_are_limited_unless_the_environment_says_so(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    with WorkerProcess("test", threads=3) as worker:
+        assert worker.submit(functions.threads).result(60) == "3"
