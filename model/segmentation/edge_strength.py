@@ -1,0 +1,61 @@
+"""How much each edge of the node graph looks like a border between parts.
+
+The strength is a log-odds that is clipped to [0, 9]: 0 is the inside of a part, 9 a certain cut.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from model.resources import static_assets
+from model.segmentation.features import FEATURE_NAMES, edge_features
+from model.segmentation.graph import Graph
+from model.segmentation.mlp import Mlp, load_mlp
+from model.segmentation.nodes import Nodes
+
+WEIGHTS = "segmentation/edges.npz"
+MAX_STRENGTH = 9.0
+
+_LOGIT_SHIFT = 3.0
+_SHELL_CUT = 3.0
+_MATERIAL_CUT = 1.0
+
+
+@lru_cache(maxsize=1)
+def shipped_edge_model() -> Mlp | None:
+    """The trained model that ships with the project, or None where it is not there."""
+    path = static_assets() / WEIGHTS
+    return load_mlp(path, FEATURE_NAMES) if path.is_file() else None
+
+
+def hand_set_strength(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """(M,) strength from angle, convexity and colour, without any training."""
+    column = {name: features[:, i] for i, name in enumerate(FEATURE_NAMES)}
+    angle = column["angle_1"]
+    concave = column["convex_1"] < 0
+    crease = np.where(concave, 60.0, 3.0) * angle**2
+    return np.clip(crease + 0.15 * (10 * column["color_near"] / 4) ** 2, 0, MAX_STRENGTH)
+
+
+def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[np.float32]:
+    """(M,) strength of each edge; by ``model``, or the hand-set rule where it is None."""
+    if not len(graph.a):
+        return np.zeros(0, np.float32)
+    features = edge_features(nodes, graph)
+    strength = hand_set_strength(features) if model is None else model(features) + _LOGIT_SHIFT
+    strength = strength.astype(np.float32)
+    a, b = graph.a, graph.b
+    strength += _SHELL_CUT * (nodes.shell[a] != nodes.shell[b])
+    strength += _MATERIAL_CUT * (nodes.material[a] != nodes.material[b])
+    strength = np.clip(strength, 0, MAX_STRENGTH)
+    strength[graph.bridge] = MAX_STRENGTH
+    return strength
+
+
+def edge_weight(strength: npt.NDArray[np.float32], graph: Graph) -> npt.NDArray[np.float32]:
+    """(M,) conductance of each edge for the random walk."""
+    reach = np.minimum(graph.length / np.float32(graph.spacing), 8)
+    return np.exp(-strength - 0.1 * reach**2)

@@ -1,0 +1,79 @@
+"""A small multilayer perceptron in plain numpy, and the npz that holds one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import InputFileError
+
+FORMAT = 1
+_CHUNK = 65_536
+
+
+@dataclass(frozen=True, eq=False)
+class Mlp:
+    """Standardise, then linear layers with ReLU between them; one output.
+
+    Attributes:
+        names: of the input features, checked against the code that makes them.
+        mean, scale: (D,) float32 of the training data.
+        layers: (weight (out, in), bias (out,)) float32 pairs.
+    """
+
+    names: tuple[str, ...]
+    mean: npt.NDArray[np.float32]
+    scale: npt.NDArray[np.float32]
+    layers: tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
+
+    def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """(N,) outputs of (N, D) features."""
+        out = np.empty(len(features), np.float32)
+        for begin in range(0, len(features), _CHUNK):
+            x = (features[begin : begin + _CHUNK] - self.mean) / self.scale
+            x = np.clip(x, -8, 8)
+            for weight, bias in self.layers[:-1]:
+                x = np.maximum(x @ weight.T + bias, 0)
+            weight, bias = self.layers[-1]
+            out[begin : begin + _CHUNK] = (x @ weight.T + bias)[:, 0]
+        return out
+
+
+def save_mlp(mlp: Mlp, path: Path, config: dict[str, object]) -> None:
+    """Write ``mlp`` as npz with the training configuration and scores beside the numbers."""
+    arrays: dict[str, npt.NDArray] = {
+        "format": np.array(FORMAT),
+        "names": np.array(mlp.names),
+        "mean": mlp.mean,
+        "scale": mlp.scale,
+        "config": np.array(json.dumps(config, sort_keys=True)),
+    }
+    for i, (weight, bias) in enumerate(mlp.layers):
+        arrays[f"weight_{i}"] = weight
+        arrays[f"bias_{i}"] = bias
+    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+
+
+def load_mlp(path: Path, names: tuple[str, ...]) -> Mlp:
+    """Read what :func:`save_mlp` wrote.
+
+    Raises:
+        InputFileError: where the file is absent, newer, or made for other features.
+    """
+    if not path.is_file():
+        raise InputFileError(path, "not there", "train it: python -m model.segmentation.training")
+    with np.load(path, allow_pickle=False) as data:
+        if int(data["format"]) != FORMAT:
+            raise InputFileError(path, f"format {int(data['format'])}, this version reads {FORMAT}")
+        found = tuple(str(n) for n in data["names"])
+        if found != names:
+            raise InputFileError(path, "made for other features", "train it again")
+        layers = []
+        while f"weight_{len(layers)}" in data:
+            i = len(layers)
+            layers.append((data[f"weight_{i}"], data[f"bias_{i}"]))
+        return Mlp(found, data["mean"], data["scale"], tuple(layers))

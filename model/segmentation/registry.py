@@ -1,0 +1,71 @@
+"""The one table of segmenters: ours, and plug-ins of the entry-point group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.metadata import entry_points
+
+from model.errors import ConfigurationError
+from model.segmentation import baselines
+from model.segmentation.protocol import Segmenter
+
+GROUP = "artiworld.segmenters"
+DEFAULT = "default"
+
+_BUILT_IN: dict[str, Callable[[], Segmenter]] = {
+    "region-growing": baselines.region_growing,
+    "random-walk": baselines.random_walk,
+    "nearest": baselines.nearest_click,
+}
+_BUILT_IN[DEFAULT] = baselines.region_growing
+
+SEGMENTERS: list[str] = list(_BUILT_IN)
+"""Names of the built-in segmenters; :func:`segmenter_names` adds the plug-ins."""
+
+
+@lru_cache(maxsize=1)
+def _table() -> dict[str, Callable[[], Segmenter]]:
+    table = dict(_BUILT_IN)
+    for entry in entry_points(group=GROUP):
+        # Ours win: a plug-in can't take the place of a built-in without being asked for.
+        if entry.name not in table:
+            table[entry.name] = _loader(entry)
+    return table
+
+
+def _loader(entry) -> Callable[[], Segmenter]:
+    def load() -> Segmenter:
+        try:
+            made = entry.load()()
+        except ImportError as error:
+            raise ConfigurationError(
+                f"the segmenter {entry.name!r} ({entry.value}) can't be loaded: {error}"
+            ) from error
+        if not isinstance(made, Segmenter):
+            raise ConfigurationError(
+                f"the plug-in {entry.name!r} ({entry.value}) is no segmenter: it needs `name` "
+                "and `encode`"
+            )
+        return made
+
+    return load
+
+
+def segmenter_names() -> list[str]:
+    """Names that :func:`load_segmenter` knows, the default first."""
+    return [DEFAULT, *sorted(n for n in _table() if n != DEFAULT)]
+
+
+def load_segmenter(name: str = DEFAULT) -> Segmenter:
+    """The segmenter called ``name``.
+
+    Raises:
+        ConfigurationError: for an unknown name, or a plug-in that can't be loaded.
+    """
+    table = _table()
+    if name not in table:
+        raise ConfigurationError(
+            f"no segmenter is called {name!r}; there are {', '.join(segmenter_names())}"
+        )
+    return table[name]()

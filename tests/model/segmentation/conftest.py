@@ -1,0 +1,113 @@
+"""Small objects with known parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from model.geometry.asset import Asset
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """An asset with the true label of each element."""
+
+    asset: Asset
+    labels: npt.NDArray[np.int16]
+
+
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> npt.NDArray:
+    """(12, 3, 3) triangles of an axis-aligned box, outward."""
+    x0, y0, z0 = low
+    x1, y1, z1 = high
+    v = np.array(
+        [[x, y, z] for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)], dtype=np.float64
+    )
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return np.array([v[[q[0], q[i], q[i + 1]]] for q in quads for i in (1, 2)])
+
+
+CABINET = (
+    # part, low, high, colour: a body, two doors that stand 2 cm proud, and a knob on each
+    (0, (0.0, 0.0, 0.0), (1.0, 0.5, 0.8), (180, 140, 100)),
+    (1, (0.02, -0.02, 0.05), (0.49, 0.0, 0.75), (200, 160, 120)),
+    (2, (0.51, -0.02, 0.05), (0.98, 0.0, 0.75), (200, 160, 120)),
+    (1, (0.40, -0.06, 0.35), (0.44, -0.02, 0.39), (60, 60, 60)),
+    (2, (0.56, -0.06, 0.35), (0.60, -0.02, 0.39), (60, 60, 60)),
+)
+
+
+def subdivide(triangles: npt.NDArray, times: int) -> npt.NDArray:
+    """Each triangle into four, ``times`` times."""
+    for _ in range(times):
+        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        triangles = np.concatenate(
+            [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        )
+    return triangles
+
+
+def cabinet_mesh(times: int = 3) -> Labelled:
+    """The cabinet as one mesh without any part information."""
+    triangles = [subdivide(box(low, high), times) for _, low, high, _ in CABINET]
+    labels = np.repeat([p for p, *_ in CABINET], [len(t) for t in triangles]).astype(np.int16)
+    vertices = np.concatenate(triangles).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    return Labelled(Asset("cabinet", mesh=Mesh(vertices, faces)), labels)
+
+
+def cabinet_cloud(count: int = 20_000, seed: int = 0, noise: float = 0.0) -> Labelled:
+    """The cabinet's outside sampled as a coloured cloud."""
+    rng = np.random.default_rng(seed)
+    points, labels, colors = [], [], []
+    triangles = np.concatenate([box(low, high) for _, low, high, _ in CABINET])
+    part = np.repeat(np.arange(len(CABINET)), 12)
+    area = np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )
+    chosen = rng.choice(len(triangles), 2 * count, p=area / area.sum())
+    u, v = rng.random((2, len(chosen), 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    t = triangles[chosen]
+    points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
+    hidden = np.zeros(len(points), bool)
+    for _, low, high, _ in CABINET:
+        hidden |= ((points > np.array(low) + 1e-6) & (points < np.array(high) - 1e-6)).all(1)
+    # The doors' backs and the body behind them touch: nobody can scan them.
+    hidden |= (
+        (np.abs(points[:, 1]) < 1e-6)
+        & ((points[:, 2] > 0.05) & (points[:, 2] < 0.75))
+        & (np.abs(points[:, 0] - 0.255) < 0.235)
+    )
+    hidden |= (
+        (np.abs(points[:, 1]) < 1e-6)
+        & ((points[:, 2] > 0.05) & (points[:, 2] < 0.75))
+        & (np.abs(points[:, 0] - 0.745) < 0.235)
+    )
+    keep = np.nonzero(~hidden)[0][:count]
+    labels = np.array([p for p, *_ in CABINET], np.int16)[part[chosen[keep]]]
+    colors = np.array([c for *_, c in CABINET], np.uint8)[part[chosen[keep]]]
+    points = points[keep] + rng.normal(0, noise, (len(keep), 3))
+    return Labelled(Asset("cabinet", cloud=PointCloud(points, colors=colors)), labels)
+
+
+@pytest.fixture(scope="session")
+def cloud_cabinet() -> Labelled:
+    return cabinet_cloud()
+
+
+@pytest.fixture(scope="session")
+def mesh_cabinet() -> Labelled:
+    return cabinet_mesh()
+
+
+def iou(answer: npt.NDArray, truth: npt.NDArray) -> float:
+    """Intersection over union of two masks."""
+    return float((answer & truth).sum() / max((answer | truth).sum(), 1))
