@@ -1,0 +1,121 @@
+"""Colours, icons and words of the screens."""
+
+from __future__ import annotations
+
+from typing import Final
+
+Rgb = tuple[int, int, int]
+
+BASE_COLOR: Final[Rgb] = (148, 156, 166)
+PART_COLORS: Final[tuple[Rgb, ...]] = (
+    (230, 126, 34),
+    (41, 128, 225),
+    (39, 174, 96),
+    (192, 57, 160),
+    (214, 174, 0),
+    (22, 180, 190),
+    (231, 76, 60),
+    (120, 94, 220),
+    (141, 180, 40),
+    (200, 110, 110),
+    (70, 110, 150),
+    (160, 110, 60),
+)
+SELECTED: Final[Rgb] = (236, 0, 140)
+GHOST: Final[Rgb] = (150, 150, 160)
+CONTACT: Final[Rgb] = (220, 20, 40)
+NEGATIVE: Final[Rgb] = (25, 25, 30)
+
+PART_NAMES: Final[tuple[str, ...]] = (
+    "base",
+    "door",
+    "drawer",
+    "lid",
+    "knob",
+    "button",
+    "handle",
+    "wheel",
+    "lever",
+    "switch",
+    "screen",
+    "seat",
+    "leg",
+    "arm",
+    "cap",
+    "blade",
+    "tray",
+    "shelf",
+    "panel",
+    "pedal",
+    "spout",
+    "hinge",
+    "rotor",
+    "caster",
+)
+CATEGORIES: Final[tuple[str, ...]] = (
+    "Bottle",
+    "Box",
+    "Bucket",
+    "Camera",
+    "Cart",
+    "Chair",
+    "Clock",
+    "CoffeeMachine",
+    "Dishwasher",
+    "Dispenser",
+    "Display",
+    "Door",
+    "Eyeglasses",
+    "Fan",
+    "Faucet",
+    "FoldingChair",
+    "Globe",
+    "Kettle",
+    "Keyboard",
+    "KitchenPot",
+    "Knife",
+    "Lamp",
+    "Laptop",
+    "Lighter",
+    "Microwave",
+    "Mouse",
+    "Oven",
+    "Pen",
+    "Phone",
+    "Pliers",
+    "Printer",
+    "Refrigerator",
+    "Remote",
+    "Safe",
+    "Scissors",
+    "Stapler",
+    "StorageFurniture",
+    "Suitcase",
+    "Switch",
+    "Table",
+    "Toaster",
+    "Toilet",
+    "TrashCan",
+    "USB",
+    "WashingMachine",
+    "Window",
+)
+STATE_WORDS: Final[dict[str, str]] = {
+    "todo": "to do",
+    "in_progress": "in progress",
+    "predicted": "predicted",
+    "accepted": "accepted",
+    "rejected": "rejected",
+}
+STATE_COLORS: Final[dict[str, Rgb]] = {
+    "todo": (134, 142, 150),
+    "in_progress": (51, 126, 204),
+    "predicted": (121, 80, 200),
+    "accepted": (47, 158, 68),
+    "rejected": (224, 49, 49),
+}
+
+
+def part_color(part: int) -> Rgb:
+    """The colour of a part, the same on every screen."""
+    return BASE_COLOR if part == 0 else PART_COLORS[(part - 1) % len(PART_COLORS)]

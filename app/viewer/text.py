@@ -1,0 +1,20 @@
+"""Text from people, made safe to show."""
+
+from __future__ import annotations
+
+_KEEP = set(" _-.,:;()/+%°·→×²³µ'")
+
+
+def plain(text: str, limit: int = 120) -> str:
+    """``text`` as literal markdown: no markup, no HTML, no expression survives.
+
+    The browser compiles markdown as MDX, where braces are code; every character that is not a
+    letter, a digit or harmless punctuation becomes a numeric entity.
+    """
+    short = text if len(text) <= limit else text[: limit - 1] + "…"
+    return "".join(c if c.isalnum() or c in _KEEP else f"&#{ord(c)};" for c in short)
+
+
+def number(value: float, unit: str) -> str:
+    """A number with its unit, as few digits as make sense."""
+    return f"{value:.3g} {unit}" if abs(value) < 100 else f"{value:.0f} {unit}"
