@@ -1,0 +1,97 @@
+"""A URDF as read, before its meshes are loaded; and where its files may lie."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometry.formats.references import ReferenceRefused, resolve
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.tree import KinematicTree
+from model.progress import Progress, no_progress
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfVisual:
+    """One piece of a link's geometry.
+
+    Attributes:
+        link: the link that carries it.
+        name: the element's ``name``, or None.
+        object_from_geometry: (4, 4) from the file's coordinates to the object frame at rest,
+            scale included.
+        file: the mesh file, resolved; None for a primitive.
+        primitive: ``("box", (x, y, z))``, ``("cylinder", (radius, length))`` or ``("sphere",
+            (radius,))`` in metres; None for a file.
+        color: RGBA in 0..255 from the URDF's material, or None.
+    """
+
+    link: str
+    name: str | None
+    object_from_geometry: npt.NDArray[np.float64]
+    file: Path | None = None
+    primitive: tuple[str, tuple[float, ...]] | None = None
+    color: tuple[int, int, int, int] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfModel:
+    """A URDF without its meshes loaded.
+
+    Attributes:
+        tree: joints in the object's rest frame, which is the root link's frame.
+        visuals: geometry in the file's order.
+        notes: what was changed on reading, for people.
+    """
+
+    path: Path
+    name: str
+    tree: KinematicTree
+    visuals: tuple[UrdfVisual, ...]
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:
+        """Link → its visuals; links without any are left out."""
+        out: dict[str, tuple[UrdfVisual, ...]] = {}
+        for visual in self.visuals:
+            out[visual.link] = (*out.get(visual.link, ()), visual)
+        return out
+
+    def load(self, progress: Progress = no_progress) -> ArticulatedObject:
+        """Read the meshes. Links without geometry become helpers.
+
+        Raises:
+            InputFileError: for a mesh file that can't be read.
+        """
+        from model.kinematics.urdf_meshes import load_part
+
+        parts: list[Part] = []
+        for i, (link, visuals) in enumerate(self.by_link.items()):
+            progress(i / len(self.by_link), f"reading {link}")
+            parts.append(load_part(link, visuals))
+        progress(1.0, "read")
+        return ArticulatedObject(self.name, tuple(parts), self.tree)
+
+
+def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
+    """A mesh reference as a path inside ``root``.
+
+    ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``folder``.
+
+    Raises:
+        ReferenceRefused: for an empty, absolute or remote reference, or one that leaves ``root``.
+    """
+    text = filename.strip().replace("\\", "/")
+    if not text.startswith("package://"):
+        return resolve(text, folder, root)
+    whole = text.removeprefix("package://")
+    inside = [resolve(t, folder, root) for t in (whole.partition("/")[2], whole) if t]
+    if not inside:
+        raise ReferenceRefused(f"{filename!r} is no file name")
+    return next((p for p in inside if p.exists()), inside[0])

@@ -1,0 +1,381 @@
+"""Reading URDF into the object's rest frame; see ``urdf`` for the writer and the conventions."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import InputFileError, KinematicsError
+from model.geometry.formats.references import ReferenceRefused
+from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.joint import Joint, JointType, Mimic
+from model.kinematics.tree import KinematicTree, tree_problems
+from model.kinematics.urdf_model import UrdfModel, UrdfVisual, resolve_mesh
+from model.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+_LOG = logging.getLogger(__name__)
+
+MAX_BYTES = 64 * 2**20
+"""No honest URDF is larger; its meshes lie beside it."""
+_MOVING: dict[str, JointType] = {
+    "revolute": "revolute",
+    "continuous": "continuous",
+    "prismatic": "prismatic",
+}
+_TO_FIXED = ("planar", "floating")
+
+
+def read_urdf(
+    path: str | Path, *, root: str | Path | None = None, progress: Progress = no_progress
+) -> ArticulatedObject:
+    """Read a URDF and its meshes into the object's rest frame (all joints at 0).
+
+    Args:
+        path: the URDF.
+        root: the folder that mesh paths must not leave; the URDF's own folder by default.
+        progress: told of each link.
+
+    Raises:
+        InputFileError: naming the file and everything that is wrong in it.
+    """
+    model = read_urdf_model(path, root=root)
+    for note in model.notes:
+        _LOG.warning("%s: %s", path, note)
+    return model.load(progress)
+
+
+def read_urdf_model(path: str | Path, *, root: str | Path | None = None) -> UrdfModel:
+    """Read a URDF without loading meshes (their paths are checked, not their presence).
+
+    - Axes are normalised; limits stay as they are, as other readers have it.
+    - Planar and floating joints become fixed; ``notes`` says so.
+    - Where no link has a visual, the collision geometry is taken.
+    - A link without geometry is a helper; it is renamed where its name begins with ``link_``.
+
+    Raises:
+        InputFileError: as :func:`read_urdf`.
+    """
+    path = Path(path)
+    return _Reader(path, Path(root) if root is not None else path.parent).read()
+
+
+class _Reader:
+    """Reads one file; collects problems, so that the user sees them all at once."""
+
+    def __init__(self, path: Path, root: Path) -> None:
+        self.path, self.root = path, root
+        self.problems: list[str] = []
+        self.notes: list[str] = []
+        self.colors: dict[str, tuple[int, int, int, int]] = {}
+
+    def read(self) -> UrdfModel:
+        robot = _parse(self.path)
+        for material in robot.findall("material"):
+            color = self._color(material)
+            if color is not None and material.get("name"):
+                self.colors[material.get("name", "")] = color
+        links = [self._name(e, "link") for e in robot.findall("link")]
+        locals_: dict[str, npt.NDArray[np.float64]] = {}
+        joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
+        geometry = self._geometry(robot)
+        self.problems += tree_problems(tuple(links), tuple(joints))
+        self._raise()
+        object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
+        joints = [_to_object(j, object_from_link[j.child]) for j in joints]
+        renamed = self._renamed_helpers(links, {v.link for v in geometry})
+        try:
+            tree = KinematicTree(
+                tuple(renamed.get(n, n) for n in links),
+                tuple(
+                    replace(
+                        j,
+                        parent=renamed.get(j.parent, j.parent),
+                        child=renamed.get(j.child, j.child),
+                    )
+                    for j in joints
+                ),
+            )
+        except KinematicsError as error:
+            raise InputFileError(self.path, str(error)) from error
+        visuals = tuple(
+            replace(v, object_from_geometry=object_from_link[v.link] @ v.object_from_geometry)
+            for v in geometry
+        )
+        name = robot.get("name") or self.path.stem
+        return UrdfModel(self.path, name, tree, visuals, tuple(self.notes))
+
+    def _raise(self) -> None:
+        if self.problems:
+            raise InputFileError(self.path, "; ".join(dict.fromkeys(self.problems)))
+
+    # -- values ----------------------------------------------------------------------------------
+
+    def _name(self, element: Element, what: str) -> str:
+        name = element.get("name", "")
+        if not name:
+            self.problems.append(f"a <{what}> has no name")
+        return name
+
+    def _numbers(
+        self,
+        element: Element | None,
+        attribute: str,
+        count: int,
+        default: Sequence[float],
+        where: str,
+    ) -> npt.NDArray[np.float64]:
+        text = None if element is None else element.get(attribute)
+        if element is None or text is None:
+            return np.array(default, dtype=np.float64)
+        words, values = text.split(), []
+        for word in words:
+            try:
+                values.append(float(word))
+            except ValueError:
+                self.problems.append(
+                    f"{where}: {word!r} in {attribute}={text!r} of <{element.tag}> is not a "
+                    "number; write numbers with blanks between them"
+                )
+                return np.array(default, dtype=np.float64)
+        if len(values) != count or not np.isfinite(values).all():
+            self.problems.append(
+                f"{where}: {attribute}={text!r} of <{element.tag}> must be {count} finite "
+                f"number{'s' if count > 1 else ''}"
+            )
+            return np.array(default, dtype=np.float64)
+        return np.array(values)
+
+    def _number(self, element: Element | None, attribute: str, default: float, where: str) -> float:
+        return float(self._numbers(element, attribute, 1, [default], where)[0])
+
+    def _pose(self, element: Element, where: str) -> npt.NDArray[np.float64]:
+        origin = element.find("origin")
+        out = np.eye(4)
+        out[:3, :3] = rotation_from_rpy(self._numbers(origin, "rpy", 3, [0, 0, 0], where))
+        out[:3, 3] = self._numbers(origin, "xyz", 3, [0, 0, 0], where)
+        return out
+
+    # -- joints ----------------------------------------------------------------------------------
+
+    def _joint(self, element: Element, locals_: dict[str, npt.NDArray[np.float64]]) -> Joint | None:
+        """The joint with its axis still in the child's frame; its pose goes into ``locals_``.
+
+        A joint with problems comes back as a fixed one, so that the tree can still be checked.
+        """
+        name = self._name(element, "joint")
+        where = f"joint {name!r}"
+        before = len(self.problems)
+        parent, child = self._end(element, "parent", where), self._end(element, "child", where)
+        if not (parent and child):
+            return None
+        if parent == child:
+            self.problems.append(f"{where}: parent and child are both {child!r}")
+            return None
+        type_ = self._joint_type(element, where)
+        locals_[name] = self._pose(element, where)
+        x, y, z = self._axis(element, type_, where)
+        lower, upper = self._limits(element, type_, where)
+        if type_ == "revolute" and upper is None:
+            type_, lower = "continuous", None
+        mimic = self._mimic(element, type_, where)
+        if len(self.problems) > before:
+            return Joint(name or "?", "fixed", parent, child)
+        return Joint(name, type_, parent, child, (x, y, z), (0, 0, 0), lower, upper, mimic)
+
+    def _end(self, element: Element, end: str, where: str) -> str:
+        found = element.find(end)
+        link = "" if found is None else found.get("link", "")
+        if not link:
+            self.problems.append(f'{where}: needs <{end} link="…"/>')
+        return link
+
+    def _axis(self, element: Element, type_: JointType, where: str) -> npt.NDArray[np.float64]:
+        axis = self._numbers(element.find("axis"), "xyz", 3, [1, 0, 0], where)
+        length = float(np.linalg.norm(axis))
+        if type_ == "fixed":
+            return np.array([0.0, 0.0, 1.0])
+        if length < 1e-9:
+            self.problems.append(f"{where}: the axis must not be zero")
+        elif abs(length - 1.0) > 1e-4:
+            self.notes.append(f"{where}: axis of length {length:g} was normalised")
+        return axis
+
+    def _joint_type(self, element: Element, where: str) -> JointType:
+        given = element.get("type", "")
+        if given in _TO_FIXED:
+            self.notes.append(f"{where}: {given} joints are not supported; it became fixed")
+        elif given not in _MOVING and given != "fixed":
+            known = ", ".join([*_MOVING, "fixed"])
+            self.problems.append(f"{where}: type {given!r} is none of {known}")
+        return _MOVING.get(given, "fixed")
+
+    def _limits(
+        self, element: Element, type_: JointType, where: str
+    ) -> tuple[float | None, float | None]:
+        """Lower and upper; no upper one says that a revolute joint is continuous."""
+        if type_ not in ("revolute", "prismatic"):
+            return None, None
+        limit = element.find("limit")
+        if limit is None:
+            self.problems.append(f"{where}: a {type_} joint needs <limit lower=… upper=…/>")
+            return None, None
+        texts = [limit.get(side, "0").strip().lstrip("+-").lower() for side in ("lower", "upper")]
+        if type_ == "revolute" and any(t in ("inf", "infinity") for t in texts):
+            self.notes.append(f"{where}: infinite limits; it became continuous")
+            return None, None
+        lower = self._number(limit, "lower", 0.0, where)
+        upper = self._number(limit, "upper", 0.0, where)
+        if lower > upper:
+            self.notes.append(f"{where}: limits {lower:g}..{upper:g} were swapped")
+            lower, upper = upper, lower
+        return lower, upper
+
+    def _mimic(self, element: Element, type_: JointType, where: str) -> Mimic | None:
+        mimic = element.find("mimic")
+        if mimic is None or type_ == "fixed":
+            return None
+        leader = mimic.get("joint", "")
+        if not leader:
+            self.problems.append(f"{where}: <mimic> must name a joint")
+        multiplier = self._number(mimic, "multiplier", 1.0, where)
+        return Mimic(leader, multiplier, self._number(mimic, "offset", 0.0, where))
+
+    # -- geometry --------------------------------------------------------------------------------
+
+    def _geometry(self, robot: Element) -> list[UrdfVisual]:
+        """Visuals with their pose still in the link's frame."""
+        tag = "visual"
+        if robot.find("link/visual") is None and robot.find("link/collision") is not None:
+            tag = "collision"
+            self.notes.append("no link has a visual; collision geometry was taken")
+        out: list[UrdfVisual] = []
+        for link in robot.findall("link"):
+            for element in link.findall(tag):
+                visual = self._visual(element, link.get("name", ""))
+                if visual is not None:
+                    out.append(visual)
+        return out
+
+    def _visual(self, element: Element, link: str) -> UrdfVisual | None:
+        where = f"link {link!r}"
+        pose = self._pose(element, where)
+        color = self._color(element.find("material"))
+        geometry = element.find("geometry")
+        shape = None if geometry is None else next(iter(geometry), None)
+        if shape is None:
+            self.problems.append(f"{where}: a <{element.tag}> has no geometry")
+            return None
+        name = element.get("name") or None
+        if shape.tag == "mesh":
+            file = self._resolve(shape.get("filename", ""), where)
+            scale = self._numbers(shape, "scale", 3, [1, 1, 1], where)
+            if file is None:
+                return None
+            return UrdfVisual(link, name, pose @ np.diag([*scale, 1.0]), file, None, color)
+        sizes: tuple[float, ...]
+        if shape.tag == "box":
+            sizes = tuple(self._numbers(shape, "size", 3, [1, 1, 1], where).tolist())
+        elif shape.tag in ("cylinder", "sphere"):
+            wanted = ("radius", "length") if shape.tag == "cylinder" else ("radius",)
+            sizes = tuple(self._number(shape, key, 0.0, where) for key in wanted)
+        else:
+            self.problems.append(
+                f"{where}: geometry <{shape.tag}> is none of mesh, box, cylinder, sphere"
+            )
+            return None
+        if min(sizes) <= 0:
+            self.problems.append(f"{where}: <{shape.tag}> needs sizes above 0, got {sizes}")
+            return None
+        return UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+
+    def _resolve(self, filename: str, where: str) -> Path | None:
+        """``filename`` inside the allowed folder, or None with a problem noted."""
+        try:
+            return resolve_mesh(filename, self.path.parent, self.root)
+        except ReferenceRefused as error:
+            self.problems.append(f"{where}: mesh {error}")
+            return None
+
+    def _color(self, material: Element | None) -> tuple[int, int, int, int] | None:
+        if material is None:
+            return None
+        color = material.find("color")
+        if color is None:
+            return self.colors.get(material.get("name", ""))
+        where = f"material {material.get('name', '')!r}"
+        r, g, b, a = np.clip(self._numbers(color, "rgba", 4, [0.8, 0.8, 0.8, 1], where), 0, 1)
+        return round(255 * r), round(255 * g), round(255 * b), round(255 * a)
+
+    def _renamed_helpers(self, links: Sequence[str], owning: set[str]) -> dict[str, str]:
+        out: dict[str, str] = {}
+        for link in links:
+            if link.startswith("link_") and link not in owning:
+                base = new = "helper_" + link.removeprefix("link_").removesuffix("_helper")
+                i = 2
+                while new in links or new in out.values():
+                    new, i = f"{base}_{i}", i + 1
+                out[link] = new
+                self.notes.append(f"link {link!r} has no geometry; it became the helper {new!r}")
+        return out
+
+
+def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """(3, 3) from URDF's roll, pitch, yaw: fixed axes x, then y, then z, radians."""
+    roll, pitch, yaw = (float(v) for v in np.asarray(rpy))
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def _parse(path: Path) -> Element:
+    from xml.etree.ElementTree import ParseError
+
+    import defusedxml
+    from defusedxml import ElementTree
+
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputFileError(path, "is larger than 64 MiB, too large for a URDF")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputFileError(path, error.strerror or "can't be read") from error
+    try:
+        robot = ElementTree.fromstring(data, forbid_dtd=True)
+    except defusedxml.DefusedXmlException as error:
+        raise InputFileError(path, "declares a DTD or entities", "remove them") from error
+    except (ParseError, ValueError, LookupError) as error:
+        raise InputFileError(path, f"is not well-formed XML ({error})") from error
+    if robot.tag != "robot":
+        raise InputFileError(path, f"begins with <{robot.tag}>", "a URDF begins with <robot>")
+    return robot
+
+
+def _compose(
+    tree: KinematicTree, locals_: Mapping[str, npt.NDArray[np.float64]]
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Link → (4, 4) ``object_from_link`` at rest."""
+    out = {tree.root: np.eye(4)}
+    for link in tree.order[1:]:
+        joint = tree.joint_of[link]
+        out[link] = out[joint.parent] @ locals_[joint.name]
+    return out
+
+
+def _to_object(joint: Joint, object_from_link: npt.NDArray[np.float64]) -> Joint:
+    axis = object_from_link[:3, :3] @ np.asarray(joint.axis)
+    axis[np.abs(axis) < 1e-15] = 0.0
+    ox, oy, oz = object_from_link[:3, 3]
+    return replace(joint, axis=tuple(axis.tolist()), origin=(ox, oy, oz))

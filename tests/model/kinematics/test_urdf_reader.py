@@ -1,0 +1,274 @@
+"""What other people's URDF files hold, good and bad."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import yourdfpy
+
+from model.errors import InputFileError
+from model.kinematics.urdf import read_urdf, read_urdf_model
+from model.kinematics.urdf_reader import rotation_from_rpy
+
+
+def robot(body: str) -> str:
+    return f'<?xml version="1.0"?><robot name="r">{body}</robot>'
+
+
+def joint(name: str, parent: str, child: str, type_: str = "fixed", inner: str = "") -> str:
+    return (
+        f'<joint name="{name}" type="{type_}"><parent link="{parent}"/>'
+        f'<child link="{child}"/>{inner}</joint>'
+    )
+
+
+def links(*names: str, geometry: str = '<sphere radius="1"/>') -> str:
+    visual = f"<visual><geometry>{geometry}</geometry></visual>"
+    return "".join(f'<link name="{n}">{visual}</link>' for n in names)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_(text: str):
+        path = tmp_path / "robot.urdf"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write_
+
+
+def problem(path) -> str:
+    with pytest.raises(InputFileError) as caught:
+        read_urdf(path)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def test_origins_and_rotations_are_composed(write):
+    path = write(
+        robot(
+            links("base", "link_0", "link_1")
+            + joint("a", "base", "link_0", inner='<origin xyz="1 2 3" rpy="0.3 -0.2 1.1"/>')
+            + joint(
+                "b",
+                "link_0",
+                "link_1",
+                "revolute",
+                '<origin xyz="0.5 0 -1" rpy="1 2 3"/><axis xyz="0 0 1"/>'
+                '<limit lower="-1" upper="2" effort="1" velocity="1"/>',
+            )
+        )
+    )
+    tree = read_urdf_model(path).tree
+    reference = yourdfpy.URDF.load(str(path), load_meshes=False)
+    rest = reference.get_transform("link_1", "base")
+    opened = tree.by_name["b"]
+    np.testing.assert_allclose(opened.origin, rest[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(opened.axis, rest[:3, 2], atol=1e-12)
+    reference.update_cfg({"b": 0.7})
+    posed = reference.get_transform("link_1", "base")
+    np.testing.assert_allclose(tree.pose({"b": 0.7})["link_1"] @ rest, posed, atol=1e-9)
+
+
+def test_rpy_turns_about_fixed_axes():
+    quarter = math.pi / 2
+    turned = rotation_from_rpy([quarter, 0, quarter]) @ [0, 1, 0]
+    np.testing.assert_allclose(turned, [0, 0, 1], atol=1e-12)
+
+
+def test_long_axes_are_normalised_and_noted(write):
+    path = write(
+        robot(
+            links("a", "b")
+            + joint("s", "a", "b", "prismatic", '<axis xyz="0 2 0"/><limit lower="0" upper="1"/>')
+        )
+    )
+    model = read_urdf_model(path)
+    slide = model.tree.by_name["s"]
+    assert slide.axis == (0, 1, 0) and slide.upper == 1
+    assert any("normalised" in n and "'s'" in n for n in model.notes)
+
+
+def test_what_is_not_supported_is_noted(write):
+    path = write(
+        robot(
+            links("a", "b", "c", "d", "e")
+            + joint("p", "a", "b", "planar")
+            + joint("f", "a", "c", "floating")
+            + joint("i", "a", "d", "revolute", '<limit lower="-inf" upper="inf"/>')
+            + joint("w", "a", "e", "revolute", '<limit lower="1" upper="-2"/>')
+        )
+    )
+    model = read_urdf_model(path)
+    types = {j.name: j.type for j in model.tree.joints}
+    assert types == {"p": "fixed", "f": "fixed", "i": "continuous", "w": "revolute"}
+    swapped = model.tree.by_name["w"]
+    assert (swapped.lower, swapped.upper) == (-2, 1)
+    assert [n.split("'")[1] for n in model.notes] == ["p", "f", "i", "w"]
+
+
+def test_helpers_are_renamed_so_that_they_never_look_like_parts(write):
+    path = write(
+        robot(
+            links("link_0")
+            + '<link name="base"/><link name="link_0_helper"/>'
+            + joint("a", "base", "link_0_helper")
+            + joint("b", "link_0_helper", "link_0")
+        )
+    )
+    obj = read_urdf(path)
+    assert obj.tree.links == ("link_0", "base", "helper_0")
+    assert [p.link for p in obj.parts] == ["link_0"]
+
+
+def test_primitives_keep_their_size_and_colour(write):
+    path = write(
+        robot(
+            '<link name="link_0"><visual><origin xyz="1 0 0"/>'
+            '<geometry><box size="2 4 6"/></geometry>'
+            '<material name="m"><color rgba="1 0 0 1"/></material></visual>'
+            '<visual><geometry><cylinder radius="0.1" length="9"/></geometry></visual></link>'
+        )
+    )
+    part = read_urdf(path).parts[0]
+    assert part.mesh is not None
+    np.testing.assert_allclose(part.bounds, [[-0.1, -2, -4.5], [2, 2, 4.5]], atol=1e-9)
+    assert part.mesh.materials[0].base_color == (255, 0, 0, 255)
+
+
+def test_collision_geometry_only_where_nothing_is_visible(write):
+    path = write(robot(links("link_0").replace("visual", "collision")))
+    model = read_urdf_model(path)
+    assert [v.link for v in model.visuals] == ["link_0"] and "collision" in model.notes[0]
+
+
+BAD = {
+    "number with a comma": (
+        robot(links("a", "b") + joint("j", "a", "b", inner='<origin xyz="0.01, 0 0"/>')),
+        ["joint 'j'", "'0.01,'", "<origin>", "xyz"],
+    ),
+    "two numbers for three": (
+        robot(links("a", "b") + joint("j", "a", "b", inner='<origin xyz="0 0"/>')),
+        ["joint 'j'", "3 finite numbers"],
+    ),
+    "not a number": (
+        robot(links("a", "b") + joint("j", "a", "b", inner='<origin xyz="nan 0 0"/>')),
+        ["joint 'j'", "finite"],
+    ),
+    "all problems of a tree at once": (
+        robot(
+            links("a", "b", "c", "d")
+            + joint("j", "a", "b")
+            + joint("k", "c", "d")
+            + joint("j", "nowhere", "b")
+        ),
+        ["joint 'j' is there twice", "'nowhere' doesn't exist", "two parents", "2 roots"],
+    ),
+    "a cycle": (
+        robot(links("a", "b", "c") + joint("j", "b", "c") + joint("k", "c", "b")),
+        ["cycle: ", "b → c"],
+    ),
+    "everything is a child": (
+        robot(links("a", "b") + joint("j", "a", "b") + joint("k", "b", "a")),
+        ["no root"],
+    ),
+    "a joint onto itself": (robot(links("a") + joint("j", "a", "a")), ["parent and child"]),
+    "no parent": (
+        robot(links("a") + '<joint name="j" type="fixed"><child link="a"/></joint>'),
+        ["joint 'j'", "<parent"],
+    ),
+    "no limits": (
+        robot(links("a", "b") + joint("j", "a", "b", "prismatic")),
+        ["joint 'j'", "prismatic", "<limit"],
+    ),
+    "unknown type": (
+        robot(links("a", "b") + joint("j", "a", "b", "hinge")),
+        ["joint 'j'", "'hinge'", "revolute"],
+    ),
+    "zero axis": (
+        robot(links("a", "b") + joint("j", "a", "b", "continuous", '<axis xyz="0 0 0"/>')),
+        ["joint 'j'", "axis"],
+    ),
+    "mimic of nobody": (
+        robot(links("a", "b") + joint("j", "a", "b", "continuous", '<mimic joint="z"/>')),
+        ["'j' mimics 'z'"],
+    ),
+    "no link": (robot(""), ["at least one link"]),
+    "other XML": ("<sdf/>", ["<sdf>", "<robot>"]),
+    "not XML": ("solid cube", ["well-formed"]),
+    "cut off": ('<robot name="r"><link name="a">', ["well-formed"]),
+    "empty": ("", ["well-formed"]),
+    "unknown geometry": (robot(links("a", geometry="<torus/>")), ["link 'a'", "<torus>"]),
+    "no geometry": (robot('<link name="a"><visual/></link>'), ["link 'a'", "no geometry"]),
+    "negative size": (robot(links("a", geometry='<sphere radius="-1"/>')), ["link 'a'", "above 0"]),
+    "entities": (
+        '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>',
+        ["entities"],
+    ),
+    "billion laughs": (
+        '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="&b;"/>',
+        ["entities"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_are_named_with_what_is_wrong(write, case):
+    text, words = BAD[case]
+    message = problem(write(text))
+    for word in words:
+        assert word in message, message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    "filename",
+    [
+        "../secret.obj",
+        "meshes/../../secret.obj",
+        "..\\secret.obj",
+        "/etc/passwd",
+        "file:///etc/passwd",
+        "C:\\secret.obj",
+        "http://example.org/a.obj",
+        "package://r/../../secret.obj",
+        "",
+    ],
+)
+def test_meshes_cannot_leave_the_folder(tmp_path, filename):
+    (tmp_path / "secret.obj").write_text("v 0 0 0\n")
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    path = folder / "robot.urdf"
+    path.write_text(robot(links("a", geometry=f'<mesh filename="{filename}"/>')))
+    assert "link 'a'" in problem(path)
+
+
+def test_a_symbolic_link_cannot_leave_the_folder(tmp_path):
+    (tmp_path / "secret.obj").write_text("v 0 0 0\n")
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    (folder / "inside.obj").symlink_to(tmp_path / "secret.obj")
+    path = folder / "robot.urdf"
+    path.write_text(robot(links("a", geometry='<mesh filename="inside.obj"/>')))
+    assert "outside" in problem(path)
+
+
+def test_a_missing_mesh_is_named(write):
+    message_of = write(robot(links("link_7", geometry='<mesh filename="gone.obj"/>')))
+    with pytest.raises(InputFileError, match=r"gone\.obj.*link_7"):
+        read_urdf(message_of)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputFileError, match=r"gone\.urdf"):
+        read_urdf(tmp_path / "gone.urdf")
+
+
+def test_real_file_with_a_malformed_number(shared_data):
+    path = shared_data / "articulated_free" / "habitat" / "fridge" / "fridge.urdf"
+    message = problem(path)
+    assert "'0.01,'" in message or "'1.0,'" in message
+    assert "bottom_door" in message
