@@ -1,0 +1,415 @@
+"""Every edit as a small frozen value that can be written as JSON.
+
+A command says what a person decided (or what a job answered), never how the state changes; that is
+in :mod:`sessions.edits`. Written commands are kept for good: a kind or a field is never renamed,
+and new fields have defaults.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast, get_args
+
+from model.errors import CommandError
+from model.geometry.asset import UpAxis
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint
+from model.segmentation.prompts import BASE, MAX_PARTS, Click
+from sessions import codec
+from sessions.review import REJECT_REASONS, RejectReason
+from sessions.text import clean_text
+
+NAME_LIMIT = 80
+COMMENT_LIMIT = 2000
+NOTE_LIMIT = 500
+UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
+
+_ARRAY_REF = re.compile(r"[0-9a-f]{64}")
+
+
+def _set(command: object, field: str, value: object) -> None:
+    object.__setattr__(command, field, value)
+
+
+def _name(value: str | None, what: str) -> str | None:
+    return None if value is None else clean_text(value, NAME_LIMIT, what) or None
+
+
+def _check_part(part: int) -> None:
+    if isinstance(part, bool) or not 0 <= part < MAX_PARTS:
+        raise CommandError(f"part must be 0..{MAX_PARTS - 1}, got {part}")
+
+
+def _check_ref(ref: str, what: str) -> None:
+    if not _ARRAY_REF.fullmatch(ref):
+        raise CommandError(f"{what} must be the reference of a stored array, got {ref[:80]!r}")
+
+
+@dataclass(frozen=True)
+class AddClick:
+    """A prompt point."""
+
+    click: Click
+
+
+@dataclass(frozen=True)
+class AddRegion:
+    """Elements chosen by box, lasso or brush.
+
+    Attributes:
+        part: the part they belong to.
+        elements: reference of the stored (K,) int64 array.
+        positive: False where they don't belong to the part.
+        count: K, for people.
+        tool: what they were chosen with, for people.
+    """
+
+    part: int
+    elements: str
+    positive: bool = True
+    count: int = 0
+    tool: str = "box"
+
+    def __post_init__(self) -> None:
+        _check_part(self.part)
+        _check_ref(self.elements, "elements")
+        if self.count < 0:
+            raise CommandError(f"count must be 0 or more, got {self.count}")
+        _set(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
+
+
+@dataclass(frozen=True)
+class RemovePrompt:
+    """Take back one prompt; ``index`` counts all the prompts in the order they were given."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class ClearPrompts:
+    """Take back all the prompts of ``part``, or of every part where it is None."""
+
+    part: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.part is not None:
+            _check_part(self.part)
+
+
+@dataclass(frozen=True)
+class AddPart:
+    """A part that has no prompt yet."""
+
+    part: int
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        _check_part(self.part)
+        _set(self, "name", _name(self.name, "the part's name"))
+
+
+@dataclass(frozen=True)
+class NamePart:
+    """What a part is: door, drawer, lid, … or None for no name."""
+
+    part: int
+    name: str | None
+
+    def __post_init__(self) -> None:
+        _check_part(self.part)
+        _set(self, "name", _name(self.name, "the part's name"))
+
+
+@dataclass(frozen=True)
+class DeletePart:
+    """Remove a part with its prompts, its name and its link."""
+
+    part: int
+
+    def __post_init__(self) -> None:
+        _check_part(self.part)
+        if self.part == BASE:
+            raise CommandError("part 0 is the base and can't be deleted; clear its prompts instead")
+
+
+@dataclass(frozen=True)
+class SetCategory:
+    """What the object is, or None."""
+
+    category: str | None
+
+    def __post_init__(self) -> None:
+        _set(self, "category", _name(self.category, "the category"))
+
+
+@dataclass(frozen=True)
+class SetFrame:
+    """How the source is read: its up axis and metres per unit. Starts the annotation afresh."""
+
+    up_axis: UpAxis
+    unit_scale: float
+
+    def __post_init__(self) -> None:
+        if self.up_axis not in UP_AXES:
+            raise CommandError(f"up_axis must be one of {', '.join(UP_AXES)}, got {self.up_axis!r}")
+        if not (math.isfinite(self.unit_scale) and self.unit_scale > 0):
+            raise CommandError(f"unit_scale must be a positive number, got {self.unit_scale}")
+
+
+@dataclass(frozen=True)
+class RecordSegmentation:
+    """A segmenter's answer. Amends the present document; no undo step.
+
+    Attributes:
+        prompts_key: :func:`sessions.document.prompts_key` of the prompts that it answers.
+        labels: reference of the stored (E,) int16 labels.
+        segmenter: who answered.
+        seconds: how long it took.
+        counts: label → number of elements, -1 is unassigned.
+    """
+
+    prompts_key: str
+    labels: str
+    segmenter: str
+    seconds: float
+    counts: Mapping[int, int]
+
+    def __post_init__(self) -> None:
+        _check_ref(self.labels, "labels")
+        for part, count in self.counts.items():
+            if not -1 <= part < MAX_PARTS or count < 0:
+                raise CommandError(f"counts: {part} has {count} elements; not a part and a count")
+
+
+@dataclass(frozen=True)
+class RecordPrediction:
+    """A predictor's answer.
+
+    Attributes:
+        prediction: the answer; without a tree it changes no joint.
+        segmentation: reference of the labels that it was made for.
+    """
+
+    prediction: Prediction
+    segmentation: str
+
+    def __post_init__(self) -> None:
+        _check_ref(self.segmentation, "segmentation")
+
+
+@dataclass(frozen=True)
+class SetJoint:
+    """Replace the joint of ``joint.child``: type, axis, origin, limits, name or parent."""
+
+    joint: Joint
+
+
+@dataclass(frozen=True)
+class SetRoot:
+    """Make ``link`` the root; the joints on the way to the former root turn round."""
+
+    link: str
+
+
+@dataclass(frozen=True)
+class ResetJoint:
+    """Back to what was predicted for the joint of ``child``."""
+
+    child: str
+
+
+@dataclass(frozen=True)
+class LockJoint:
+    """Whether the joint of ``child`` is settled: the next prediction keeps it."""
+
+    child: str
+    locked: bool
+
+
+@dataclass(frozen=True)
+class Accept:
+    """The object is right.
+
+    Attributes:
+        comment: for people.
+        note_problems: what was known to be doubtful and accepted all the same.
+    """
+
+    comment: str = ""
+    note_problems: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _set(self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True))
+        notes = tuple(clean_text(n[:NOTE_LIMIT], NOTE_LIMIT, "a note") for n in self.note_problems)
+        _set(self, "note_problems", notes)
+
+
+@dataclass(frozen=True)
+class Reject:
+    """The object goes back to its annotator."""
+
+    reason: RejectReason
+    comment: str = ""
+
+    def __post_init__(self) -> None:
+        if self.reason not in REJECT_REASONS:
+            allowed = ", ".join(REJECT_REASONS)
+            raise CommandError(f"reason must be one of {allowed}, got {self.reason!r}")
+        _set(self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True))
+
+
+@dataclass(frozen=True)
+class Reopen:
+    """Work on an accepted or rejected object again."""
+
+    comment: str = ""
+
+    def __post_init__(self) -> None:
+        _set(self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True))
+
+
+@dataclass(frozen=True)
+class Saved:
+    """The asset was written to ``folder``. Amends the present document; no undo step."""
+
+    folder: str
+
+
+@dataclass(frozen=True)
+class Undo:
+    """Take back the last step."""
+
+
+@dataclass(frozen=True)
+class Redo:
+    """Do again what was taken back last."""
+
+
+Command = (
+    AddClick
+    | AddRegion
+    | RemovePrompt
+    | ClearPrompts
+    | AddPart
+    | NamePart
+    | DeletePart
+    | SetCategory
+    | SetFrame
+    | RecordSegmentation
+    | RecordPrediction
+    | SetJoint
+    | SetRoot
+    | ResetJoint
+    | LockJoint
+    | Accept
+    | Reject
+    | Reopen
+    | Saved
+    | Undo
+    | Redo
+)
+
+KINDS: Mapping[str, type[Command]] = {
+    "add_click": AddClick,
+    "add_region": AddRegion,
+    "remove_prompt": RemovePrompt,
+    "clear_prompts": ClearPrompts,
+    "add_part": AddPart,
+    "name_part": NamePart,
+    "delete_part": DeletePart,
+    "set_category": SetCategory,
+    "set_frame": SetFrame,
+    "record_segmentation": RecordSegmentation,
+    "record_prediction": RecordPrediction,
+    "set_joint": SetJoint,
+    "set_root": SetRoot,
+    "reset_joint": ResetJoint,
+    "lock_joint": LockJoint,
+    "accept": Accept,
+    "reject": Reject,
+    "reopen": Reopen,
+    "saved": Saved,
+    "undo": Undo,
+    "redo": Redo,
+}
+"""The one table of what can be written."""
+
+_KIND_OF: Mapping[type[Command], str] = {cls: kind for kind, cls in KINDS.items()}
+
+
+def kind_of(command: Command) -> str:
+    """The command's name in JSON."""
+    return _KIND_OF[type(command)]
+
+
+def to_json(command: Command) -> dict[str, Any]:
+    """``command`` in dicts, lists, text and finite numbers; its name under ``kind``.
+
+    Raises:
+        CommandError: where a number is NaN or infinite.
+    """
+    kind = kind_of(command)
+    try:
+        return {"kind": kind, **codec.write(command, kind)}
+    except codec.CodecError as error:
+        raise CommandError(str(error)) from error
+
+
+def from_json(data: object) -> Command:
+    """The command that :func:`to_json` wrote.
+
+    Raises:
+        CommandError: naming the field and the value, or the kind that this version doesn't know.
+    """
+    if not isinstance(data, dict):
+        raise CommandError(f"a command must be an object, got {str(data)[:80]!r}")
+    fields = cast(dict[str, object], data)
+    kind = fields.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise CommandError(
+            f"unknown command {str(kind)[:80]!r}; a newer version of ArtiWorld may have written it"
+        )
+    rest = {key: value for key, value in fields.items() if key != "kind"}
+    try:
+        return codec.read(KINDS[kind], rest, kind)
+    except codec.CodecError as error:
+        raise CommandError(str(error)) from error
+
+
+def describe(command: Command) -> str:
+    """What the command does, in a few words for an undo button or a list of edits."""
+    match command:
+        case AddClick(click=click):
+            return f"{'add' if click.positive else 'negative'} click, part {click.part}"
+        case AddRegion():
+            sign = "add" if command.positive else "remove"
+            return f"{sign} {command.tool} of {command.count}, part {command.part}"
+        case AddPart(part=part) | DeletePart(part=part):
+            return f"{'add' if isinstance(command, AddPart) else 'delete'} part {part}"
+        case NamePart(part=part, name=name):
+            return f"name part {part} {name!r}" if name else f"remove the name of part {part}"
+        case SetCategory(category=category):
+            return f"category {category!r}" if category else "no category"
+        case SetFrame():
+            return f"read with {command.up_axis} up, scale {command.unit_scale:g}"
+        case SetJoint(joint=joint):
+            return f"change joint {joint.name}"
+        case SetRoot(link=link):
+            return f"make {link} the root"
+        case ResetJoint(child=child):
+            return f"reset the joint of {child}"
+        case LockJoint(child=child, locked=locked):
+            return f"{'lock' if locked else 'unlock'} the joint of {child}"
+        case RecordPrediction():
+            return "prediction"
+        case RecordSegmentation():
+            return "segmentation"
+        case Reject(reason=reason):
+            return f"reject ({reason.replace('_', ' ')})"
+        case ClearPrompts(part=part):
+            return "clear all prompts" if part is None else f"clear the prompts of part {part}"
+        case RemovePrompt() | Accept() | Reopen() | Saved() | Undo() | Redo():
+            return kind_of(command).replace("_", " ")

@@ -1,0 +1,227 @@
+"""What is decided about one object at one moment. Arrays are held by reference, never loaded."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from model.geometry.asset import UpAxis
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
+from sessions.review import RejectReason, ReviewState
+
+
+@dataclass(frozen=True)
+class RegionRef:
+    """A :class:`~model.segmentation.prompts.Region` whose elements lie in the store.
+
+    Attributes:
+        part: the part.
+        elements: reference of the stored (K,) int64 array.
+        positive: False where they don't belong to the part.
+        count: K.
+        tool: box, lasso, brush, …
+    """
+
+    part: int
+    elements: str
+    positive: bool = True
+    count: int = 0
+    tool: str = "box"
+
+
+@dataclass(frozen=True)
+class PartInfo:
+    """A part that somebody declared or clicked. Its link is ``link_<id>``."""
+
+    id: int
+    name: str | None = None
+
+    @property
+    def link(self) -> str:
+        """Name of its link."""
+        return f"link_{self.id}"
+
+
+@dataclass(frozen=True)
+class SegmentationRecord:
+    """A segmenter's answer.
+
+    Attributes:
+        prompts_key: key of the prompts that it answers.
+        labels: reference of the stored (E,) int16 labels.
+        segmenter: who answered.
+        seconds: how long it took.
+        counts: label → number of elements, -1 is unassigned.
+    """
+
+    prompts_key: str
+    labels: str
+    segmenter: str
+    seconds: float
+    counts: Mapping[int, int]
+
+    @property
+    def parts(self) -> tuple[int, ...]:
+        """Ids that own elements, ascending; what is unassigned goes to the base."""
+        own = {BASE if part == UNASSIGNED else part for part, n in self.counts.items() if n > 0}
+        return tuple(sorted(own))
+
+
+@dataclass(frozen=True)
+class ReviewRecord:
+    """Where the object stands.
+
+    Attributes:
+        state: see :mod:`sessions.review`.
+        by, at: who brought it there last, and when (ISO 8601, UTC).
+        reason: why it was rejected, else None.
+        comment: the reviewer's words.
+        problems: what was known to be doubtful when it was accepted.
+    """
+
+    state: ReviewState = "todo"
+    by: str = ""
+    at: str = ""
+    reason: RejectReason | None = None
+    comment: str = ""
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SavedRecord:
+    """Where the asset was written last."""
+
+    folder: str
+    by: str
+    at: str
+
+
+@dataclass(frozen=True)
+class Document:
+    """Everything decided about one object.
+
+    Attributes:
+        prompts: clicks and regions in the order they were given.
+        parts: ascending by id; the base is always there.
+        category: what the object is, or None.
+        up_axis, unit_scale: how the source is read; None is the format's own up axis.
+        segmentation: the last answer, maybe to older prompts; None where there is none.
+        prediction: the last answer of a predictor, as it was given.
+        prediction_for: reference of the labels that ``tree`` was predicted for.
+        tree: the kinematic tree as edited, or None.
+        locked: child links whose joints are settled.
+        review: where the object stands.
+        saved: where the asset was written last, or None.
+        annotator: who worked on the parts last; a rejected object goes back there.
+        edits: steps that led here; undone ones don't count.
+        joint_edits: how many of them corrected the tree since the last prediction.
+        label: what the last of them did, in a few words.
+    """
+
+    prompts: tuple[Click | RegionRef, ...] = ()
+    parts: tuple[PartInfo, ...] = (PartInfo(BASE),)
+    category: str | None = None
+    up_axis: UpAxis | None = None
+    unit_scale: float = 1.0
+    segmentation: SegmentationRecord | None = None
+    prediction: Prediction | None = None
+    prediction_for: str | None = None
+    tree: KinematicTree | None = None
+    locked: frozenset[str] = frozenset()
+    review: ReviewRecord = ReviewRecord()
+    saved: SavedRecord | None = None
+    annotator: str = ""
+    edits: int = 0
+    joint_edits: int = 0
+    label: str = ""
+
+    @cached_property
+    def key(self) -> str:
+        """:func:`prompts_key` of the document."""
+        return prompts_key(self)
+
+    @property
+    def segmentation_current(self) -> bool:
+        """Whether the labels belong to the present prompts. True without either."""
+        if self.segmentation is None:
+            return not self.prompts
+        return self.segmentation.prompts_key == self.key
+
+    @property
+    def prediction_stale(self) -> bool:
+        """Whether the labels changed since the tree was predicted."""
+        if self.tree is None:
+            return False
+        if self.segmentation is None or not self.segmentation_current:
+            return True
+        return self.segmentation.labels != self.prediction_for
+
+    @property
+    def next_part(self) -> int:
+        """The lowest part id that is free."""
+        used = {p.id for p in self.parts}
+        return next(i for i in range(MAX_PARTS + 1) if i not in used)
+
+    @property
+    def part_names(self) -> dict[int, str]:
+        """Part id → name, of the parts that have one."""
+        return {p.id: p.name for p in self.parts if p.name}
+
+    @property
+    def edited_joints(self) -> tuple[str, ...]:
+        """Child links whose joint isn't the predicted one."""
+        if self.tree is None or self.prediction is None:
+            return ()
+        return tuple(j.child for j in self.tree.joints if self.prediction.joint(j.child) != j)
+
+    @property
+    def locked_joints(self) -> tuple[Joint, ...]:
+        """The settled joints, for the next prediction."""
+        if self.tree is None:
+            return ()
+        return tuple(j for j in self.tree.joints if j.child in self.locked)
+
+    def part(self, part: int) -> PartInfo | None:
+        """The part with that id, or None."""
+        return next((p for p in self.parts if p.id == part), None)
+
+
+def prompts_key(document: Document) -> str:
+    """Digest of the prompts and of the frame that they were given in; loads no array.
+
+    Equal prompts have equal keys, as with :meth:`model.segmentation.prompts.Prompts.key`; the two
+    digests differ, as this one reads the regions' references.
+    """
+    digest = hashlib.sha256(repr((document.up_axis, document.unit_scale)).encode())
+    for p in document.prompts:
+        if isinstance(p, Click):
+            digest.update(repr(("c", p.position, p.part, p.positive, p.element)).encode())
+        else:
+            digest.update(repr(("r", p.part, p.positive, p.elements)).encode())
+    return digest.hexdigest()[:24]
+
+
+def acceptance_problems(document: Document) -> tuple[str, ...]:
+    """What has to be put right before the object can be accepted; empty where nothing has."""
+    if document.tree is None:
+        return ("there is no kinematic tree yet; predict it first",)
+    if document.segmentation is None:
+        return ("there are no parts yet; click on them first",)
+    if not document.segmentation_current:
+        return ("the parts are still being computed; wait a moment",)
+    parts = {f"link_{i}" for i in document.segmentation.parts}
+    links = {link for link in document.tree.links if link.startswith("link_")}
+    out = [
+        f"{link} has points but isn't in the kinematic tree; predict again"
+        for link in sorted(parts - links)
+    ]
+    out += [
+        f"{link} is in the kinematic tree but has no points; click on it, or delete the part"
+        for link in sorted(links - parts)
+    ]
+    return tuple(out)

@@ -1,0 +1,299 @@
+"""What each command does to a document. Pure: the same document where nothing changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from model.errors import ArtiworldError, CommandError
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.segmentation.prompts import BASE, Click
+from sessions.commands import (
+    Accept,
+    AddClick,
+    AddPart,
+    AddRegion,
+    ClearPrompts,
+    Command,
+    DeletePart,
+    LockJoint,
+    NamePart,
+    RecordPrediction,
+    RecordSegmentation,
+    Redo,
+    Reject,
+    RemovePrompt,
+    Reopen,
+    ResetJoint,
+    Saved,
+    SetCategory,
+    SetFrame,
+    SetJoint,
+    SetRoot,
+    Undo,
+    describe,
+)
+from sessions.document import (
+    Document,
+    PartInfo,
+    RegionRef,
+    ReviewRecord,
+    SavedRecord,
+    SegmentationRecord,
+    acceptance_problems,
+)
+from sessions.review import Action, Role, transition
+from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
+
+
+@dataclass(frozen=True)
+class Context:
+    """Who gives a command and when.
+
+    Attributes:
+        who: the person.
+        at: ISO 8601, UTC.
+        role: what the person may do.
+    """
+
+    who: str
+    at: str
+    role: Role = "reviewer"
+
+
+def edit(document: Document, command: Command, context: Context) -> Document:
+    """The document after ``command`` as one step.
+
+    Raises:
+        CommandError: where the document doesn't allow it; the message says why.
+    """
+    try:
+        changed, action = _changed(document, command)
+    except CommandError:
+        raise
+    except ArtiworldError as error:
+        raise CommandError(str(error)) from error
+    if changed is document:
+        return document
+    return _reviewed(document, changed, command, action, context)
+
+
+def amend(document: Document, command: RecordSegmentation | Saved, context: Context) -> Document:
+    """The document with a job's answer noted; not a step that can be undone."""
+    if isinstance(command, Saved):
+        return replace(document, saved=SavedRecord(command.folder, context.who, context.at))
+    if command.prompts_key != document.key:
+        return document
+    record = SegmentationRecord(
+        command.prompts_key, command.labels, command.segmenter, command.seconds, command.counts
+    )
+    return document if record == document.segmentation else replace(document, segmentation=record)
+
+
+def _changed(document: Document, command: Command) -> tuple[Document, Action]:
+    match command:
+        case AddClick(click=click):
+            return _add_prompt(document, click), "annotate"
+        case AddRegion():
+            region = RegionRef(
+                command.part, command.elements, command.positive, command.count, command.tool
+            )
+            return _add_prompt(document, region), "annotate"
+        case RemovePrompt(index=index):
+            return _remove_prompt(document, index), "annotate"
+        case ClearPrompts(part=part):
+            return _clear_prompts(document, part), "annotate"
+        case AddPart(part=part, name=name):
+            if document.part(part) is not None:
+                raise CommandError(f"part {part} is there already; part {document.next_part} isn't")
+            return _with_part(document, PartInfo(part, name)), "annotate"
+        case DeletePart(part=part):
+            return _delete_part(document, part), "annotate"
+        case SetFrame():
+            return _set_frame(document, command), "annotate"
+        case NamePart(part=part, name=name):
+            return _name_part(document, part, name), "adjust"
+        case SetCategory(category=category):
+            if category == document.category:
+                return document, "adjust"
+            return replace(document, category=category), "adjust"
+        case RecordPrediction():
+            return _record_prediction(document, command)
+        case SetJoint() | SetRoot() | ResetJoint() | LockJoint():
+            return _edit_tree(document, command), "adjust"
+        case Accept():
+            problems = acceptance_problems(document)
+            if problems:
+                raise CommandError("can't accept: " + "; ".join(problems))
+            return replace(document), "accept"
+        case Reject():
+            return replace(document), "reject"
+        case Reopen():
+            return replace(document), "reopen"
+        case RecordSegmentation() | Saved() | Undo() | Redo():
+            raise AssertionError(f"{command} is no step")
+
+
+def _reviewed(
+    before: Document, after: Document, command: Command, action: Action, context: Context
+) -> Document:
+    """``after`` with its review state, its counters and who did it."""
+    state = transition(before.review.state, action, context.role)
+    review = before.review
+    if isinstance(command, (Accept, Reject, Reopen)):
+        review = ReviewRecord(
+            state,
+            context.who,
+            context.at,
+            command.reason if isinstance(command, Reject) else None,
+            command.comment,
+            command.note_problems if isinstance(command, Accept) else (),
+        )
+    elif state != review.state:
+        # The reviewer's words stay readable while the annotator mends the object.
+        review = replace(review, state=state, by=context.who, at=context.at)
+    joint_edits = before.joint_edits
+    if isinstance(command, (RecordPrediction, SetFrame)):
+        joint_edits = 0
+    elif isinstance(command, (SetJoint, SetRoot, ResetJoint)):
+        joint_edits += 1
+    return replace(
+        after,
+        review=review,
+        annotator=context.who if action == "annotate" else before.annotator,
+        edits=before.edits + 1,
+        joint_edits=joint_edits,
+        label=describe(command),
+    )
+
+
+def _with_part(document: Document, part: PartInfo) -> Document:
+    others = [p for p in document.parts if p.id != part.id]
+    return replace(document, parts=tuple(sorted([*others, part], key=lambda p: p.id)))
+
+
+def _add_prompt(document: Document, prompt: Click | RegionRef) -> Document:
+    if document.part(prompt.part) is None:
+        document = _with_part(document, PartInfo(prompt.part))
+    return replace(document, prompts=(*document.prompts, prompt))
+
+
+def _with_prompts(document: Document, prompts: tuple[Click | RegionRef, ...]) -> Document:
+    # Without prompts there is nothing that labels could answer.
+    segmentation = document.segmentation if prompts else None
+    return replace(document, prompts=prompts, segmentation=segmentation)
+
+
+def _remove_prompt(document: Document, index: int) -> Document:
+    count = len(document.prompts)
+    if not 0 <= index < count:
+        have = f"prompts 0..{count - 1}" if count else "no prompts"
+        raise CommandError(f"no prompt {index}; there are {have}")
+    return _with_prompts(document, document.prompts[:index] + document.prompts[index + 1 :])
+
+
+def _clear_prompts(document: Document, part: int | None) -> Document:
+    kept = tuple(p for p in document.prompts if part is not None and p.part != part)
+    return document if len(kept) == len(document.prompts) else _with_prompts(document, kept)
+
+
+def _known_part(document: Document, part: int) -> PartInfo:
+    found = document.part(part)
+    if found is None:
+        ids = ", ".join(str(p.id) for p in document.parts)
+        raise CommandError(f"no part {part}; there are {ids}")
+    return found
+
+
+def _name_part(document: Document, part: int, name: str | None) -> Document:
+    if _known_part(document, part).name == name:
+        return document
+    return _with_part(document, PartInfo(part, name))
+
+
+def _delete_part(document: Document, part: int) -> Document:
+    gone = _known_part(document, part)
+    assert part != BASE, "the command refuses the base"
+    tree = None if document.tree is None else without_link(document.tree, gone.link)
+    document = _clear_prompts(document, part)
+    return replace(
+        document,
+        parts=tuple(p for p in document.parts if p.id != part),
+        tree=tree,
+        locked=_still_locked(document.locked, tree),
+    )
+
+
+def _still_locked(locked: frozenset[str], tree: KinematicTree | None) -> frozenset[str]:
+    return frozenset() if tree is None else locked & frozenset(tree.joint_of)
+
+
+def _set_frame(document: Document, command: SetFrame) -> Document:
+    if (document.up_axis, document.unit_scale) == (command.up_axis, command.unit_scale):
+        return document
+    return replace(
+        document,
+        up_axis=command.up_axis,
+        unit_scale=command.unit_scale,
+        prompts=(),
+        segmentation=None,
+        prediction=None,
+        prediction_for=None,
+        tree=None,
+        locked=frozenset(),
+    )
+
+
+def _record_prediction(document: Document, command: RecordPrediction) -> tuple[Document, Action]:
+    if document.segmentation is None:
+        # The parts went away while the predictor was at work.
+        return document, "predict"
+    tree = command.prediction.tree
+    if tree is None:
+        return replace(document, prediction=command.prediction), "adjust"
+    after = replace(
+        document,
+        prediction=command.prediction,
+        prediction_for=command.segmentation,
+        tree=tree,
+        locked=_still_locked(document.locked, tree),
+    )
+    return after, "predict"
+
+
+def _edit_tree(
+    document: Document, command: SetJoint | SetRoot | ResetJoint | LockJoint
+) -> Document:
+    tree = document.tree
+    if tree is None:
+        raise CommandError("there is no kinematic tree to edit; predict it first")
+    if isinstance(command, LockJoint):
+        return _lock(document, tree, command)
+    locked = document.locked
+    if isinstance(command, SetRoot):
+        after = reroot(tree, command.link)
+        turned = path_to_root(tree, command.link)
+        parents = {tree.joint_of[c].parent for c in turned if c in locked}
+        locked = (locked - frozenset(turned)) | parents
+    else:
+        joint = command.joint if isinstance(command, SetJoint) else _predicted(document, command)
+        after = replace_joint(tree, joint)
+    if after == tree:
+        return document
+    return replace(document, tree=after, locked=locked)
+
+
+def _lock(document: Document, tree: KinematicTree, command: LockJoint) -> Document:
+    if command.child not in tree.joint_of:
+        known = ", ".join(tree.joint_of)
+        raise CommandError(f"no joint moves a link {command.child!r}; links with a joint: {known}")
+    one = frozenset({command.child})
+    locked = document.locked | one if command.locked else document.locked - one
+    return document if locked == document.locked else replace(document, locked=locked)
+
+
+def _predicted(document: Document, command: ResetJoint) -> Joint:
+    joint = None if document.prediction is None else document.prediction.joint(command.child)
+    if joint is None:
+        raise CommandError(f"no joint was predicted for {command.child!r}")
+    return joint

@@ -1,0 +1,74 @@
+"""The way of an object through annotation and review: states, roles, allowed transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, get_args
+
+from model.errors import CommandError
+
+ReviewState = Literal["todo", "in_progress", "predicted", "accepted", "rejected"]
+RejectReason = Literal["range", "axis", "type", "parts", "not_articulated", "other"]
+Role = Literal["annotator", "reviewer"]
+Action = Literal["annotate", "adjust", "predict", "accept", "reject", "reopen"]
+
+REVIEW_STATES: tuple[ReviewState, ...] = get_args(ReviewState)
+REJECT_REASONS: tuple[RejectReason, ...] = get_args(RejectReason)
+ROLES: tuple[Role, ...] = get_args(Role)
+ACTIONS: tuple[Action, ...] = get_args(Action)
+
+TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {
+    # Prompts, parts and the frame: what was predicted before no longer describes them.
+    "annotate": {
+        "todo": "in_progress",
+        "in_progress": "in_progress",
+        "predicted": "in_progress",
+        "rejected": "in_progress",
+    },
+    # Names and joints: a prediction that a person corrects is still a prediction to review.
+    "adjust": {
+        "todo": "in_progress",
+        "in_progress": "in_progress",
+        "predicted": "predicted",
+        "rejected": "in_progress",
+    },
+    "predict": {
+        "todo": "predicted",
+        "in_progress": "predicted",
+        "predicted": "predicted",
+        "rejected": "predicted",
+    },
+    "accept": {"in_progress": "accepted", "predicted": "accepted", "rejected": "accepted"},
+    "reject": {
+        "todo": "rejected",
+        "in_progress": "rejected",
+        "predicted": "rejected",
+        "accepted": "rejected",
+        "rejected": "rejected",
+    },
+    "reopen": {"accepted": "in_progress", "rejected": "in_progress"},
+}
+"""Action → state before → state after. What isn't here isn't allowed."""
+
+PERMITTED: Mapping[Role, frozenset[Action]] = {
+    "annotator": frozenset({"annotate", "adjust", "predict"}),
+    "reviewer": frozenset(ACTIONS),
+}
+"""What each role may do. A person who works alone is a reviewer."""
+
+
+def transition(state: ReviewState, action: Action, role: Role = "reviewer") -> ReviewState:
+    """The state after ``action``.
+
+    Raises:
+        CommandError: where the role may not do it, or the state doesn't allow it.
+    """
+    if action not in PERMITTED[role]:
+        raise CommandError(f"only a reviewer may {action} an object; your role is {role}")
+    after = TRANSITIONS[action].get(state)
+    if after is not None:
+        return after
+    if state == "accepted":
+        raise CommandError("the object is accepted; reopen it before you change it")
+    before = ", ".join(TRANSITIONS[action])
+    raise CommandError(f"can't {action} an object that is {state}; it would have to be {before}")
