@@ -88,7 +88,7 @@ def test_arrays_travel_both_ways_and_stay_read_only(worker):
 
 def test_a_users_error_keeps_type_message_and_attributes(worker):
     job = worker.submit(functions.bad_file)
-    with pytest.raises(InputFileError, match="scan.ply: is empty; export it again") as caught:
+    with pytest.raises(InputFileError, match=r"scan\.ply: is empty; export it again") as caught:
         job.result(10)
     assert caught.value.remedy == "export it again"
     assert job.state == "failed" and job.error is caught.value
@@ -103,7 +103,7 @@ def test_other_errors_bring_the_childs_traceback(worker):
     assert "in fail" in caught.value.details
     with pytest.raises(JobFailed, match="SystemExit"):
         worker.submit(functions.leave, 3).result(10)
-    with pytest.raises(JobFailed, match="lambda|pickle"):
+    with pytest.raises(JobFailed, match=r"lambda|pickle"):
         worker.submit(functions.unpicklable).result(10)
     with pytest.raises(JobFailed, match="can't be sent"):
         worker.submit(lambda: 1).result(10)

@@ -1,0 +1,398 @@
+"""viser's web server, made safe to leave running.
+
+viser 1.1.1 listens on all interfaces, asks nobody who they are, accepts any page's websocket, lets
+any client open a public tunnel and takes uploads of any size. There are no settings for that, so
+this file wraps the call with which viser opens its port. It reaches into viser's internals, which
+is why the version is pinned.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import inspect
+import io
+import ipaddress
+import json
+import logging
+import os
+import socket
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from email.utils import formatdate
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qsl, quote, unquote, urlsplit
+
+import viser
+import websockets.asyncio.server
+from viser import _messages
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from app.login import Login, login_page
+from app.upload_guard import UploadGuard
+from model.errors import ConfigurationError
+
+VISER_VERSION = "1.1.1"
+MAX_MESSAGE_BYTES = 16 * 2**20
+"""Of one websocket message from a browser; an upload comes in parts of 0.5 MB."""
+MAX_CONNECTIONS = 64
+APP_POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
+    "connect-src 'self' {websocket} blob: data:; worker-src 'self' blob: data:; "
+    "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+}
+
+_log = logging.getLogger("artiworld.http")
+
+
+@dataclass(frozen=True)
+class RouteRequest:
+    """A GET request of somebody who is logged in.
+
+    Attributes:
+        path: decoded, without the query.
+        query: decoded; the last of repeated names counts.
+    """
+
+    path: str
+    query: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class RouteAnswer:
+    """What a route answers.
+
+    Attributes:
+        body: the bytes.
+        content_type: of the body.
+        status: of the answer.
+        download_name: the browser saves the body under this name instead of showing it.
+    """
+
+    body: bytes
+    content_type: str = "application/json"
+    status: int = 200
+    download_name: str | None = None
+
+
+Route = Callable[[RouteRequest], RouteAnswer]
+"""Answers a request. Called on a thread of its own, so it may read files."""
+
+
+def guarded_server(
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    token: str | None = None,
+    max_upload_bytes: int = 500_000_000,
+    routes: Mapping[str, Route] | None = None,
+    *,
+    label: str | None = None,
+    allowed_origins: tuple[str, ...] = (),
+) -> viser.ViserServer:
+    """A running viser server behind the guard.
+
+    Args:
+        host: where to listen. Any other than this machine itself needs a token.
+        port: 0 for any free one (then ``get_port()``).
+        token: what visitors must know; None lets every user of this machine in.
+        max_upload_bytes: of one file.
+        routes: path → answer, beside viser's own page. A path that ends in "/" answers for all
+            that begin with it.
+        label: title of the panel.
+        allowed_origins: addresses like ``https://scans.example.org`` under which a proxy shows this
+            server, besides its own.
+
+    Raises:
+        ConfigurationError: where the address can't be used, or is open to others without a token.
+    """
+    if viser.__version__ != VISER_VERSION:
+        raise ConfigurationError(
+            f"viser {viser.__version__} is installed, but the guard of the web server is made for "
+            f"{VISER_VERSION}; run: pip install viser=={VISER_VERSION}"
+        )
+    if token is None and not is_loopback(host):
+        raise ConfigurationError(
+            f"--host {host} is open to other machines; give a --token, or use --host 127.0.0.1"
+        )
+    check_address(host, port)
+    guard = _Guard(Login(token), host, dict(routes or {}), allowed_origins)
+    with _wrapped_serve(guard), contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
+    endpoint = server._websock_server
+    if not guard.wrapped or (port and server.get_port() != port):
+        server.stop()
+        raise ConfigurationError(f"port {port} was taken just now; choose another with --port")
+    guard.port = server.get_port()
+    for kind in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
+        endpoint.unregister_handler(kind)
+    server.request_share_url = _no_tunnel
+    uploads = UploadGuard(max_upload_bytes)
+    uploads.attach(endpoint)
+    endpoint.on_client_connect(uploads.attach_client)
+    endpoint.on_client_disconnect(uploads.forget)
+    guard.ready = True
+    return server
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach ``host``."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def check_address(host: str, port: int) -> None:
+    """Raise where nothing can listen at ``host`` and ``port``; viser itself would wait for ever.
+
+    Raises:
+        ConfigurationError: with what to do.
+    """
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"--port {port} is no port; choose one from 1024 to 65535")
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        for family, kind, protocol, _, address in addresses:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+                probe.listen(1)
+    except socket.gaierror as error:
+        raise ConfigurationError(f"--host {host} can't be resolved ({error.strerror})") from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            text = f"port {port} is in use; choose another with --port"
+        elif error.errno == errno.EACCES:
+            text = f"port {port} needs special rights; choose one above 1023 with --port"
+        else:
+            text = f"can't listen at {host}:{port} ({os.strerror(error.errno or 0)})"
+        raise ConfigurationError(text) from error
+
+
+def _no_tunnel(*_: object, **__: object) -> None:
+    raise ConfigurationError("sharing through a public tunnel is switched off")
+
+
+@contextlib.contextmanager
+def _wrapped_serve(guard: _Guard) -> Iterator[None]:
+    module = websockets.asyncio.server  # viser looks "serve" up in it
+    real = module.serve
+
+    def serve(handler: Any, host: str, port: int, *, process_request: Any, **settings: Any) -> Any:
+        guard.wrapped = True
+        settings["max_size"] = MAX_MESSAGE_BYTES
+        return real(
+            guard.limited(handler),
+            host,
+            port,
+            process_request=guard.process(process_request),
+            process_response=guard.finish,
+            server_header=None,
+            logger=_log,
+            **settings,
+        )
+
+    module.serve = serve
+    try:
+        yield
+    finally:
+        module.serve = real
+
+
+@dataclass
+class _Guard:
+    """Decides about every HTTP request and websocket, on the server's event loop."""
+
+    login: Login
+    host: str
+    routes: Mapping[str, Route]
+    allowed_origins: tuple[str, ...]
+    port: int = 0
+    ready: bool = False
+    wrapped: bool = False
+    _open: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        _log.addFilter(_is_worth_logging)
+        self._trusted = {_netloc(urlsplit(origin).netloc) for origin in self.allowed_origins}
+
+    def limited(self, handler: Callable[[ServerConnection], Any]) -> Callable[..., Any]:
+        async def limited_handler(connection: ServerConnection) -> None:
+            if self._open >= MAX_CONNECTIONS:
+                await connection.close(1013, "too many connections")
+                return
+            self._open += 1
+            try:
+                await handler(connection)
+            finally:
+                self._open -= 1
+
+        return limited_handler
+
+    def process(self, viser_page: Callable[..., Any]) -> Callable[..., Any]:
+        async def process_request(
+            connection: ServerConnection, request: Request
+        ) -> Response | None:
+            path = unquote(request.path.partition("?")[0])
+            if path == "/healthz":
+                return _text(HTTPStatus.OK, json.dumps({"status": "ok"}), "application/json")
+            if not self.ready:
+                return _text(HTTPStatus.SERVICE_UNAVAILABLE, "starting")
+            problem = self._foreign(request)
+            if problem:
+                return _text(HTTPStatus.FORBIDDEN, problem)
+            if path == "/login":
+                return self._answer_login(connection, request)
+            if not self.login.knows(request.headers.get_all("Cookie"), self.port):
+                return self._not_logged_in(request, path)
+            route = self._route(path)
+            if route is not None:
+                query = dict(parse_qsl(urlsplit(request.path).query))
+                answer = await asyncio.to_thread(_call_route, route, RouteRequest(path, query))
+                return _response(answer)
+            answer = viser_page(connection, request)
+            return await answer if inspect.isawaitable(answer) else answer
+
+        return process_request
+
+    def finish(self, _: ServerConnection, request: Request, response: Response) -> None:
+        """Put the security headers on every answer."""
+        for name, value in _HEADERS.items():
+            response.headers[name] = value
+        if "Content-Security-Policy" not in response.headers:
+            host = next(iter(request.headers.get_all("Host")), "")
+            websocket = f"ws://{host} wss://{host}" if _is_plain_netloc(host) else ""
+            policy = APP_POLICY.format(websocket=websocket)
+            response.headers["Content-Security-Policy"] = policy
+        if "Cache-Control" not in response.headers and response.status_code != 101:
+            response.headers["Cache-Control"] = "no-store"
+
+    def _foreign(self, request: Request) -> str | None:
+        """Why the request comes from another site's page, or None.
+
+        Browsers tell the truth in these headers. ``Host`` unmasks a foreign name that was made to
+        point at this machine (DNS rebinding); with a token the cookie does that, as it belongs to
+        one name.
+        """
+        headers = request.headers
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or len(origins) > 1 or not _is_plain_netloc(hosts[0]):
+            return "bad Host or Origin header"
+        host = _netloc(hosts[0])
+        if not self.login.needed and not self._is_own_name(host):
+            return f"this server isn't called {hosts[0]}; open it as http://127.0.0.1:{self.port}"
+        if origins:
+            scheme, _, origin = origins[0].partition("://")
+            if scheme not in ("http", "https") or _netloc(origin) not in {host, *self._trusted}:
+                return f"pages of {origins[0]} may not use this server"
+        sites, modes = headers.get_all("Sec-Fetch-Site"), headers.get_all("Sec-Fetch-Mode")
+        elsewhere = bool({"cross-site", "same-site"} & set(sites)) and not origins
+        if elsewhere and modes != ["navigate"]:
+            return "another site's page may not use this server"
+        return None
+
+    def _is_own_name(self, netloc: str) -> bool:
+        name = netloc.rpartition(":")[0] if netloc.rpartition(":")[2].isdigit() else netloc
+        return is_loopback(name) or name == self.host.lower() or netloc in self._trusted
+
+    def _answer_login(self, connection: ServerConnection, request: Request) -> Response:
+        if not self.login.needed:
+            return _redirect("/")
+        query = dict(parse_qsl(urlsplit(request.path).query))
+        by_header = request.headers.get_all("X-ArtiWorld-Token")
+        token = unquote(by_header[0]) if by_header else query.get("token")
+        if token is None:
+            return _page()
+        address = str((connection.remote_address or ("",))[0])
+        right = self.login.try_token(token, address)
+        if right:
+            response = _text(HTTPStatus.OK, "welcome") if by_header else _redirect("/")
+            secure = request.headers.get_all("X-Forwarded-Proto") == ["https"]
+            response.headers["Set-Cookie"] = self.login.cookie(self.port, secure=secure)
+            return response
+        _log.warning("login refused to %s", address)
+        if right is None:
+            status, problem = HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens; wait a minute."
+        else:
+            status, problem = HTTPStatus.UNAUTHORIZED, "That is not the token."
+        return _text(status, problem) if by_header else _page(status, problem)
+
+    def _not_logged_in(self, request: Request, path: str) -> Response:
+        if path == "/" and "Upgrade" not in request.headers:
+            return _redirect("/login")
+        return _text(HTTPStatus.UNAUTHORIZED, "log in first, at /login")
+
+    def _route(self, path: str) -> Route | None:
+        if path in self.routes:
+            return self.routes[path]
+        folders = [r for r in self.routes if r.endswith("/") and r != "/" and path.startswith(r)]
+        return self.routes[max(folders, key=len)] if folders else None
+
+
+def _is_worth_logging(record: logging.LogRecord) -> bool:
+    """A port scanner's half request is no error of ours."""
+    return record.getMessage() != "opening handshake failed"
+
+
+def _call_route(route: Route, request: RouteRequest) -> RouteAnswer:
+    try:
+        return route(request)
+    except Exception:  # one broken route must not take the connection's handler with it
+        _log.exception("route %s failed", request.path)
+        return RouteAnswer(b"this went wrong; see the server's log", "text/plain", 500)
+
+
+def _netloc(text: str) -> str:
+    """Host and port in one spelling: lower case, default ports left out."""
+    return text.lower().removesuffix(":80").removesuffix(":443")
+
+
+def _is_plain_netloc(text: str) -> bool:
+    return bool(text) and all(c.isalnum() or c in "-._:[]" for c in text) and text.isascii()
+
+
+def _text(status: HTTPStatus, text: str, kind: str = "text/plain; charset=utf-8") -> Response:
+    return _response(RouteAnswer(text.encode(), kind, status))
+
+
+def _page(status: HTTPStatus = HTTPStatus.OK, problem: str = "") -> Response:
+    body, policy = login_page(problem)
+    response = _response(RouteAnswer(body, "text/html; charset=utf-8", status))
+    response.headers["Content-Security-Policy"] = policy
+    return response
+
+
+def _redirect(target: str) -> Response:
+    response = _text(HTTPStatus.SEE_OTHER, "")
+    response.headers["Location"] = target
+    return response
+
+
+def _response(answer: RouteAnswer) -> Response:
+    headers = Headers(
+        {
+            "Date": formatdate(usegmt=True),
+            "Connection": "close",
+            "Content-Type": answer.content_type,
+            "Content-Length": str(len(answer.body)),
+        }
+    )
+    if answer.download_name is not None:
+        name = quote(answer.download_name, safe="")
+        headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{name}"
+    status = HTTPStatus(answer.status)
+    return Response(status.value, status.phrase, headers, answer.body)

@@ -1,0 +1,135 @@
+"""The token, the cookie that proves it, and the page that asks for it."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import html
+import secrets
+import time
+from collections import OrderedDict
+
+from model.errors import ConfigurationError
+
+MIN_TOKEN_LENGTH = 8
+ATTEMPTS = 5
+ATTEMPT_SECONDS = 60.0
+_ADDRESSES_KEPT = 10_000
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style nonce="{nonce}">
+body {{ font: 16px/1.5 system-ui, sans-serif; background: #f4f5f7; color: #1c2430; margin: 0;
+  display: grid; place-items: center; min-height: 100vh; }}
+form {{ background: #fff; padding: 2rem; border-radius: 10px; width: 20rem;
+  box-shadow: 0 2px 12px #0002; }}
+h1 {{ font-size: 1.3rem; margin: 0 0 1rem; }}
+input, button {{ font: inherit; width: 100%; box-sizing: border-box; padding: .5rem .7rem;
+  border-radius: 6px; border: 1px solid #b9c0cb; margin-top: .4rem; }}
+button {{ background: #2b59c3; color: #fff; border: 0; margin-top: 1rem; cursor: pointer; }}
+#problem {{ color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }}
+</style></head><body>
+<form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
+<label>Token<input type="password" name="token" required autofocus></label>
+<button>Log in</button><p id="problem" role="alert">{problem}</p></form>
+<script nonce="{nonce}">
+// Send the token in a header, so that it stands in no address and no history.
+const form = document.querySelector("form");
+form.addEventListener("submit", async (event) => {{
+  event.preventDefault();
+  const answer = await fetch("/login", {{
+    headers: {{ "X-ArtiWorld-Token": encodeURIComponent(form.token.value) }}, cache: "no-store" }});
+  if (answer.ok) location.replace("/");
+  else document.querySelector("#problem").textContent = await answer.text();
+}});
+</script></body></html>
+"""
+
+
+class Login:
+    """Whether a visitor may come in. Lives on the server's event loop: not thread-safe.
+
+    Args:
+        token: the secret; None lets everybody in.
+
+    Raises:
+        ConfigurationError: where the token is too short to be one.
+    """
+
+    def __init__(self, token: str | None) -> None:
+        if token is not None and len(token) < MIN_TOKEN_LENGTH:
+            raise ConfigurationError(
+                f"--token has {len(token)} characters; give at least {MIN_TOKEN_LENGTH}"
+            )
+        self._token = token
+        # Derived, so that a leaked cookie tells nothing of the token; stable, so that people stay
+        # logged in when the server starts again.
+        self._session = (
+            None
+            if token is None
+            else hmac.new(token.encode(), b"artiworld session", hashlib.sha256).hexdigest()
+        )
+        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+
+    @property
+    def needed(self) -> bool:
+        """Whether there is a token at all."""
+        return self._token is not None
+
+    def knows(self, cookies: list[str], port: int) -> bool:
+        """Whether one of the ``Cookie`` headers proves an earlier login."""
+        if self._session is None:
+            return True
+        # By hand: http.cookies gives up at the first odd cookie of some other local program.
+        for pair in ";".join(cookies).split(";"):
+            name, _, value = pair.strip().partition("=")
+            if name == cookie_name(port) and hmac.compare_digest(
+                value.encode("utf-8", "replace"), self._session.encode()
+            ):
+                return True
+        return False
+
+    def try_token(self, token: str, address: str) -> bool | None:
+        """True for the right token, False for a wrong one, None after too many wrong ones."""
+        if self._token is None:
+            return True
+        now = time.monotonic()
+        recent = [t for t in self._failures.get(address, []) if now - t < ATTEMPT_SECONDS]
+        if len(recent) >= ATTEMPTS:
+            return None
+        right = hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode())
+        if right:
+            self._failures.pop(address, None)
+        else:
+            self._failures[address] = [*recent, now]
+            self._failures.move_to_end(address)
+            while len(self._failures) > _ADDRESSES_KEPT:
+                self._failures.popitem(last=False)
+        return right
+
+    def cookie(self, port: int, *, secure: bool) -> str:
+        """The ``Set-Cookie`` header of a visitor who knew the token."""
+        flags = "; Path=/; HttpOnly; SameSite=Strict; Max-Age=2592000"
+        return f"{cookie_name(port)}={self._session}{flags}" + ("; Secure" if secure else "")
+
+
+def cookie_name(port: int) -> str:
+    """Browsers share cookies between the ports of a host, so the port is in the name."""
+    return f"artiworld_{port}"
+
+
+def new_token() -> str:
+    """A token that nobody guesses."""
+    return secrets.token_urlsafe(24)
+
+
+def login_page(problem: str = "") -> tuple[bytes, str]:
+    """The page, and the content security policy that lets its script run and nothing else."""
+    nonce = secrets.token_urlsafe(16)
+    page = _PAGE.format(nonce=nonce, problem=html.escape(problem))
+    policy = (
+        f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
+        "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    )
+    return page.encode(), policy

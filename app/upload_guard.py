@@ -1,0 +1,165 @@
+"""A limit on uploads, which viser takes in whole and without one.
+
+A browser announces a file (``FileTransferStartUpload``) and sends its parts; viser keeps them in
+memory. Here the announced size is checked, and then every byte that comes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from typing import Any
+
+from viser import _messages, infra
+
+UPDATE_DELAY = 0.4
+"""Seconds until the browser has drawn its own "uploaded" note, which ours then replaces."""
+
+_Handler = Callable[[Any, Any], Any]
+
+
+@dataclass
+class _Transfer:
+    client: int
+    gui: Any
+    name: str
+    declared: int
+    received: int = 0
+
+
+@dataclass
+class UploadGuard:
+    """Lets uploads through while they are within the limit. Runs on the server's event loop.
+
+    Attributes:
+        limit: bytes of one file, and of all the unfinished files of one browser together.
+    """
+
+    limit: int
+    _transfers: dict[str, _Transfer] = field(default_factory=dict)
+    _clients: dict[int, infra.WebsockClientConnection] = field(default_factory=dict)
+
+    def attach(self, endpoint: infra.WebsockMessageHandler) -> None:
+        """Put the guard before the upload handlers of the server."""
+        handlers = endpoint._incoming_handlers
+        for kind, check in (
+            (_messages.FileTransferStartUpload, self._start),
+            (_messages.FileTransferPart, self._part),
+        ):
+            (inner,) = handlers[kind]  # viser registers one: a bound method of its GuiApi
+
+            def guarded(
+                client: Any,
+                message: Any,
+                check: Callable[..., bool] = check,
+                inner: _Handler = inner,
+            ) -> None:
+                if check(inner.__self__, client, message):  # type: ignore[attr-defined]
+                    inner(client, message)
+
+            handlers[kind] = [guarded]
+
+    def attach_client(self, connection: infra.WebsockClientConnection) -> None:
+        """The same for one browser, before its first message."""
+        self._clients[connection.client_id] = connection
+        self.attach(connection)
+
+    def forget(self, connection: infra.WebsockClientConnection) -> None:
+        """Drop what a browser that left has begun."""
+        client = connection.client_id
+        self._clients.pop(client, None)
+        for key in [k for k, t in self._transfers.items() if t.client == client]:
+            del self._transfers[key]
+
+    def _start(self, gui: Any, client: int, message: _messages.FileTransferStartUpload) -> bool:
+        if message.source_component_uuid not in gui._gui_input_handle_from_uuid:
+            return False
+        if message.transfer_uuid in self._transfers:
+            return False
+        message.filename = plain_name(message.filename)
+        size = message.size_bytes
+        total = size + sum(t.declared for t in self._transfers.values() if t.client == client)
+        if size < 0 or not 0 <= message.part_count <= size:
+            reason = "its announcement makes no sense"
+        elif size > self.limit:
+            reason = f"it has {_readable(size)}"
+        elif total > self.limit:
+            reason = f"with the uploads still running it makes {_readable(total)}"
+        else:
+            if message.part_count:
+                transfer = _Transfer(client, gui, message.filename, size)
+                self._transfers[message.transfer_uuid] = transfer
+            return True
+        self._refuse(client, message, message.filename, reason)
+        return False
+
+    def _part(self, gui: Any, client: int, message: _messages.FileTransferPart) -> bool:
+        transfer = self._transfers.get(message.transfer_uuid)
+        if transfer is None or transfer.client != client or transfer.gui is not gui:
+            return False
+        transfer.received += len(message.content)
+        if transfer.received < transfer.declared:
+            return True
+        del self._transfers[message.transfer_uuid]
+        if transfer.received == transfer.declared:
+            return True
+        gui._current_file_upload_states.pop(message.transfer_uuid, None)
+        reason = f"more came than the {_readable(transfer.declared)} that were announced"
+        self._refuse(client, message, transfer.name, reason)
+        return False
+
+    def _refuse(
+        self,
+        client: int,
+        message: _messages.FileTransferStartUpload | _messages.FileTransferPart,
+        name: str,
+        reason: str,
+    ) -> None:
+        connection = self._clients.get(client)
+        if connection is None:
+            return
+        size = max(0, getattr(message, "size_bytes", 0))
+        # Ends the browser's progress bar; without it the button would stay locked for ever.
+        connection.queue_message(
+            _messages.FileTransferPartAck(
+                source_component_uuid=message.source_component_uuid,
+                transfer_uuid=message.transfer_uuid,
+                transferred_bytes=size,
+                total_bytes=size,
+            )
+        )
+        # The browser shows its own note under this id, and "uploaded" in it at the ack.
+        note = "upload-" + message.transfer_uuid
+        props = _messages.NotificationProps(
+            title="Upload refused",
+            body=f"{name}: {reason}; the limit is {_readable(self.limit)}. "
+            "Put large files on the server and open them by path.",
+            loading=False,
+            with_close_button=True,
+            auto_close_seconds=None,
+            color="red",
+        )
+        connection.queue_message(_messages.NotificationShowMessage(note, props))
+        loop = connection.get_message_buffer().event_loop
+        loop.call_later(
+            UPDATE_DELAY, connection.queue_message, _messages.NotificationUpdateMessage(note, props)
+        )
+
+
+def plain_name(name: str) -> str:
+    """A file name without folders and odd characters, at most 120 characters."""
+    last = PurePosixPath(name.replace("\\", "/")).name
+    clean = re.sub(r"[^\w .()+-]", "_", last).strip(" .")
+    suffix = PurePosixPath(clean).suffix[:10]
+    if len(clean) > 120:
+        clean = clean[: 120 - len(suffix)] + suffix
+    return clean or "upload"
+
+
+def _readable(count: int) -> str:
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= scale:
+            return f"{count / scale:.3g} {unit}"
+    return f"{count} bytes"
