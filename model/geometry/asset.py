@@ -48,6 +48,7 @@ class Asset:
             (a folder of part meshes), else None.
         part_names: names of those parts in order.
         category: the object's category where the source tells it.
+        warnings: what was passed over on reading (a missing texture, NaN points), for people.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Asset:
     element_part: npt.NDArray[np.int32] | None = None
     part_names: tuple[str, ...] = ()
     category: str | None = None
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.mesh is None and self.cloud is None:

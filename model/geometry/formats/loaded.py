@@ -1,0 +1,221 @@
+"""What a format's reader returns, and how several of them become one."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import InputFileError
+from model.geometry.mesh import Material
+
+DEFAULT_MAX_BYTES = 4 << 30
+WHITE = (255, 255, 255, 255)
+GREY = (200, 200, 200, 255)
+
+Array = npt.NDArray[Any]
+
+
+def _no_faces() -> Array:
+    return np.zeros((0, 3), np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """The content of one file in the file's own frame and unit, not yet cleaned.
+
+    Attributes:
+        vertices: (V, 3) float32 or float64; NaN is possible.
+        faces: (F, 3) integer; indices are within 0..V-1.
+        normals: (V, 3) or None. Kept for clouds only.
+        colors: (V, 4) uint8 RGBA, sRGB, or None.
+        uv: (V, 2), v up, or None.
+        face_material: (F,) indices into ``materials``.
+        materials: empty stands for one plain material.
+        warnings: what was passed over, for people.
+    """
+
+    vertices: Array
+    faces: Array = field(default_factory=_no_faces)
+    normals: Array | None = None
+    colors: Array | None = None
+    uv: Array | None = None
+    face_material: Array = field(default_factory=lambda: np.zeros(0, np.int32))
+    materials: tuple[Material, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def moved(self, matrix: Array) -> Loaded:
+        """Under the (4, 4) affine ``matrix``; faces are turned where it mirrors."""
+        rotation = matrix[:3, :3]
+        vertices = self.vertices @ rotation.T.astype(self.vertices.dtype, copy=False)
+        vertices = vertices + matrix[:3, 3].astype(self.vertices.dtype)
+        normals = self.normals
+        determinant = np.linalg.det(rotation)
+        if normals is not None and determinant != 0:
+            normals = normals @ np.linalg.inv(rotation).astype(normals.dtype)
+        faces = self.faces[:, ::-1] if determinant < 0 else self.faces
+        return replace(self, vertices=vertices, normals=normals, faces=faces)
+
+
+def join(pieces: Sequence[Loaded]) -> Loaded:
+    """All ``pieces`` as one, in order; materials that are the same object are shared.
+
+    Pieces with faces win: vertices of pieces without faces are kept but no face uses them.
+    """
+    if len(pieces) == 1:
+        return pieces[0]
+    offsets = np.cumsum([0] + [len(p.vertices) for p in pieces])
+    materials: list[Material] = []
+    index_of: dict[int, int] = {}
+    face_material = []
+    for p in pieces:
+        own = p.materials or (Material(),)
+        table = []
+        for material in own:
+            if id(material) not in index_of:
+                index_of[id(material)] = len(materials)
+                materials.append(material)
+            table.append(index_of[id(material)])
+        local = p.face_material if len(p.face_material) else np.zeros(len(p.faces), np.int32)
+        face_material.append(np.asarray(table, np.int32)[local])
+    return Loaded(
+        np.concatenate([p.vertices for p in pieces]),
+        np.concatenate([p.faces + o for p, o in zip(pieces, offsets[:-1], strict=True)]),
+        _together(pieces, "normals", None, 3),
+        _together(pieces, "colors", WHITE, 4),
+        _together(pieces, "uv", (0.0, 0.0), 2),
+        np.concatenate(face_material),
+        tuple(materials),
+        tuple(dict.fromkeys(w for p in pieces for w in p.warnings)),
+    )
+
+
+def _together(
+    pieces: Sequence[Loaded], name: str, missing: tuple[float, ...] | None, columns: int
+) -> Array | None:
+    """The attribute of all pieces; ``missing`` fills in for those without (None: drop all)."""
+    values = [getattr(p, name) for p in pieces]
+    have = [v for v in values if v is not None]
+    if not have or (missing is None and len(have) < len(values)):
+        return None
+    return np.concatenate(
+        [
+            np.full((len(p.vertices), columns), missing, have[0].dtype) if v is None else v
+            for p, v in zip(pieces, values, strict=True)
+        ]
+    )
+
+
+def with_plain_colors(loaded: Loaded) -> Loaded:
+    """Vertex colours of a mixture (some pieces coloured, some with materials) stay honest.
+
+    :class:`~model.geometry.mesh.Mesh` lets vertex colours replace the base colour, so vertices
+    that had none take the base colour of their material.
+    """
+    if loaded.colors is None or not len(loaded.faces) or not loaded.materials:
+        return loaded
+    base = np.array([m.base_color for m in loaded.materials], np.float64)
+    if (base == 255).all():
+        return loaded
+    factor = np.full((len(loaded.vertices), 4), 255.0)
+    factor[loaded.faces.reshape(-1)] = np.repeat(base[loaded.face_material], 3, axis=0)
+    colors = np.rint(loaded.colors * (factor / 255.0)).astype(np.uint8)
+    materials = tuple(replace(m, base_color=WHITE) for m in loaded.materials)
+    return replace(loaded, colors=colors, materials=materials)
+
+
+def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        InputFileError: where it is missing, empty, too large, a pipe or a device, or unreadable.
+    """
+    try:
+        info = path.stat()
+    except (OSError, ValueError) as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        raise InputFileError(path, reason, "check the path") from None
+    if not stat.S_ISREG(info.st_mode):
+        raise InputFileError(path, "is not a regular file", "give a mesh or point cloud file")
+    if info.st_size == 0:
+        raise InputFileError(path, "the file is empty", "export or download it again")
+    if info.st_size > max_bytes:
+        raise InputFileError(
+            path,
+            f"{info.st_size / 2**30:.1f} GiB is over the limit of {max_bytes / 2**30:.1f} GiB",
+            "thin or cut the scan first",
+        )
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputFileError(
+            path, f"can't be read: {error.strerror}", "check permissions"
+        ) from None
+
+
+def colors_from(values: Array) -> npt.NDArray[np.uint8]:
+    """RGB or RGBA values of any type as (N, 4) uint8: 0..1 floats and 16-bit are scaled."""
+    if values.dtype == np.uint8:
+        out = values
+    elif values.dtype == np.uint16 and len(values) and values.max() > 255:
+        out = (values >> 8).astype(np.uint8)
+    else:
+        v = np.nan_to_num(values.astype(np.float64), nan=200.0, posinf=255.0, neginf=0.0)
+        if np.issubdtype(values.dtype, np.floating) and len(v) and v.max() <= 1.0:
+            v = v * 255.0
+        out = np.clip(np.rint(v), 0, 255).astype(np.uint8)
+    if out.shape[1] == 3:
+        out = np.column_stack([out, np.full(len(out), 255, np.uint8)])
+    return out
+
+
+def check_indices(path: Path, faces: Array, count: int) -> None:
+    """Raise where ``faces`` index a vertex that isn't there.
+
+    Raises:
+        InputFileError: with the first bad face.
+    """
+    if not len(faces):
+        return
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= count:
+        row = int(((faces < 0) | (faces >= count)).any(axis=1).argmax())
+        raise InputFileError(
+            path,
+            f"face {row} uses vertex {low if low < 0 else high} of {count} vertices",
+            "the file is damaged; export it again",
+        )
+
+
+def numbers(path: Path, text: str, what: str) -> npt.NDArray[np.float64]:
+    """All numbers of ``text`` (white space between them).
+
+    Raises:
+        InputFileError: where something in it is no number.
+    """
+    import warnings
+
+    if not text or text.isspace():  # numpy reads a number into blank text
+        return np.zeros(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            return np.fromstring(text, dtype=np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            bad = next((t for t in text.split() if not _is_number(t)), text[:20])
+            raise InputFileError(
+                path, f"{what}: {bad[:40]!r} is not a number", "the file is damaged"
+            ) from None
+
+
+def _is_number(token: str) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True

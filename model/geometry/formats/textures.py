@@ -1,0 +1,66 @@
+"""Texture images: opened within bounds, written back with the bytes that they came from."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from PIL import Image
+
+MAX_PIXELS = 16384 * 16384
+_KEPT = {"JPEG": ".jpg", "PNG": ".png"}
+_ATTRIBUTE = "artiworld_encoded"
+
+
+class TextureError(ValueError):
+    """An image that can't be used; the message says why."""
+
+
+def decode(data: bytes, what: str) -> Image.Image:
+    """The RGB or RGBA image in ``data``.
+
+    Raises:
+        TextureError: where it is no image, truncated, or too large.
+    """
+    try:
+        image = Image.open(io.BytesIO(data))
+        if image.width * image.height > MAX_PIXELS:
+            raise TextureError(f"{what}: {image.width} x {image.height} pixels are too many")
+        suffix = _KEPT.get(image.format or "")
+        has_alpha = "A" in image.getbands() or "transparency" in image.info
+        out = image.convert("RGBA" if has_alpha else "RGB")
+    except TextureError:
+        raise
+    except Image.DecompressionBombError as error:
+        raise TextureError(f"{what}: {error}") from None
+    # Pillow's decoders raise whatever the damaged header leads to.
+    except (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError) as error:
+        raise TextureError(f"{what}: not an image that can be read ({error})") from None
+    if suffix:
+        setattr(out, _ATTRIBUTE, (data, suffix))
+    return out
+
+
+def open_texture(path: Path) -> Image.Image:
+    """The image in the file ``path``.
+
+    Raises:
+        TextureError: where it is missing or not an image.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise TextureError(f"texture {path.name}: {error.strerror or error}") from None
+    return decode(data, f"texture {path.name}")
+
+
+def encode(image: Image.Image) -> tuple[bytes, str]:
+    """``(bytes, suffix)`` of an image file: the original JPEG or PNG where known, else PNG."""
+    kept = getattr(image, _ATTRIBUTE, None)
+    if kept is not None:
+        return kept
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", compress_level=3)
+    out = (buffer.getvalue(), ".png")
+    setattr(image, _ATTRIBUTE, out)
+    return out

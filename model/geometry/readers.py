@@ -1,0 +1,301 @@
+"""Files and folders to :class:`~model.geometry.asset.Asset` values.
+
+Up axis by default: glTF and GLB are +y up by their standard; a single OBJ file is taken as +y up,
+as modelling tools write it; PLY, STL, PCD, NPZ and text are +z up. Folders of part meshes lie in
+one object frame that is +z up already, whatever their format, except for glTF. A folder with a
+``mobility.urdf`` is in the URDF's frame, +z up.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from model.errors import ConfigurationError, GeometryError, InputFileError
+from model.geometry.asset import Asset, Source, UpAxis
+from model.geometry.cleaning import cleaned, is_solid, to_cloud, to_mesh
+from model.geometry.formats.gltf import read_gltf
+from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
+from model.geometry.formats.mtl import MaterialFiles
+from model.geometry.formats.npz import read_npz
+from model.geometry.formats.obj import read_obj
+from model.geometry.formats.pcd import read_pcd
+from model.geometry.formats.ply import read_ply
+from model.geometry.formats.stl import read_stl
+from model.geometry.formats.text import read_text
+from model.geometry.formats.urdf_rest import read_urdf_rest
+from model.geometry.part_folder import (
+    Manifest,
+    find_manifest,
+    is_part_folder,
+    natural_key,
+)
+from model.kinematics.articulated_object import Part, SegmentedObject
+from model.progress import Progress, no_progress
+
+_READERS: dict[str, Callable[[Path, int], Loaded]] = {
+    ".ply": read_ply, ".obj": read_obj, ".glb": read_gltf, ".gltf": read_gltf, ".stl": read_stl,
+    ".pcd": read_pcd, ".xyz": read_text, ".xyzrgb": read_text, ".xyzn": read_text,
+    ".pts": read_text, ".asc": read_text, ".txt": read_text, ".csv": read_text, ".npz": read_npz,
+}  # fmt: skip
+SUFFIXES: tuple[str, ...] = tuple(_READERS)
+"""Suffixes of the files that can be opened."""
+
+_TOO_COMMON = (".txt", ".csv", ".npz")  # in a folder these are rarely clouds
+FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in _TOO_COMMON)
+"""Suffixes that are picked up when a folder is searched."""
+
+MOBILITY = "mobility.urdf"
+_Y_UP = (".glb", ".gltf")
+
+_WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+}
+
+
+def default_up_axis(path: Path, *, part_of_folder: bool = False) -> UpAxis:
+    """The up axis that a file is taken to have where nobody says: see the module's text."""
+    suffix = path.suffix.lower()
+    if suffix in _Y_UP or (suffix == ".obj" and not part_of_folder):
+        return "y"
+    return "z"
+
+
+def turned_up(up_axis: UpAxis) -> np.ndarray:
+    """(4, 4) rotation that turns ``up_axis`` to +z. From y it is a quarter turn about x.
+
+    Raises:
+        ConfigurationError: for an axis that is none.
+    """
+    if up_axis not in _WORLD_FROM_SOURCE:
+        raise ConfigurationError(f"up axis {up_axis!r} is none of {', '.join(_WORLD_FROM_SOURCE)}")
+    out = np.eye(4)
+    out[:3, :3] = _WORLD_FROM_SOURCE[up_axis]
+    return out
+
+
+def read_asset(
+    path: str | Path,
+    *,
+    up_axis: UpAxis | None = None,
+    unit_scale: float = 1.0,
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    progress: Progress = no_progress,
+) -> Asset:
+    """Open a file, a folder of part meshes, or a PartNet-Mobility folder.
+
+    Args:
+        path: what to open.
+        up_axis: the source's up axis; by default told by the format, see the module's text.
+        unit_scale: metres per source unit.
+        max_bytes: refuse larger files.
+        progress: called between the steps.
+
+    Returns:
+        The asset in metres, +z up. ``asset.warnings`` says what was passed over.
+
+    Raises:
+        InputFileError: where it can't be used; the message names the file and a remedy.
+        ConfigurationError: on an impossible up axis or unit.
+    """
+    path = Path(path)
+    if up_axis is not None:
+        turned_up(up_axis)
+    if not (np.isfinite(unit_scale) and unit_scale > 0):
+        raise ConfigurationError(f"unit scale {unit_scale} must be a positive number of metres")
+    try:
+        if path.is_dir():
+            if (path / MOBILITY).is_file():
+                return _read_mobility(path, up_axis, unit_scale, max_bytes, progress)
+            return _read_folder(path, up_axis, unit_scale, max_bytes, progress)
+        return _read_file(path, up_axis, unit_scale, max_bytes, progress)
+    except GeometryError as error:
+        raise InputFileError(path, str(error), "the file is damaged or holds no object") from None
+    except MemoryError:
+        raise InputFileError(path, "doesn't fit into memory", "thin the scan first") from None
+
+
+def _load(path: Path, max_bytes: int, files: MaterialFiles | None = None) -> Loaded:
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputFileError(
+            path,
+            f"files of type {path.suffix or 'none'!r} can't be opened" if path.exists()
+            else "no such file",
+            f"use one of {', '.join(SUFFIXES)}",
+        )  # fmt: skip
+    if reader is read_obj and files is not None:
+        return read_obj(path, max_bytes, files=files)
+    return reader(path, max_bytes)
+
+
+def _read_file(
+    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
+) -> Asset:
+    progress(0.0, f"reading {path.name}")
+    loaded = _load(path, max_bytes)
+    up = up_axis or default_up_axis(path)
+    progress(0.7, "checking")
+    return _asset(path, path.stem, loaded, _digest([path]), up, unit_scale)
+
+
+def _asset(path: Path, name: str, loaded: Loaded, sha256: str, up: UpAxis, scale: float) -> Asset:
+    loaded = cleaned(path, loaded, turned_up(up), scale)
+    source = Source(path, sha256, up, scale)
+    if is_solid(loaded):
+        return Asset(name, mesh=to_mesh(loaded), source=source, warnings=loaded.warnings)
+    cloud = to_cloud(loaded)
+    return Asset(name, cloud=cloud, source=source, warnings=loaded.warnings)
+
+
+def _read_mobility(
+    folder: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
+) -> Asset:
+    urdf = folder / MOBILITY
+    progress(0.0, f"reading {folder.name}/{MOBILITY}")
+    files = MaterialFiles(folder)
+
+    def read_mesh(path: Path) -> Loaded | None:
+        loaded = _load(path, max_bytes, files)
+        return loaded if len(loaded.faces) else None
+
+    loaded, paths = read_urdf_rest(urdf, read_mesh)
+    digest = _digest([urdf, *paths, *files.paths])
+    progress(0.8, "checking")
+    return _asset(folder, folder.name, loaded, digest, up_axis or "z", unit_scale)
+
+
+def _read_parts(
+    folder: Path, manifest: Manifest, up_axis: UpAxis | None, scale: float, max_bytes: int,
+    progress: Progress,
+) -> tuple[list[Loaded], str, UpAxis]:  # fmt: skip
+    files = MaterialFiles(folder)
+    out = []
+    for i, entry in enumerate(manifest.entries):
+        progress(i / len(manifest.entries), f"reading {entry.path.name}")
+        up = up_axis or default_up_axis(entry.path, part_of_folder=True)
+        loaded = _load(entry.path, max_bytes, files)
+        out.append(cleaned(entry.path, loaded, turned_up(up), scale))
+    extra = [manifest.path] if manifest.path is not None else []
+    digest = _digest([*(e.path for e in manifest.entries), *extra, *files.paths])
+    first = up_axis or default_up_axis(manifest.entries[0].path, part_of_folder=True)
+    return out, digest, first
+
+
+def _read_folder(
+    folder: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
+) -> Asset:
+    manifest = find_manifest(folder, FOLDER_SUFFIXES)
+    parts, digest, up = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
+    solid = [is_solid(p) for p in parts]
+    if any(solid) and not all(solid):
+        cloud = manifest.entries[solid.index(False)].path
+        raise InputFileError(
+            cloud, "is a cloud among meshes", "give all parts as meshes or all as clouds"
+        )
+    whole = join(parts)
+    warnings = tuple(dict.fromkeys(w for p in parts for w in p.warnings))
+    sizes = [len(p.faces) if solid[0] else len(p.vertices) for p in parts]
+    return Asset(
+        folder.name,
+        mesh=to_mesh(whole) if solid[0] else None,
+        cloud=None if solid[0] else to_cloud(whole),
+        source=Source(folder, digest, up, unit_scale),
+        element_part=np.repeat(np.arange(len(parts), dtype=np.int32), sizes),
+        part_names=tuple(e.name or e.link for e in manifest.entries),
+        category=manifest.category,
+        warnings=warnings,
+    )
+
+
+def read_part_files(
+    folder: str | Path,
+    *,
+    up_axis: UpAxis | None = None,
+    unit_scale: float = 1.0,
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    progress: Progress = no_progress,
+) -> SegmentedObject:
+    """Read a folder of part meshes or part clouds, all in one object frame.
+
+    The files are those of ``object.json`` where there is one, else ``link_*`` in natural order,
+    else all mesh and cloud files. Each link is called after its file's stem.
+
+    Raises:
+        InputFileError: where a part can't be used.
+    """
+    folder = Path(folder)
+    manifest = find_manifest(folder, FOLDER_SUFFIXES)
+    parts, _, _ = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
+    made = [
+        Part(
+            e.link,
+            mesh=to_mesh(p) if is_solid(p) else None,
+            cloud=None if is_solid(p) else to_cloud(p),
+            name=e.name,
+        )
+        for e, p in zip(manifest.entries, parts, strict=True)
+    ]
+    return SegmentedObject(folder.name, tuple(made), manifest.category)
+
+
+def find_assets(paths: Iterable[str | Path]) -> list[Path]:
+    """What can be opened among ``paths``: files as they are, folders searched in depth.
+
+    A folder with a ``mobility.urdf``, an ``object.json`` or ``link_*`` meshes is one item. A file
+    that is named directly is always in, so that opening it can say what is wrong with it.
+
+    Raises:
+        InputFileError: where a path doesn't exist or a folder holds nothing that can be opened.
+    """
+    out: list[Path] = []
+    for path in map(Path, paths):
+        if not path.exists():
+            raise InputFileError(path, "no such file or folder", "check the path")
+        found = _search(path) if path.is_dir() else [path]
+        if not found:
+            raise InputFileError(
+                path, "nothing in it can be opened", f"looked for {', '.join(FOLDER_SUFFIXES)}"
+            )
+        out.extend(found)
+    return list(dict.fromkeys(out))
+
+
+def _search(folder: Path, seen: frozenset[Path] = frozenset()) -> list[Path]:
+    real = folder.resolve()
+    if real in seen:  # a link back up
+        return []
+    if (folder / MOBILITY).is_file() or is_part_folder(folder, FOLDER_SUFFIXES):
+        return [folder]
+    out: list[Path] = []
+    try:
+        entries = sorted(folder.iterdir(), key=natural_key)
+    except OSError:
+        return []
+    for entry in entries:
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            out.extend(_search(entry, seen | {real}))
+        elif entry.suffix.lower() in FOLDER_SUFFIXES and entry.is_file():
+            out.append(entry)
+    return out
+
+
+def _digest(paths: Sequence[Path]) -> str:
+    """SHA-256 of one file's bytes, or of the sorted digests of several files."""
+    digests = []
+    for path in dict.fromkeys(paths):
+        with path.open("rb") as file:
+            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+    if len(digests) == 1:
+        return digests[0]
+    return hashlib.sha256("\n".join(sorted(digests)).encode()).hexdigest()
