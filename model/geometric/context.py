@@ -1,0 +1,145 @@
+"""What a mechanism may look at when it proposes the joint of one part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometric.hypothesis import UP, unit
+from model.geometric.scene import TOUCHING, Scene
+from model.geometric.shape import Shape
+from model.geometric.vocabulary import category_key, words
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Assembly:
+    """A scene with its tree.
+
+    Attributes:
+        scene: the parts. root: index of the base. parent: index of each part's parent, -1 at the
+            root.
+        front: where the object faces, (3,) horizontal unit vector, and how sure that is (0..1).
+    """
+
+    scene: Scene
+    root: int
+    parent: list[int]
+    front: Array = field(default_factory=lambda: np.array([-1.0, 0.0, 0.0]))
+    front_certainty: float = 0.0
+
+    @cached_property
+    def category(self) -> str:
+        """Key of the category, "" where unknown."""
+        return category_key(self.scene.category)
+
+
+@dataclass(eq=False)
+class PartContext:
+    """One part within its assembly."""
+
+    assembly: Assembly
+    part: int
+
+    @property
+    def scene(self) -> Scene:
+        """All parts."""
+        return self.assembly.scene
+
+    @property
+    def category(self) -> str:
+        """Key of the category, "" where unknown."""
+        return self.assembly.category
+
+    @property
+    def shape(self) -> Shape:
+        """The part."""
+        return self.scene.shapes[self.part]
+
+    @property
+    def parent(self) -> int:
+        """Index of the part that it hangs on."""
+        return self.assembly.parent[self.part]
+
+    @property
+    def base(self) -> Shape:
+        """The part that it hangs on."""
+        return self.scene.shapes[self.parent]
+
+    @cached_property
+    def words(self) -> tuple[str, ...]:
+        """Words of its name."""
+        return words(self.shape.name)
+
+    @cached_property
+    def distance(self) -> Array:
+        """(N,) of each sample to the parent."""
+        return self.scene.distances(self.part, self.parent)
+
+    @cached_property
+    def contact(self) -> Array:
+        """(K, 3) samples nearest to the parent."""
+        return self.scene.contact(self.part, self.parent)
+
+    @cached_property
+    def contact_center(self) -> Array:
+        """(3,) of the contact."""
+        return self.contact.mean(0)
+
+    @cached_property
+    def touching(self) -> bool:
+        """Whether the part touches its parent."""
+        return bool(self.scene.gap[self.part, self.parent] < 2 * TOUCHING)
+
+    @cached_property
+    def directions(self) -> Array:
+        """(6, 3) the part's box axes, both ways."""
+        axes = self.shape.box.axes.T
+        return np.concatenate([axes, -axes])
+
+    @cached_property
+    def covers(self) -> Array:
+        """(6,) how much of the part the parent lies in front of, along :attr:`directions`."""
+        return self.covers_of((self.parent,))
+
+    def covers_of(self, others: tuple[int, ...]) -> Array:
+        """(6,) the same for other parts."""
+        axes = self.shape.box.axes
+        return np.array([self.scene.cover(self.part, d, others, axes) for d in self.directions])
+
+    @cached_property
+    def outward(self) -> Array:
+        """(3,) box direction in which the part is freest and the parent lies behind it."""
+        return self.directions[int(np.argmax(self.outwardness))]
+
+    @cached_property
+    def outwardness(self) -> Array:
+        """(6,) for each direction: parent behind, nothing in front, thin, away from the parent."""
+        covers = self.covers
+        behind = np.roll(covers, 3)
+        away = self.directions @ unit(self.shape.center - self.base.center)
+        half = self.shape.box.half
+        thin = 1 - half / max(float(half.max()), 1e-9)
+        return behind - 1.3 * covers + 0.35 * away + 0.5 * np.concatenate([thin, thin])
+
+    def panel_outward(self, axis: Array) -> Array:
+        """``axis`` turned to the side that faces away from the parent."""
+        there = self.scene.cover(self.part, axis, (self.parent,), self.shape.box.axes)
+        back = self.scene.cover(self.part, -axis, (self.parent,), self.shape.box.axes)
+        away = float(axis @ (self.shape.center - self.base.center))
+        score = back - there + 0.6 * np.tanh(6 * away)
+        panel = self.shape.panel
+        if panel.side and abs(self.shape.box.axes[:, panel.normal] @ axis) > 0.9:
+            handle = panel.side * float(self.shape.box.axes[:, panel.normal] @ axis)
+            score += 0.3 * np.sign(handle) if panel.share < 0.2 else 0.0
+        return axis if score >= 0 else -axis
+
+    def upright(self) -> Array:
+        """The part's box axis nearest to +z, pointing up."""
+        axes = self.shape.box.axes
+        k = int(np.argmax(np.abs(axes[2])))
+        return axes[:, k] * (1.0 if axes[2, k] >= 0 else -1.0) if abs(axes[2, k]) > 0.9 else UP

@@ -1,0 +1,341 @@
+"""Panels that turn about one of their edges: doors, lids, screens, arms of glasses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometric.context import PartContext
+from model.geometric.hypothesis import UP, Hypothesis
+from model.geometric.scene import TOUCHING
+from model.geometric.sweep import free_range
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EdgeWeights:
+    """How much each cue counts for one mechanism.
+
+    Attributes:
+        upright: axis along +z. level: axis horizontal. bottom: the edge is the lowest.
+        short: the edge runs along the panel's short side. long: along its long side.
+        contact: only this edge touches. margin: the edge is near the object's side.
+        handle: a handle sits opposite. sibling: another panel lies beyond the edge.
+        back: the edge is away from the object's front.
+    """
+
+    upright: float = 0.0
+    level: float = 0.0
+    bottom: float = 0.0
+    short: float = 0.0
+    long: float = 0.3
+    contact: float = 3.0
+    margin: float = 1.0
+    handle: float = 2.0
+    sibling: float = 2.0
+    back: float = 0.0
+
+
+WEIGHTS: dict[str, EdgeWeights] = {
+    "hinge": EdgeWeights(upright=0.9, long=0.3),
+    "drop": EdgeWeights(level=0.6, bottom=1.6, margin=0.5, handle=1.5),
+    "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2),
+    "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
+}
+
+OPENING: dict[str, float] = {
+    "hinge": 1.65,
+    "drop": 1.571,
+    "flap": 1.75,
+    "temple": 1.5,
+}
+"""How far it opens from closed, in rad, where nothing stops it."""
+
+CATEGORY_OPENING: dict[tuple[str, str], float] = {
+    ("refrigerator", "hinge"): 2.3,
+    ("box", "flap"): 2.6,
+    ("door", "hinge"): 1.6,
+    ("laptop", "flap"): 2.3,
+    ("toilet", "flap"): 1.6,
+    ("trashcan", "flap"): 1.6,
+    ("washingmachine", "hinge"): 2.0,
+    ("eyeglasses", "temple"): 1.45,
+    ("stapler", "temple"): 1.9,
+    ("safe", "hinge"): 1.9,
+    ("lighter", "flap"): 2.2,
+    ("keyboard", "flap"): 1.2,
+    ("foldingchair", "flap"): 1.5,
+    ("phone", "flap"): 2.6,
+}
+
+FOLDED_TOTAL = 3.0
+"""Whole range (rad) assumed for a panel that was scanned open, from closed to far open."""
+
+
+def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
+    """Every edge of the panel, scored, with its limits."""
+    weights = WEIGHTS[mechanism]
+    normal = _panel_normal(context, mechanism)
+    shape, box = context.shape, context.shape.box
+    n_axis = box.axes[:, normal]
+    out_normal = context.panel_outward(n_axis)
+    in_plane = [k for k in range(3) if k != normal]
+    local = box.local(shape.points)
+    contact = _contact_scores(context, local, in_plane)
+    found: list[Hypothesis] = []
+    for across, along in (tuple(in_plane), tuple(in_plane[::-1])):
+        for side in (-1.0, 1.0):
+            e = np.zeros(3)
+            e[across] = side
+            direction = box.axes @ e
+            axis = box.axes[:, along]
+            score, why = _edge_score(context, weights, direction, axis, across, along, side, normal)
+            score += weights.contact * contact[across, side]
+            if contact[across, side] > 0.3:
+                why.append("only this edge touches")
+            open_ = contact[across, side] > 0.45
+            origin = _edge_origin(context, normal, across, side, out_normal, open_, local)
+            found.append(
+                _with_limits(
+                    context, mechanism, axis, origin, out_normal, open_, score, ", ".join(why)
+                )
+            )
+    return found
+
+
+def _panel_normal(context: PartContext, mechanism: str) -> int:
+    """Index of the box axis across the panel."""
+    shape = context.shape
+    axes = shape.box.axes
+    if mechanism == "temple":
+        long = shape.order[2]
+        if context.category == "eyeglasses":
+            return min((k for k in range(3) if k != long), key=lambda k: abs(axes[2, k]))
+        # An arm folds upright: its normal is the most upright axis but its own length.
+        return max((k for k in range(3) if k != long), key=lambda k: abs(axes[2, k]))
+    return shape.panel.normal
+
+
+def _contact_scores(
+    context: PartContext, local: Array, in_plane: list[int]
+) -> dict[tuple[int, float], float]:
+    """(axis, side) → -1..1: how much nearer the parent is at this edge than at the opposite."""
+    half = context.shape.box.half
+    d = context.distance
+    out: dict[tuple[int, float], float] = {}
+    for k in in_plane:
+        band = 0.12 * 2 * half[k]
+        near: dict[float, float] = {}
+        for side in (-1.0, 1.0):
+            at = side * local[:, k] > half[k] - band
+            near[side] = float(np.median(d[at])) if at.sum() >= 3 else float(np.median(d))
+        reach = max(2 * float(half[k]), 1e-6)
+        for side in (-1.0, 1.0):
+            gain = (near[-side] - near[side]) / (0.35 * reach)
+            # A gap of a few samples on a closed panel is noise.
+            quiet = abs(near[-side] - near[side]) < 1.5 * TOUCHING
+            out[k, side] = 0.0 if quiet else float(np.clip(gain, -1.0, 1.0))
+    return out
+
+
+def _edge_score(
+    context: PartContext,
+    weights: EdgeWeights,
+    direction: Array,
+    axis: Array,
+    across: int,
+    along: int,
+    side: float,
+    normal: int,
+) -> tuple[float, list[str]]:
+    shape, scene = context.shape, context.scene
+    half = shape.box.half
+    why: list[str] = []
+    upright = abs(float(axis @ UP))
+    score = weights.upright * upright + weights.level * (1 - upright)
+    if weights.bottom and direction[2] < -0.5:
+        score += weights.bottom
+        why.append("bottom edge")
+    ratio = float(half[along] / (half[along] + half[across] + 1e-9))
+    score += weights.long * 2 * (ratio - 0.5) + weights.short * 2 * (0.5 - ratio)
+    here = _margin(context, direction)
+    there = _margin(context, -direction)
+    margin = float(np.clip((there - here) / max(0.15 * 2 * half[across], 0.05), -1, 1))
+    score += weights.margin * margin * 0.8
+    handle, reason = _handle_cue(context, across, along, side, normal)
+    score += weights.handle * handle
+    if handle > 0.3:
+        why.append(reason)
+    if _sibling_beyond(context, direction, across, along, normal):
+        score -= weights.sibling
+    elif _sibling_beyond(context, -direction, across, along, normal):
+        score += 0.3 * weights.sibling
+        why.append("next to another panel")
+    if weights.back:
+        front = context.assembly.front
+        back = -float(direction @ front)
+        score += weights.back * back * (0.4 + 0.6 * context.assembly.front_certainty)
+        if back > 0.7:
+            why.append("at the back")
+    del scene
+    return score, why
+
+
+def _margin(context: PartContext, direction: Array) -> float:
+    """Distance from the panel's edge to the object's own end in that direction."""
+    base = context.base
+    ends = base.outline @ direction
+    end = float(np.quantile(ends, 0.995)) if base.scanned else float(ends.max())
+    return max(
+        0.0, end - float(context.shape.center @ direction) - context.shape.box.reach(direction)
+    )
+
+
+def _handle_cue(
+    context: PartContext, across: int, along: int, side: float, normal: int
+) -> tuple[float, str]:
+    """-1..1: a handle far from this edge speaks for it."""
+    panel, box = context.shape.panel, context.shape.box
+    if panel.protrusion is None or panel.normal != normal or panel.share > 0.3:
+        return 0.0, ""
+    assert panel.spread is not None
+    at = float(panel.protrusion[across] / max(box.half[across], 1e-6))
+    if abs(at) < 0.25:
+        return 0.0, ""
+    value = -side * float(np.clip(at / 0.7, -1, 1))
+    # A bar handle lies along the hinge axis.
+    a, b = float(panel.spread[along]), float(panel.spread[across])
+    shape = (a - b) / max(a + b, 1e-6)
+    return value * (0.75 + 0.25 * shape), "handle opposite"
+
+
+def _sibling_beyond(
+    context: PartContext, direction: Array, across: int, along: int, normal: int
+) -> bool:
+    """Whether another moving panel in the same plane lies right beyond the edge."""
+    scene, shape = context.scene, context.shape
+    box = shape.box
+    for j in scene.others(context.part):
+        if j in (context.parent, context.assembly.root):
+            continue
+        other = scene.shapes[j]
+        if other.size < 0.4 * shape.size:
+            continue
+        offset = box.axes.T @ (other.center - shape.center)
+        n = box.axes[:, normal]
+        if abs(offset[normal]) > box.half[normal] + other.box.reach(n) + TOUCHING:
+            continue
+        reach = other.box.reach(box.axes[:, along])
+        overlap = min(box.half[along], offset[along] + reach) - max(
+            -box.half[along], offset[along] - reach
+        )
+        if overlap < 0.5 * min(box.half[along], reach):
+            continue
+        step = float((other.center - shape.center) @ direction)
+        gap = step - box.half[across] - other.box.reach(direction)
+        if step > 0 and -0.3 * box.half[across] < gap < 0.06:
+            return True
+    return False
+
+
+def _edge_origin(
+    context: PartContext,
+    normal: int,
+    across: int,
+    side: float,
+    out_normal: Array,
+    open_: bool,
+    local: Array,
+) -> Array:
+    """A point on the hinge line: at the slab's inner face, or in its middle where it is open."""
+    shape, box = context.shape, context.shape.box
+    panel = shape.panel
+    at = np.zeros(3)
+    at[across] = side * box.half[across]
+    low, high = (
+        (panel.low, panel.high)
+        if panel.normal == normal
+        else (
+            -box.half[normal],
+            box.half[normal],
+        )
+    )
+    sign = float(box.axes[:, normal] @ out_normal)
+    at[normal] = low if sign > 0 else high
+    if open_:
+        band = side * local[:, across] > box.half[across] * (1 - 0.2)
+        d = context.distance
+        if band.sum() >= 4:
+            near = band & (d <= np.quantile(d[band], 0.3) + 1e-9)
+            spot = local[near].mean(0)
+            at[normal] = spot[normal]
+            at[across] = 0.5 * (at[across] + spot[across])
+    return box.center + box.axes @ at
+
+
+def _with_limits(
+    context: PartContext,
+    mechanism: str,
+    axis: Array,
+    origin: Array,
+    out_normal: Array,
+    open_: bool,
+    score: float,
+    why: str,
+) -> Hypothesis:
+    """Turn the axis so that positive q opens, and find how far."""
+    arm = context.shape.center - origin
+    if float(np.cross(axis, arm) @ out_normal) < 0:
+        axis = -axis
+    key = (context.category, mechanism)
+    opening = CATEGORY_OPENING.get(key, OPENING[mechanism])
+    return Hypothesis(
+        "revolute", axis, origin, 0.0, opening, score, f"{mechanism}: {why}" if why else mechanism
+    )
+
+
+def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
+    """Limits of the chosen hinge from how far it turns before it hits its parent.
+
+    A panel that was scanned closed opens one way. One scanned open closes as well: both free
+    ranges count.
+    """
+    import dataclasses
+
+    def sweep(stop: float) -> float:
+        return free_range(
+            context.scene,
+            context.part,
+            (context.parent,),
+            rotates=True,
+            axis=best.axis,
+            origin=best.origin,
+            stop=stop,
+        )
+
+    closing = -sweep(-np.pi * 0.95)
+    opening = sweep(np.pi * 0.95)
+    if closing < 0.3:
+        upper = min(best.upper, opening) if opening > 0.6 else best.upper
+        return dataclasses.replace(best, lower=0.0, upper=upper)
+    if opening < 0.3:
+        return dataclasses.replace(
+            best,
+            axis=-best.axis,
+            lower=0.0,
+            upper=min(best.upper, closing) if closing > 0.6 else best.upper,
+        )
+    # Open at rest. Which way it closes: towards the collision that comes first, if any does.
+    total = closing + opening
+    if total > 4.4:
+        return dataclasses.replace(best, lower=-closing, upper=opening)
+    if closing > opening:
+        return dataclasses.replace(
+            best, axis=-best.axis, lower=-opening, upper=min(closing, FOLDED_TOTAL - opening + 0.3)
+        )
+    return dataclasses.replace(
+        best, lower=-closing, upper=max(0.3, min(opening, FOLDED_TOTAL - closing))
+    )

@@ -1,0 +1,231 @@
+"""Parts that turn about a pin: scissors, handles, levers, rockers, heads."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometric.context import PartContext
+from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.shape import Shape, roundness
+from model.geometric.sweep import free_range
+
+Array = npt.NDArray[np.float64]
+
+
+def pivot_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """About the common thin direction, where the two parts cross or where their ends meet."""
+    shape, base = context.shape, context.base
+    both = np.concatenate([shape.points, base.points])
+    _, _, rows = np.linalg.svd(
+        (both - both.mean(0))[:: max(1, len(both) // 2000)], full_matrices=False
+    )
+    thin = shape.box.axes[:, shape.order[0]]
+    common = rows[2]
+    axis = thin if abs(thin @ common) > 0.8 or shape.thinness < 0.35 else common
+    crossing = _crossing(shape, base, axis)
+    contact = context.contact_center
+    found = []
+    if crossing is not None:
+        inside = _inside_both(crossing, shape, base, axis)
+        found.append(
+            Hypothesis("revolute", axis, crossing, score=1.5 * inside, note="where the two cross")
+        )
+    found.append(Hypothesis("revolute", axis, contact, score=0.6, note="where the two touch"))
+    ends = _end_pivots(context, axis)
+    found += ends
+    return [_pivot_limits(context, h) for h in found]
+
+
+def _crossing(shape: Shape, base: Shape, axis: Array) -> Array | None:
+    """Where the two long axes cross, seen along ``axis``; None where they are nearly parallel."""
+    a, b = shape.principal[:, 0], base.principal[:, 0]
+    u = unit(a - (a @ axis) * axis)
+    v = unit(b - (b @ axis) * axis)
+    sine = float(np.cross(u, v) @ axis)
+    if abs(sine) < np.sin(np.deg2rad(12)):
+        return None
+    step = base.points.mean(0) - shape.points.mean(0)
+    t = float(np.cross(step, v) @ axis) / sine
+    at = shape.points.mean(0) + t * u
+    middle = 0.5 * (shape.center + base.center)
+    return at + axis * float((middle - at) @ axis)
+
+
+def _inside_both(point: Array, shape: Shape, base: Shape, axis: Array) -> float:
+    """1 where both parts have surface around the point, seen along the axis; else less."""
+    out = 1.0
+    for s in (shape, base):
+        d = s.points - point
+        r = np.linalg.norm(d - np.outer(d @ axis, axis), axis=1)
+        out = min(out, float(np.exp(-max(0.0, float(r.min()) - 0.02) / 0.05)))
+    return out
+
+
+def _end_pivots(context: PartContext, axis: Array) -> list[Hypothesis]:
+    """Near each end of the part, where the parent reaches too."""
+    shape = context.shape
+    long = unit(shape.principal[:, 0] - (shape.principal[:, 0] @ axis) * axis)
+    along = shape.points @ long
+    low, high = np.quantile(along, [0.02, 0.98])
+    width = max(0.08 * (high - low), 0.01)
+    found = []
+    for end, inward in ((low, 1.0), (high, -1.0)):
+        band = np.abs(along - (end + inward * width)) < width
+        if band.sum() < 4:
+            continue
+        spot = shape.points[band].mean(0)
+        near = float(np.median(context.distance[band]))
+        rest = float(np.median(context.distance))
+        score = 0.5 + 1.2 * float(np.clip((rest - near) / 0.1, -1, 1))
+        # A folding blade is held at the end that lies farther inside the handle.
+        score += 0.8 * _inside(spot, context.base)
+        found.append(Hypothesis("revolute", axis, spot, score=score, note="held at its end"))
+    return found
+
+
+def _inside(point: Array, base: Shape) -> float:
+    """1 well inside the parent's box, 0 outside."""
+    local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, 1e-6)
+    return float(np.clip(1.2 - local.max(), 0, 1))
+
+
+def _pivot_limits(context: PartContext, h: Hypothesis) -> Hypothesis:
+    import dataclasses
+
+    scissors = context.category in ("scissors", "pliers")
+    # In-plane motion of touching sheets: only the turn's sense and size can be judged.
+    arm = context.shape.points.mean(0) - h.origin
+    base_arm = context.base.points.mean(0) - h.origin
+    closing = float(np.cross(arm, base_arm) @ h.axis)
+    axis = h.axis if closing <= 0 else -h.axis
+    if scissors:
+        a, b = context.shape.principal[:, 0], context.base.principal[:, 0]
+        angle = float(np.arccos(np.clip(abs(a @ b), 0, 1)))
+        return dataclasses.replace(h, axis=axis, lower=-angle, upper=max(0.2, 0.9 - angle))
+    return dataclasses.replace(h, axis=axis, lower=0.0, upper=2.9)
+
+
+def swing_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A bail turns about the line through the two places that hold it."""
+    shape = context.shape
+    contact = context.contact
+    up = float(shape.center[2] - contact[:, 2].mean()) >= 0
+    found = []
+    for k in range(3):
+        axis = shape.box.axes[:, k]
+        if abs(axis[2]) > 0.5:
+            continue
+        along = (contact - contact.mean(0)) @ axis
+        reach = 2 * shape.box.reach(axis)
+        spread = float(np.ptp(np.quantile(along, [0.05, 0.95]))) / max(reach, 1e-6)
+        score = 2.0 * spread + 0.6 * float(shape.box.half[k] / shape.box.half.max())
+        low, high = contact[along < 0], contact[along >= 0]
+        origin = contact.mean(0)
+        if len(low) and len(high):
+            origin = 0.5 * (low.mean(0) + high.mean(0))
+        found.append(
+            Hypothesis(
+                "revolute",
+                axis,
+                origin,
+                -1.5 if up else -0.8,
+                1.5 if up else 2.4,
+                score,
+                "bail held at both ends",
+            )
+        )
+    return found or temple_like(context)
+
+
+def temple_like(context: PartContext) -> list[Hypothesis]:
+    """Turn about the middle box axis through the contact."""
+    shape = context.shape
+    axis = shape.box.axes[:, shape.order[1]]
+    return [Hypothesis("revolute", axis, context.contact_center, 0.0, 1.57, 0.0, "held at one end")]
+
+
+def lever_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A handle turns about the stem that it stands on; positive turns it to the front."""
+    shape = context.shape
+    covers = context.covers
+    long = shape.order[2]
+    arm = shape.points.mean(0) - context.contact_center
+    found = []
+    for k, direction in enumerate(context.directions):
+        if k % 3 == long and shape.slenderness < 0.6:
+            continue
+        score = 1.2 * covers[(k + 3) % 6] - 0.8 * covers[k]
+        score += 0.9 * float(direction @ unit(shape.center - context.base.center))
+        score += 0.8 * float(direction @ unit(arm))
+        origin = context.contact_center
+        r = roundness(
+            shape.points[context.distance <= np.quantile(context.distance, 0.25)], direction, True
+        )
+        if r is not None and r.spread < 0.12:
+            origin = r.center
+        axis = direction
+        tip = shape.points.mean(0) - origin
+        tip = tip - (tip @ axis) * axis
+        if float(np.cross(axis, tip) @ context.assembly.front) < -1e-3:
+            axis = -axis
+        found.append(
+            Hypothesis("revolute", axis, origin, 0.0, 1.571, score, "turns about its stem")
+        )
+    return found
+
+
+def toggle_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A rocker tilts about a level axis within its plate, through its middle."""
+    shape = context.shape
+    outward = context.outward
+    found = []
+    for k in range(3):
+        axis = shape.box.axes[:, k]
+        if abs(axis @ outward) > 0.5:
+            continue
+        rest = [j for j in range(3) if j != k]
+        across = max(
+            float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < 0.5
+        )
+        score = across / max(float(shape.box.half.max()), 1e-9)
+        score += 0.4 * (1 - abs(float(axis @ UP)))
+        origin = shape.center - outward * 0.6 * shape.box.reach(outward)
+        found.append(Hypothesis("revolute", axis, origin, -0.28, 0.28, score, "rocks"))
+    return found
+
+
+def tilt_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A screen or head nods about a level axis through where it is held."""
+    shape = context.shape
+    found = []
+    origin = context.contact_center
+    for k in range(3):
+        axis = shape.box.axes[:, k]
+        if abs(axis[2]) > 0.5:
+            continue
+        score = float(shape.box.half[k] / max(float(shape.box.half.max()), 1e-9))
+        down = -free_range(
+            context.scene,
+            context.part,
+            (context.parent,),
+            rotates=True,
+            axis=axis,
+            origin=origin,
+            stop=-0.6,
+        )
+        up = free_range(
+            context.scene,
+            context.part,
+            (context.parent,),
+            rotates=True,
+            axis=axis,
+            origin=origin,
+            stop=0.6,
+        )
+        found.append(
+            Hypothesis(
+                "revolute", axis, origin, -max(down, 0.15), max(up, 0.15), score, "tilts where held"
+            )
+        )
+    return found

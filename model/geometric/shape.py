@@ -1,0 +1,334 @@
+"""What one part looks like: a deterministic surface sample, its box, and how round it is.
+
+All lengths are in the working frame of :mod:`model.geometric.scene`: the object's diagonal is 1
+and its dominant horizontal directions lie along x and y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+ROUND = 0.055
+"""Largest spread of the outline's radius over its mean that still counts as a circle (a hexagon
+has 0.047, a square 0.11)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """An oriented box.
+
+    Attributes:
+        axes: (3, 3), columns are unit axes, right-handed.
+        center: (3,). half: (3,) half extents along the axes.
+    """
+
+    axes: Array
+    center: Array
+    half: Array
+
+    @property
+    def volume(self) -> float:
+        """Of the box, with a floor for flat ones."""
+        return float(np.prod(2 * self.half + 1e-3))
+
+    def local(self, points: Array) -> Array:
+        """(N, 3) points in box coordinates (not scaled)."""
+        return (points - self.center) @ self.axes
+
+    def reach(self, direction: Array) -> float:
+        """Half extent along a unit direction."""
+        return float(np.abs(self.axes.T @ direction) @ self.half)
+
+
+@dataclass(frozen=True, eq=False)
+class Roundness:
+    """How well the outline seen along ``axis`` is a circle.
+
+    Attributes:
+        axis: (3,) unit. center: (3,) on the axis, at the part's middle. radius: of the circle.
+        spread: standard deviation of the outline's radius over its mean; 0 is a circle.
+        half: half of the part's extent along the axis.
+    """
+
+    axis: Array
+    center: Array
+    radius: float
+    spread: float
+    half: float
+
+    @property
+    def round(self) -> bool:
+        """Whether it counts as a circle."""
+        return self.spread < ROUND
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One part's geometry.
+
+    Attributes:
+        link: its link. name: the given part name or None.
+        points: (N, 3) surface sample. normals: (N, 3) unit, sign unknown.
+        outline: (M, 3) points that give exact extents (mesh vertices, or the cloud).
+        area: surface area in squared diagonals (of clouds: an estimate).
+        scanned: the geometry is a cloud, so extents are noisy and sides may be missing.
+    """
+
+    link: str
+    name: str | None
+    points: Array
+    normals: Array
+    outline: Array
+    area: float
+    scanned: bool
+
+    @cached_property
+    def box(self) -> Box:
+        """Smallest of a few boxes, with a preference for the object's own directions."""
+        return fit_box(self.outline, self.scanned)
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the box."""
+        return float(2 * np.linalg.norm(self.box.half))
+
+    @cached_property
+    def low(self) -> Array:
+        """(3,) lowest corner along the working frame's axes."""
+        return self._bounds[0]
+
+    @cached_property
+    def high(self) -> Array:
+        """(3,) highest corner along the working frame's axes."""
+        return self._bounds[1]
+
+    @cached_property
+    def _bounds(self) -> Array:
+        return _extent(self.outline, self.scanned)
+
+    @property
+    def center(self) -> Array:
+        """(3,) of the box."""
+        return self.box.center
+
+    @cached_property
+    def principal(self) -> Array:
+        """(3, 3) principal axes as columns, longest first."""
+        centred = self.points - self.points.mean(0)
+        _, _, rows = np.linalg.svd(centred[:: max(1, len(centred) // 2000)], full_matrices=False)
+        return rows.T if rows.shape == (3, 3) else np.eye(3)
+
+    @cached_property
+    def roundnesses(self) -> tuple[Roundness, ...]:
+        """For each candidate axis (box axes, then principal axes), roundest first."""
+        axes = [*self.box.axes.T, *self.principal.T]
+        kept: list[Array] = []
+        for a in axes:
+            if all(abs(a @ b) < 0.9998 for b in kept):
+                kept.append(a)
+        out = [r for a in kept if (r := roundness(self.outline, a, self.scanned)) is not None]
+        return tuple(sorted(out, key=lambda r: r.spread))
+
+    @cached_property
+    def roundest(self) -> Roundness | None:
+        """The axis about which the part is round; None where it is not.
+
+        Where several are (a ball, a short cylinder) the one with the shorter extent wins.
+        """
+        found = [r for r in self.roundnesses if r.round]
+        return min(found, key=lambda r: (round(r.spread / 0.02), r.half)) if found else None
+
+    @cached_property
+    def order(self) -> tuple[int, int, int]:
+        """Indices of the box axes: thin, middle, long."""
+        a, b, c = np.argsort(self.box.half, kind="stable")
+        return int(a), int(b), int(c)
+
+    @cached_property
+    def thinness(self) -> float:
+        """Thin over middle extent: small for a panel or a flat blade."""
+        thin, middle, _ = self.order
+        return float(self.box.half[thin] / max(self.box.half[middle], 1e-6))
+
+    @cached_property
+    def slenderness(self) -> float:
+        """Middle over long extent: small for a rod or a blade."""
+        _, middle, long = self.order
+        return float(self.box.half[middle] / max(self.box.half[long], 1e-6))
+
+    @cached_property
+    def panel(self) -> Panel:
+        """The part seen as a panel with something sticking out."""
+        return fit_panel(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A slab and what sticks out of it.
+
+    Attributes:
+        normal: index of the box axis across the slab.
+        low, high: where the slab lies along that axis, in box coordinates; handles are outside.
+        protrusion: (3,) mean of the points that stick out, box coordinates; None without any.
+        side: +1 or -1, the side of the slab to which they stick out.
+        share: of the sample that sticks out.
+        spread: (3,) standard deviation of the protruding points along the box axes.
+    """
+
+    normal: int
+    low: float
+    high: float
+    protrusion: Array | None = None
+    side: int = 0
+    share: float = 0.0
+    spread: Array | None = None
+
+
+def fit_panel(shape: Shape) -> Panel:
+    """Find the slab: the thinnest layer across the thin axis that spans the whole face."""
+    box, k = shape.box, shape.order[0]
+    local = box.local(shape.points)
+    u, v = (i for i in range(3) if i != k)
+    depth = local[:, k]
+    half = float(box.half[k])
+    if half < 1e-6:
+        return Panel(k, -half, half)
+    edges = np.linspace(-half, half, 25)
+    layer = np.clip(np.digitize(depth, edges) - 1, 0, 23)
+    cells = 8
+    cu = np.clip(((local[:, u] / (2 * box.half[u] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1)
+    cv = np.clip(((local[:, v] / (2 * box.half[v] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1)
+    cover = np.zeros((24, cells * cells), bool)
+    cover[layer, cu * cells + cv] = True
+    share = cover.mean(1)
+    full = share >= 0.5 * share.max()
+    first, last = int(np.argmax(full)), 23 - int(np.argmax(full[::-1]))
+    low, high = float(edges[first]), float(edges[last + 1])
+    slack = 0.04 * 2 * half + (0.004 if shape.scanned else 0.0)
+    above, below = depth > high + slack, depth < low - slack
+    side = 1 if above.sum() >= below.sum() else -1
+    out = above if side > 0 else below
+    if out.sum() < max(4, 0.002 * len(depth)) or out.mean() > 0.45:
+        return Panel(k, low, high)
+    return Panel(k, low, high, local[out].mean(0), side, float(out.mean()), local[out].std(0))
+
+
+def _extent(points: Array, scanned: bool) -> Array:
+    if scanned and len(points) >= 200:
+        return np.quantile(points, [0.004, 0.996], axis=0)
+    return np.stack([points.min(0), points.max(0)])
+
+
+def _box_in(points: Array, axes: Array, scanned: bool) -> Box:
+    low, high = _extent(points @ axes, scanned)
+    return Box(axes, axes @ ((low + high) / 2), np.maximum((high - low) / 2, 1e-6))
+
+
+def rotation(axis: Array, angle: float) -> Array:
+    """(3, 3) right-handed rotation about a unit axis (rad)."""
+    x, y, z = axis
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+
+
+def fit_box(points: Array, scanned: bool) -> Box:
+    """The object's directions, unless a turned box is clearly smaller (by a tenth)."""
+    points = points[:: max(1, len(points) // 3000)] if scanned else points
+    best = _box_in(points, np.eye(3), scanned)
+    limit = 0.9 * best.volume
+    coarse = points[:: max(1, len(points) // 400)]
+    for k in range(3):
+        turned = _turned_box(points, coarse, k, scanned)
+        if turned.volume < limit:
+            best, limit = turned, turned.volume * 0.98
+    if len(points) >= 3:
+        centred = points - points.mean(0)
+        _, _, rows = np.linalg.svd(centred, full_matrices=False)
+        if rows.shape == (3, 3):
+            axes = rows.T * (1 if np.linalg.det(rows) > 0 else -1)
+            axes = _near_identity(axes)
+            box = _box_in(points, axes, scanned)
+            if box.volume < 0.9 * limit:
+                best = box
+    return best
+
+
+def _near_identity(axes: Array) -> Array:
+    """The same box axes, ordered and signed so that column k is close to axis k."""
+    out, free = np.zeros((3, 3)), [0, 1, 2]
+    for k in np.argsort(-np.abs(axes).max(0)):
+        to = max(free, key=lambda f: abs(axes[f, k]))
+        free.remove(to)
+        out[:, to] = axes[:, k] * (1.0 if axes[to, k] >= 0 else -1.0)
+    if np.linalg.det(out) < 0:
+        out[:, 2] *= -1
+    return out
+
+
+def _turned_box(points: Array, coarse: Array, k: int, scanned: bool) -> Box:
+    """Smallest box after a turn about working axis ``k``, to half a degree."""
+
+    def areas(p: Array, angles: Array) -> Array:
+        i, j = [x for x in range(3) if x != k]
+        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        a, b = c * p[:, i] + s * p[:, j], -s * p[:, i] + c * p[:, j]
+        if scanned and p.shape[0] >= 200:
+            qa, qb = (np.quantile(x, [0.004, 0.996], axis=1) for x in (a, b))
+            return (qa[1] - qa[0]) * (qb[1] - qb[0])
+        return np.ptp(a, axis=1) * np.ptp(b, axis=1)
+
+    angles = np.deg2rad(np.arange(-45, 45, 3.0))
+    rough = angles[np.argmin(areas(coarse, angles))]
+    fine = rough + np.deg2rad(np.arange(-3, 3.01, 0.5))
+    angle = float(fine[np.argmin(areas(points, fine))])
+    e = np.eye(3)[k]
+    # (i, j) is (z, x) reversed for k = 1, so the sense of the turn changes there.
+    return _box_in(points, rotation(e, angle if k != 1 else -angle), scanned)
+
+
+def roundness(points: Array, axis: Array, scanned: bool) -> Roundness | None:
+    """Fit a circle to the convex outline of ``points`` seen along ``axis``."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    u /= np.linalg.norm(u)
+    v = np.cross(axis, u)
+    flat = points @ np.stack([u, v], 1)
+    if len(flat) < 4:
+        return None
+    if scanned and len(flat) >= 50:
+        middle = np.median(flat, axis=0)
+        r = np.linalg.norm(flat - middle, axis=1)
+        flat = flat[r <= np.quantile(r, 0.985)]
+    try:
+        hull = flat[ConvexHull(flat).vertices]
+    except (QhullError, ValueError):
+        return None
+    ring = _resampled(hull, 96)
+    scale = float(np.ptp(ring, axis=0).max())
+    if scale < 1e-9:
+        return None
+    a = np.column_stack([2 * ring, np.ones(len(ring))])
+    solution, *_ = np.linalg.lstsq(a, (ring**2).sum(1), rcond=None)
+    middle = solution[:2]
+    radii = np.linalg.norm(ring - middle, axis=1)
+    along = points @ axis
+    low, high = _extent(along[:, None], scanned)[:, 0]
+    center = middle[0] * u + middle[1] * v + axis * (low + high) / 2
+    mean = float(radii.mean())
+    return Roundness(axis, center, mean, float(radii.std() / mean), float(high - low) / 2)
+
+
+def _resampled(polygon: Array, count: int) -> Array:
+    """Evenly spaced points along a closed polygon."""
+    closed = np.vstack([polygon, polygon[:1]])
+    step = np.linalg.norm(np.diff(closed, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    at = np.linspace(0.0, along[-1], count, endpoint=False)
+    return np.stack([np.interp(at, along, closed[:, i]) for i in range(2)], 1)

@@ -1,0 +1,162 @@
+"""Parts that slide: drawers, sliding panels and blades, lids that lift, buttons."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometric.context import PartContext
+from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.sweep import free_range
+
+Array = npt.NDArray[np.float64]
+
+DRAWER_TRAVEL = 0.79
+"""Of a drawer's depth: what people leave in the rails."""
+
+
+def slide_out_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A drawer leaves through the side where nothing is in front of it."""
+    shape, base = context.shape, context.base
+    covers = context.covers
+    found = []
+    front, certainty = context.assembly.front, context.assembly.front_certainty
+    for k, direction in enumerate(context.directions):
+        if abs(direction[2]) > 0.5:
+            continue
+        ends = base.outline @ direction
+        end = float(np.quantile(ends, 0.99))
+        own = float(shape.center @ direction) + shape.box.reach(direction)
+        reach = max(base.box.reach(direction), 1e-3)
+        edge = float(np.clip((own - end) / (0.5 * reach), -1.5, 0.3))
+        axis_k = k % 3
+        panel = shape.panel
+        handle = 0.0
+        if panel.protrusion is not None and panel.normal == axis_k and panel.share < 0.3:
+            handle = panel.side * float(np.sign(shape.box.axes[:, axis_k] @ direction))
+        score = 1.8 * (1 - covers[k]) + 0.9 * covers[(k + 3) % 6] + 1.0 * edge + 0.8 * handle
+        score += 0.8 * certainty * float(direction @ front)
+        score += 0.3 * float(direction @ unit(shape.center - base.center))
+        depth = _drawer_depth(context, direction)
+        note = "drawer: open side" if covers[k] < 0.3 else "drawer"
+        found.append(
+            Hypothesis(
+                "prismatic", direction, shape.center, 0.0, DRAWER_TRAVEL * depth, score, note
+            )
+        )
+    return found
+
+
+def _drawer_depth(context: PartContext, direction: Array) -> float:
+    """Depth of the drawer; of the body where only its front was scanned."""
+    own = 2 * context.shape.box.reach(direction)
+    behind = 2 * context.base.box.reach(direction)
+    if context.shape.scanned and own < 0.4 * behind:
+        return 0.8 * behind
+    return own
+
+
+def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A panel or blade moves within its own plane, along the parent where it can."""
+    shape, base = context.shape, context.base
+    thin, middle, long = shape.order
+    axes = shape.box.axes
+    found = []
+    for k in (middle, long):
+        for sign in (-1.0, 1.0):
+            direction = sign * axes[:, k]
+            free = free_range(
+                context.scene,
+                context.part,
+                (context.parent,),
+                rotates=False,
+                axis=direction,
+                origin=shape.center,
+                stop=min(1.0, 2 * float(shape.box.half[k])),
+            )
+            wanted = max(1e-6, min(1.0, 2 * float(shape.box.half[k])))
+            along = float(abs(base.box.axes[:, base.order[2]] @ direction))
+            away = float(direction @ unit(shape.center - base.center))
+            # Sliding doors and sashes move level; blades move along the handle.
+            level = 1.0 - abs(direction[2])
+            score = 1.2 * free / wanted + 0.5 * along + 0.4 * away
+            if shape.panel.normal != int(np.argmax(np.abs(axes[2]))):
+                score += 0.8 * level
+            if k == long and shape.slenderness < 0.45:
+                score += 1.5
+            note = "slides within its own plane"
+            found.append(
+                Hypothesis("prismatic", direction, shape.center, 0.0, 0.8 * wanted, score, note)
+            )
+    return found
+
+
+def lift_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """Straight up (or along the part's own upright axis)."""
+    up = context.upright()
+    height = 2 * context.shape.box.reach(up)
+    travel = {"kitchenpot": 0.012, "bottle": 0.06, "suitcase": 0.75 * height}.get(
+        context.category, max(0.03, 0.5 * height)
+    )
+    down = context.category == "toaster"
+    axis = -up if down else up
+    if down:
+        travel = 0.5 * 2 * context.base.box.reach(up)
+    return [Hypothesis("prismatic", axis, context.shape.center, 0.0, travel, 1.0, "moves upright")]
+
+
+def press_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """Into the surface that the button sits on."""
+    shape = context.shape
+    covers = context.covers
+    found = []
+    half = shape.box.half
+    flat = 1 - half / max(float(half.max()), 1e-9)
+    normals = _parent_normals(context)
+    away = context.directions @ unit(shape.center - _surface_center(context))
+    for k, direction in enumerate(context.directions):
+        score = 1.2 * covers[(k + 3) % 6] - 1.2 * covers[k] + 1.0 * flat[k % 3]
+        score += 1.2 * float(np.mean(np.abs(normals @ direction))) if len(normals) else 0.0
+        score += 0.5 * away[k]
+        score += 0.15 * float(direction @ context.assembly.front) + 0.1 * max(0.0, direction[2])
+        depth = 2 * shape.box.reach(direction)
+        travel = float(np.clip(0.6 * depth, 0.002, 0.02))
+        found.append(
+            Hypothesis(
+                "prismatic",
+                -direction,
+                shape.center,
+                0.0,
+                travel,
+                score,
+                "pressed into its surface",
+            )
+        )
+    return found
+
+
+def _parent_normals(context: PartContext) -> Array:
+    """(K, 3) normals of the parent's surface around the part."""
+    scene, shape = context.scene, context.shape
+    reach = max(0.6 * shape.size, 0.03)
+    index = scene.tree(context.parent).query_ball_point(shape.center, reach)
+    return context.base.normals[np.asarray(index, int)]
+
+
+def _surface_center(context: PartContext) -> Array:
+    """(3,) middle of the parent's surface around the part; of the parent where none is near."""
+    scene, shape = context.scene, context.shape
+    reach = max(0.8 * shape.size, 0.04)
+    index = scene.tree(context.parent).query_ball_point(shape.center, reach)
+    if len(index) < 4:
+        return context.base.center
+    return context.base.points[np.asarray(index, int)].mean(0)
+
+
+__all__ = [
+    "UP",
+    "lift_hypotheses",
+    "press_hypotheses",
+    "slide_along_hypotheses",
+    "slide_out_hypotheses",
+]

@@ -1,0 +1,122 @@
+"""Parts that turn about an axis through their middle: wheels, knobs, caps, spouts, trays."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometric.context import PartContext
+from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.shape import Roundness, roundness
+
+Array = npt.NDArray[np.float64]
+
+
+def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """About each axis along which the part may be round."""
+    shape = context.shape
+    wheel = bool({"wheel", "roller", "tire"} & set(context.words))
+    hand = "hand" in context.words
+    found = []
+    outwardness = dict(
+        zip(map(tuple, context.directions.round(6)), context.outwardness, strict=True)
+    )
+    for r in shape.roundnesses:
+        score = 2.5 * float(np.clip(1 - r.spread / 0.11, -0.5, 1))
+        # A disc turns about its short axis; a rod about its long one.
+        score += 0.4 * float(np.clip(1 - r.half / max(r.radius, 1e-6), -0.3, 1))
+        level = 1 - abs(float(r.axis @ UP))
+        if wheel:
+            score += 1.2 * level
+        for sign in (-1.0, 1.0):
+            out = outwardness.get(tuple((sign * r.axis).round(6)))
+            if out is not None and not wheel:
+                score += 0.4 * max(0.0, float(out))
+        origin = r.center
+        if hand:
+            origin = _hub(context, r)
+        found.append(
+            Hypothesis(
+                "continuous",
+                r.axis,
+                origin,
+                score=score,
+                note=f"turns about its symmetry axis (outline round to {100 * r.spread:.0f} %)",
+            )
+        )
+    if not found:
+        thin = shape.box.axes[:, shape.order[0]]
+        found.append(Hypothesis("continuous", thin, shape.center, score=0.0, note="spins"))
+    return found
+
+
+def _hub(context: PartContext, r: Roundness) -> Array:
+    """Where the hands of a clock meet: the contact, or the middle of the face."""
+    if context.touching:
+        return context.contact_center
+    return context.base.center
+
+
+def swivel_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """About an upright axis: the part's own where it is round, else through its support."""
+    shape = context.shape
+    up = context.upright()
+    found = []
+    r = roundness(shape.outline, up, shape.scanned)
+    if r is not None:
+        spread = r.spread
+        found.append(
+            Hypothesis(
+                "continuous", up, r.center, score=1.5 - 12 * spread, note="round, upright axis"
+            )
+        )
+    found.append(
+        Hypothesis(
+            "continuous", up, _support(context, up), score=0.7, note="upright axis through support"
+        )
+    )
+    return found
+
+
+def _support(context: PartContext, up: Array) -> Array:
+    """Middle of the contact; of a round neck near it where there is one."""
+    contact = context.contact
+    near = context.distance <= np.quantile(context.distance, 0.12)
+    points = context.shape.points[near] if near.sum() >= 8 else contact
+    r = roundness(points, up, True)
+    if r is not None and r.spread < 0.12:
+        return r.center
+    return 0.5 * (contact.min(0) + contact.max(0))
+
+
+def screw_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A cap that turns and comes off, or a seat that turns and rises."""
+    shape = context.shape
+    up = context.upright()
+    best: Hypothesis | None = None
+    if "seat" in context.words:
+        origin = _support(context, up)
+        return [
+            Hypothesis(
+                "continuous", up, origin, score=1.0, travel=(0.0, 0.06), note="turns and rises"
+            )
+        ]
+    along = unit(shape.center - context.base.center)
+    for r in shape.roundnesses:
+        axis = r.axis * (1.0 if r.axis @ along >= 0 else -1.0)
+        score = 2.0 * float(np.clip(1 - r.spread / 0.11, -0.5, 1)) + float(axis @ along)
+        score += 0.4 * abs(float(axis @ UP))
+        h = Hypothesis(
+            "continuous",
+            axis,
+            r.center,
+            score=score,
+            travel=(0.0, float(np.clip(0.6 * 2 * r.half, 0.02, 0.08))),
+            note="cap: turns and comes off",
+        )
+        best = h if best is None or h.score > best.score else best
+    return (
+        [best]
+        if best is not None
+        else [Hypothesis("continuous", up, shape.center, score=0.0, travel=(0.0, 0.05), note="cap")]
+    )

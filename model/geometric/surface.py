@@ -1,0 +1,115 @@
+"""Parts as samples of their surface, the same every time for the same parts."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.kinematics.articulated_object import Part
+
+Array = npt.NDArray[np.float64]
+
+
+def part_surface(part: Part, count: int, seed: int) -> tuple[Array, Array, Array, float]:
+    """Sample a part.
+
+    Args:
+        part: mesh (which leads) or cloud.
+        count: points wanted; fewer where a cloud has fewer.
+        seed: of the sampling.
+
+    Returns:
+        points (N, 3), normals (N, 3) with unknown sign, outline points (M, 3) that give exact
+        extents, and the area (m²).
+    """
+    rng = np.random.default_rng(seed)
+    mesh = part.mesh
+    if mesh is not None and len(mesh.faces):
+        area = mesh.face_areas
+        total = float(area.sum())
+        if total <= 0:
+            points = mesh.vertices[np.unique(mesh.faces)][:count]
+            return points, np.zeros_like(points), points, 0.0
+        # Stratified along the cumulated area: even cover from few points.
+        at = (np.arange(count) + rng.random(count)) / count * total
+        face = np.minimum(np.searchsorted(np.cumsum(area), at), len(area) - 1)
+        s, t = np.sqrt(rng.random(count)), rng.random(count)
+        w = np.stack([1 - s, s * (1 - t), s * t], 1)
+        points = np.einsum("nk,nkd->nd", w, mesh.triangles[face])
+        used = mesh.vertices[np.unique(mesh.faces[area > 0])]
+        return points, mesh.face_normals[face], used, total
+    assert part.cloud is not None
+    cloud = part.cloud
+    points = cloud.points.astype(np.float64)
+    index = np.arange(len(points))
+    if len(points) > count:
+        index = np.sort(rng.choice(len(points), count, replace=False))
+    kept = points[index]
+    outline = points if len(points) <= 20000 else points[:: len(points) // 20000]
+    normals, spacing = cloud_normals(kept)
+    if cloud.normals is not None:
+        normals = cloud.normals[index].astype(np.float64)
+    return kept, normals, outline, float(len(kept) * spacing**2)
+
+
+def cloud_normals(points: Array, neighbours: int = 14) -> tuple[Array, float]:
+    """(N, 3) normals from the nearest neighbours' plane, and the typical point spacing."""
+    from scipy.spatial import cKDTree
+
+    if len(points) < 4:
+        return np.zeros_like(points), 0.0
+    k = min(neighbours, len(points))
+    distance, index = cKDTree(points).query(points, k=k)
+    local = points[index] - points[index].mean(1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
+    return vectors[:, :, 0], float(np.median(distance[:, min(2, k - 1)]))
+
+
+def dominant_yaw(normals: Array, weights: Array, points: list[Array]) -> float:
+    """Turn about +z (rad, in (-pi/4, pi/4]) that brings the object's main directions onto x and y.
+
+    Args:
+        normals: (N, 3) of all parts. weights: (N,) area of each sample.
+        points: per part, for objects whose normals don't say (round ones).
+    """
+    flat = np.linalg.norm(normals[:, :2], axis=1)
+    kept = flat > 0.7
+    yaw = 0.0
+    sharp = 0.0
+    if kept.any():
+        angle = np.arctan2(normals[kept, 1], normals[kept, 0]) % (np.pi / 2)
+        mass = weights[kept] * flat[kept]
+        bins = 180
+        histogram, _ = np.histogram(angle, bins=bins, range=(0, np.pi / 2), weights=mass)
+        smooth = sum(
+            np.roll(histogram, s) * w for s, w in ((-2, 1), (-1, 2), (0, 3), (1, 2), (2, 1))
+        )
+        peak = (int(np.argmax(smooth)) + 0.5) / bins * (np.pi / 2)
+        off = (angle - peak + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        near = np.abs(off) < np.deg2rad(2.5)
+        if near.any():
+            sharp = float(mass[near].sum() / mass.sum())
+            yaw = peak + float(np.average(off[near], weights=mass[near]))
+    if sharp < 0.2:
+        yaw = _footprint_yaw(points)
+    return (yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4
+
+
+def _footprint_yaw(points: list[Array]) -> float:
+    """Turn that makes the parts' upright boxes smallest."""
+
+    def cost(angles: Array) -> Array:
+        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        total = np.zeros(len(angles))
+        for p in points:
+            q = p[:: max(1, len(p) // 300)]
+            a, b = c * q[:, 0] + s * q[:, 1], -s * q[:, 0] + c * q[:, 1]
+            total += np.sqrt(np.ptp(a, axis=1) * np.ptp(b, axis=1) + 1e-12)
+        return total
+
+    coarse = np.deg2rad(np.arange(-45, 45, 3.0))
+    values = cost(coarse)
+    if values.min() > 0.97 * cost(np.zeros(1))[0]:
+        return 0.0  # a round object: any yaw will do
+    fine = coarse[np.argmin(values)] + np.deg2rad(np.arange(-3, 3.01, 0.25))
+    return float(fine[np.argmin(cost(fine))])

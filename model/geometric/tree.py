@@ -1,0 +1,110 @@
+"""Which part is the base, and which part hangs on which."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometric.scene import TOUCHING, Scene
+from model.geometric.vocabulary import (
+    CATEGORY_PARENTS,
+    base_score,
+    category_key,
+    known_word,
+    words,
+)
+
+Array = npt.NDArray[np.float64]
+
+
+def root_scores(scene: Scene) -> Array:
+    """(P,) how much each part looks like the base: names first, then size, contacts, lowness."""
+    n = len(scene)
+    shapes = scene.shapes
+    size = np.array([s.size for s in shapes])
+    volume = np.array([s.box.volume for s in shapes])
+    touching = (scene.gap < TOUCHING).sum(1) - 1
+    low = np.array([s.low[2] for s in shapes]) - scene.low[2]
+    height = max(float(scene.high[2] - scene.low[2]), 1e-6)
+    named = np.array([base_score(s.name, scene.category) for s in shapes])
+    area = np.array([s.area for s in shapes])
+    out = 1.2 * size / max(size.max(), 1e-9)
+    out += 0.8 * (volume / max(volume.max(), 1e-12)) ** (1 / 3)
+    out += 0.5 * np.sqrt(area / max(area.max(), 1e-12))
+    out += 1.0 * touching / max(1, n - 1)
+    out += 0.5 * (1 - np.clip(low / height, 0, 1))
+    out += 1.5 * named
+    return out
+
+
+def spanning_parents(scene: Scene, root: int) -> list[int]:
+    """Parent of each part (-1 for the root).
+
+    A part hangs on the root where the two touch; else on the part that it touches and through
+    which the root is reached with the smallest gaps.
+    """
+    n = len(scene)
+    gap = scene.gap
+    parent = [-1] * n
+    placed = {root}
+    # Cost of hanging on a part that isn't the root: it must be clearly nearer to pay.
+    while len(placed) < n:
+        best: tuple[float, float, int, int] | None = None
+        for i in range(n):
+            if i in placed:
+                continue
+            for j in placed:
+                cost = max(0.0, gap[i, j] - TOUCHING / 2)
+                cost += 0.0 if j == root else 0.02 + 0.03 * _small(scene, j, i)
+                key = (cost, gap[i, j], i, j)
+                if best is None or key < best:
+                    best = key
+        assert best is not None
+        parent[best[2]] = best[3]
+        placed.add(best[2])
+    return _named_parents(scene, root, parent)
+
+
+def _small(scene: Scene, holder: int, held: int) -> float:
+    """1 where the holder is smaller than what it should hold."""
+    return float(scene.shapes[holder].size < 0.8 * scene.shapes[held].size)
+
+
+def _named_parents(scene: Scene, root: int, parent: list[int]) -> list[int]:
+    """Apply what the category says about pairs of names."""
+    table = CATEGORY_PARENTS.get(category_key(scene.category), {})
+    if not table:
+        return parent
+    said = [words(s.name) for s in scene.shapes]
+    for i, own in enumerate(said):
+        if i == root or not own:
+            continue
+        for word, above in table.items():
+            if known_word(own[-1], (word,)) is None:
+                continue
+            near = [
+                j
+                for j, other in enumerate(said)
+                if j not in (i, root)
+                and other
+                and known_word(other[-1], (above,)) is not None
+                and scene.gap[i, j] < 4 * TOUCHING
+                and not _below(parent, j, i)
+            ]
+            if near:
+                parent[i] = min(near, key=lambda j: (scene.gap[i, j], j))
+    return parent
+
+
+def _below(parent: list[int], link: int, top: int) -> bool:
+    """Whether ``link`` hangs somewhere below ``top``."""
+    while link >= 0:
+        if link == top:
+            return True
+        link = parent[link]
+    return False
+
+
+def descendants(parent: list[int], top: int) -> set[int]:
+    """``top`` and everything that hangs on it."""
+    return {i for i in range(len(parent)) if _below(parent, i, top)}
