@@ -10,7 +10,7 @@ import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -18,9 +18,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError
+from model.errors import ArtiworldError, CommandError
 from model.geometry.asset import Asset, ElementKind, UpAxis
-from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import (
     ArticulatedObject,
@@ -174,6 +173,7 @@ def open_asset(
 ) -> OpenedAsset:
     """Read ``path``, lay its arrays down for the other workers, and prepare what is shown."""
     from model.geometry.cache import load_asset, save_asset
+
     from model.geometry.readers import read_asset
 
     progress(0.02, "Reading")
@@ -502,8 +502,58 @@ def save_asset_folder(
     return str(folder)
 
 
-def display_mesh(opened: OpenedAsset) -> Mesh | None:
-    """The displayed mesh without its materials."""
-    if opened.display_vertices is None or opened.display_faces is None:
-        return None
-    return Mesh(opened.display_vertices, opened.display_faces)
+def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> Joint:
+    """The joint of ``child`` snapped to a feature of its part.
+
+    Args:
+        to: "axis Long", "axis Middle", "axis Short", "Box edge", "Contact", "Centre" or
+            "free range" (limits up to the first collision).
+    """
+    from model.kinematics.snapping import (
+        axis_along_box,
+        box_of,
+        origin_on_box_edge,
+        origin_on_contact,
+    )
+
+    parts = {p.link: p for p in _parts(source)}
+    joint = tree.joint_of[child]
+    if child not in parts:
+        raise CommandError(f"{child} has no part to snap to; it is a helper link")
+    if to == "free range":
+        return _with_free_range(source, tree, joint, tuple(parts.values()))
+    points = _surface_points(parts[child])
+    if to.startswith("axis "):
+        return axis_along_box(joint, box_of(points), to.removeprefix("axis "))  # type: ignore[arg-type]
+    if to == "Box edge":
+        return origin_on_box_edge(joint, box_of(points))
+    if to == "Centre":
+        return replace(joint, origin=tuple(float(v) for v in box_of(points).center))
+    if joint.parent not in parts:
+        raise CommandError(f"{joint.parent} has no part to touch; it is a helper link")
+    reach = 0.01 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    return origin_on_contact(joint, points, _surface_points(parts[joint.parent]), reach)
+
+
+def _surface_points(part: Part) -> npt.NDArray[np.float64]:
+    from model.geometry.sampling import sample_surface
+
+    if part.mesh is not None and len(part.mesh.faces):
+        samples, _ = sample_surface(part.mesh, SWEEP_POINTS, np.random.default_rng(0))
+        corners = part.mesh.vertices[np.unique(part.mesh.faces)]
+        return np.concatenate([samples.points.astype(np.float64), corners])
+    assert part.cloud is not None
+    points = part.cloud.points.astype(np.float64)
+    if len(points) > 4 * SWEEP_POINTS:
+        keep = np.random.default_rng(0).choice(len(points), 4 * SWEEP_POINTS, replace=False)
+        points = points[keep]
+    return points
+
+
+def _with_free_range(
+    source: PartSource, tree: KinematicTree, joint: Joint, parts: tuple[Part, ...]
+) -> Joint:
+    from model.kinematics.sweep import free_range
+
+    lower, upper = free_range(ArticulatedObject(source.title, parts, tree), joint.name)
+    return replace(joint, lower=float(lower), upper=float(upper))

@@ -16,6 +16,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sessions.live import LiveSession, SessionHub
+from sessions.provenance import provenance
+from sessions.store import ObjectRecord, Store
 
 from app import tasks
 from app.config import ServeConfig
@@ -25,10 +28,7 @@ from model.kinematics.tree import KinematicTree
 from model.progress import Cancelled
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
-from sessions.live import LiveSession, SessionHub
-from sessions.provenance import provenance
-from sessions.state import Document, SessionState, apply_command, prompts_key
-from sessions.store import ObjectRecord, Store
+from sessions.state import Context, Document, SessionState, acceptance_problems, apply, needed_jobs
 
 log = logging.getLogger(__name__)
 Listener = Callable[[], None]
@@ -261,9 +261,9 @@ class OpenObject:
     def _ask_labels(self) -> None:
         doc, asset = self.document, self.asset
         assert asset is not None
-        key = prompts_key(doc)
+        key = doc.key
         record = doc.segmentation
-        if doc.prompts and (record is None or record.prompts_key != key):
+        if needed_jobs(self.state):
             items = tuple(
                 p if isinstance(p, Click) else tasks.StoredRegion(p.part, p.elements, p.positive)
                 for p in doc.prompts
@@ -357,8 +357,8 @@ class OpenObject:
         if self.predicting:
             return
         source, doc = self.source(), self.document
-        assert doc.segmentation is not None
-        locked = tuple(j for j in doc.tree.joints if j.child in doc.locked) if doc.tree else ()
+        if not doc.segmentation_current:
+            raise CommandError("the parts are still being computed; predict in a moment")
         check = self._jobs.get("check")
         if check is not None:
             check.cancel()
@@ -366,7 +366,7 @@ class OpenObject:
             tasks.predict,
             source,
             self.bench.config.predictor,
-            locked,
+            doc.locked_joints,
             0,
             on_progress=self._progress("predict"),
             priority=10,
@@ -398,10 +398,12 @@ class OpenObject:
             return
         state = self.state
         doc = state.present
+        problems = acceptance_problems(doc)
+        if problems:
+            raise CommandError("; ".join(problems))
+        assert doc.tree is not None
         command = cmd.Accept(comment)
-        if doc.tree is None:
-            raise CommandError("nothing to accept yet: predict the joints first (P)")
-        after = apply_command(state, command, who, at)
+        after = apply(state, command, Context(who, at))
         history = self.bench.store.history(self.record.id)
         record = provenance(after, history, self._source_record())
         folder = self.bench.workspace / "assets" / self._folder_name()

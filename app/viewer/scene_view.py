@@ -130,9 +130,9 @@ class SceneView:
         if asset is None or (self._same(labels) and hidden == self._hidden):
             return
         before, self._labels = self._labels, labels
-        hidden_before, self._hidden = self._hidden, hidden
+        self._hidden = hidden
         if asset.display_points is not None:
-            self._tint_cloud(asset, labels, hidden, hidden != hidden_before)
+            self._tint_cloud(asset, labels, hidden)
             return
         now = set() if labels is None else {int(i) for i in np.unique(labels)}
         with self._client.atomic():
@@ -158,13 +158,11 @@ class SceneView:
         asset: OpenedAsset,
         labels: npt.NDArray[np.int16] | None,
         hidden: frozenset[int],
-        shape_changed: bool,
     ) -> None:
         assert asset.display_colors is not None
         colors = tinted(asset.display_colors, labels)
         if labels is not None and hidden:
             colors[np.isin(labels, list(hidden))] = 250
-        del shape_changed
         self._scan.colors = colors
 
     def _tint_mesh(self, part: int, labels: npt.NDArray[np.int16] | None) -> None:
@@ -248,9 +246,7 @@ class SceneView:
 
     def _draw_part(self, payload: PartPayload, point_size: float) -> dict[str, Any]:
         name, color = f"/part/{payload.part}", palette.part_color(payload.part)
-        out: dict[str, Any] = {
-            "frame": self._scene.add_frame(name, show_axes=False, visible=False)
-        }
+        out: dict[str, Any] = {"frame": self._scene.add_frame(name, show_axes=False, visible=False)}
         if payload.glb is not None:
             out["mesh"] = self._scene.add_glb(f"{name}/mesh", payload.glb, cast_shadow=False)
             if payload.part and payload.vertices is not None and payload.faces is not None:

@@ -1,0 +1,87 @@
+"""The server: guard, workbench, one application a tab."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from pathlib import Path
+
+import viser
+from sessions.store import Store
+
+from app.config import ServeConfig
+from app.guard import guarded_server
+from app.viewer.client_app import ClientApp
+from app.workbench import Workbench
+from model.errors import InputFileError
+from model.resources import static_assets
+
+log = logging.getLogger(__name__)
+
+
+class Server:
+    """A running ArtiWorld server; ``close()`` ends it."""
+
+    def __init__(self, config: ServeConfig) -> None:
+        self.config = config
+        self.bench = Workbench(
+            config, Store(Path(config.workspace), config.database), paths_to_open(config)
+        )
+        self.viser: viser.ViserServer = guarded_server(
+            config.host,
+            config.port,
+            config.token,
+            config.max_upload_mb * 1_000_000,
+            label="ArtiWorld",
+        )
+        self.apps: dict[int, ClientApp] = {}
+        self.viser.on_client_connect(self._connected)
+        self.viser.on_client_disconnect(self._disconnected)
+
+    def _connected(self, client: viser.ClientHandle) -> None:
+        self.apps[client.client_id] = ClientApp(client, self.bench)
+
+    def _disconnected(self, client: viser.ClientHandle) -> None:
+        app = self.apps.pop(client.client_id, None)
+        if app is not None:
+            app.close()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds it."""
+        host = "localhost" if self.config.host in ("127.0.0.1", "::1") else self.config.host
+        return f"http://{host}:{self.viser.get_port()}"
+
+    def close(self) -> None:
+        """End the tabs, the workers and the listener."""
+        for app in list(self.apps.values()):
+            app.close()
+        self.viser.stop()
+        self.bench.close()
+
+
+def paths_to_open(config: ServeConfig) -> list[Path]:
+    """The objects of this run: what was named, else the bundled examples."""
+    from model.geometry.readers import find_assets
+
+    named = [Path(p) for p in config.paths]
+    for path in named:
+        if not path.exists():
+            raise InputFileError(path, "doesn't exist", "give a file or a folder that does")
+    found = find_assets(named or [static_assets() / "examples"])
+    if not found:
+        where = named[0] if named else static_assets() / "examples"
+        raise InputFileError(where, "holds nothing that can be opened", "give meshes or scans")
+    return found
+
+
+def serve(config: ServeConfig) -> None:
+    """Run until interrupted."""
+    server = Server(config)
+    print(f"ArtiWorld is ready: {server.url}", flush=True)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    stop.wait()
+    server.close()

@@ -1,0 +1,131 @@
+"""The queue at the left: which objects there are, and where each one stands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.viewer import palette
+from app.viewer.text import plain
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+PAGE = 14
+ALL = "all"
+_ICONS = {
+    "todo": viser.Icon.CIRCLE,
+    "in_progress": viser.Icon.PENCIL,
+    "predicted": viser.Icon.SPARKLES,
+    "accepted": viser.Icon.CIRCLE_CHECK,
+    "rejected": viser.Icon.CIRCLE_X,
+}
+
+
+class QueuePanel:
+    """A page of objects as buttons, a filter, and the person's name."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._first = 0
+        self._shown: tuple[Any, ...] | None = None
+        self._followed: int | None = None
+        gui = app.client.gui
+        panel = gui.add_panel()
+        with panel.add_tab("Queue", viser.Icon.LIST_DETAILS):
+            self._summary = gui.add_markdown("")
+            self._bar = gui.add_progress_bar(0.0, color="green")
+            options = (ALL, *palette.STATE_WORDS.values())
+            self._filter = gui.add_dropdown("Show", options, initial_value=ALL)
+            self._search = gui.add_text("Find", "", hint="Part of an object's name")
+            self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
+            self._pages = gui.add_button_group("Page", ("◀", "▶"))
+            self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
+            self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
+        panel.dock_left()
+        panel.set_width(230)
+        self._ids: list[int] = []
+        for k, button in enumerate(self._buttons):
+            button.on_click(lambda _, k=k: app.act(lambda: self._open(k)))
+        self._filter.on_update(lambda _: self._turn(None))
+        self._search.on_update(lambda _: self._turn(None))
+        self._pages.on_click(lambda e: self._turn(-1 if e.target.value == "◀" else 1))
+        self._next.on_click(
+            lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
+        )
+        app.on_update(self._name, self._renamed)
+
+    def show_user(self, who: str) -> None:
+        """Put the remembered name into its box."""
+        if self._name.value != who:
+            self._name.value = who
+
+    def _renamed(self) -> None:
+        who = cmd.clean_text(self._name.value, 60, "your name")
+        if who:
+            self._app.who = who
+            self._app.remember()
+
+    def _open(self, k: int) -> None:
+        if k < len(self._ids):
+            self._app.open(self._ids[k])
+
+    def _turn(self, by: int | None) -> None:
+        self._first = 0 if by is None else self._first + by * PAGE
+        self._app.invalidate()
+
+    def draw(self) -> None:
+        """Bring the page up to date; nothing is sent where nothing changed."""
+        app = self._app
+        records = app.bench.records()
+        current = None if app.object is None else app.object.record.id
+        words = palette.STATE_WORDS
+        chosen = [
+            r
+            for r in records
+            if self._filter.value in (ALL, words[r.state])
+            and self._search.value.lower() in r.name.lower()
+        ]
+        if current != self._followed:
+            self._followed = current
+            ids = [r.id for r in chosen]
+            if current in ids:
+                self._first = ids.index(current) // PAGE * PAGE
+        self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
+        page = chosen[self._first : self._first + PAGE]
+        now = (
+            tuple((r.id, r.name, r.state) for r in page),
+            current,
+            len(chosen),
+            self._first,
+            tuple(r.state for r in records),
+        )
+        if now == self._shown:
+            return
+        self._shown = now
+        done = sum(r.state == "accepted" for r in records)
+        self._summary.content = f"**{done} of {len(records)}** accepted"
+        self._bar.value = round(100 * done / max(len(records), 1), 1)
+        self._ids = [r.id for r in page]
+        many = len(chosen) > PAGE
+        self._pages.visible = many
+        for k, button in enumerate(self._buttons):
+            if k >= len(page):
+                if button.visible:
+                    button.visible = False
+                continue
+            record = page[k]
+            here = record.id == current
+            button.label = ("▸ " if here else "") + record.name[:40]
+            button.icon = _ICONS[record.state]
+            button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
+            button.hint = f"{plain(record.name)}: {words[record.state]}"
+            button.visible = True
+
+
+def _pale(state: str) -> palette.Rgb:
+    r, g, b = palette.STATE_COLORS[state]
+    grey = 0.45
+    return tuple(int(c * (1 - grey) + 120 * grey) for c in (r, g, b))  # type: ignore[return-value]
