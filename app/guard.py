@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import inspect
 import io
 import ipaddress
 import json
@@ -33,6 +32,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from app.login import Login, login_page
+from app.page import Page
 from app.upload_guard import UploadGuard
 from model.errors import ConfigurationError
 
@@ -110,7 +110,7 @@ def guarded_server(
         max_upload_bytes: of one file.
         routes: path → answer, beside viser's own page. A path that ends in "/" answers for all
             that begin with it.
-        label: title of the panel.
+        label: title of the panel and of the browser's tab.
         allowed_origins: addresses like ``https://scans.example.org`` under which a proxy shows this
             server, besides its own.
 
@@ -127,7 +127,8 @@ def guarded_server(
             f"--host {host} is open to other machines; give a --token, or use --host 127.0.0.1"
         )
     check_address(host, port)
-    guard = _Guard(Login(token), host, dict(routes or {}), allowed_origins)
+    page = Page(label or "ArtiWorld", max_upload_bytes)
+    guard = _Guard(Login(token), host, page, dict(routes or {}), allowed_origins)
     with _wrapped_serve(guard), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     endpoint = server._websock_server
@@ -219,6 +220,7 @@ class _Guard:
 
     login: Login
     host: str
+    page: Page
     routes: Mapping[str, Route]
     allowed_origins: tuple[str, ...]
     port: int = 0
@@ -265,7 +267,7 @@ class _Guard:
                 answer = await asyncio.to_thread(_call_route, route, RouteRequest(path, query))
                 return _response(answer)
             answer = viser_page(connection, request)
-            return await answer if inspect.isawaitable(answer) else answer
+            return None if answer is None else self.page.prepare(answer)
 
         return process_request
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import http.client
 import json
 import logging
@@ -135,7 +136,10 @@ def test_short_token_is_refused():
 
 def test_page_and_health_without_token(client):
     status, headers, body = client.get("/")
-    assert status == 200 and b"Viser" in body
+    assert status == 200 and b"<title>ArtiWorld</title>" in body
+    assert str(LIMIT).encode() in body
+    packed = client.get("/", Accept_Encoding="gzip")[2]
+    assert gzip.decompress(packed) == body
     assert headers["X-Frame-Options"] == "DENY"
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     status, headers, body = client.get("/healthz")
@@ -147,7 +151,7 @@ def test_page_and_health_without_token(client):
 def test_stranger_sees_nothing_but_the_login_page_and_health(stranger, path):
     status, headers, body = stranger.get(path)
     assert (status, headers.get("Location")) in [(303, "/login"), (401, None)]
-    assert b"Viser" not in body
+    assert b"Viser" not in body and b"ArtiWorld</title>" not in body
     assert stranger.get("/healthz")[0] == 200
     status, headers, body = stranger.get("/login")
     assert status == 200 and b'type="password"' in body
@@ -162,7 +166,7 @@ def test_wrong_token_then_right_token(stranger):
     cookie = headers["Set-Cookie"]
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
     assert TOKEN not in cookie
-    assert b"Viser" in stranger.get("/")[2]
+    assert b"<title>ArtiWorld</title>" in stranger.get("/")[2]
     with stranger.websocket() as websocket:
         assert websocket.recv(timeout=10)
 
