@@ -1,0 +1,196 @@
+"""Assets on disk as memory-mapped arrays, so that processes share them and reopening is instant.
+
+A folder holds ``asset.json`` (format version 1), one ``.npy`` file an array, and the textures.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from model.errors import GeometryError, InputFileError
+from model.geometry.asset import Asset, Source
+from model.geometry.formats.textures import TextureError, encode, open_texture
+from model.geometry.mesh import Material, Mesh
+from model.geometry.point_cloud import PointCloud
+
+FORMAT_VERSION = 1
+_META = "asset.json"
+_MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
+_CLOUD = ("points", "normals", "colors")
+
+
+def save_asset(asset: Asset, folder: str | Path) -> None:
+    """Write ``asset`` into ``folder``, which appears complete or not at all.
+
+    What is in ``folder`` already is replaced.
+
+    Raises:
+        InputFileError: where the folder can't be written.
+    """
+    folder = Path(folder)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            _write(asset, temporary)
+            _replace(temporary, folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except OSError as error:
+        raise InputFileError(
+            folder, f"can't be written: {error.strerror or error}", "check space and permissions"
+        ) from None
+
+
+def _write(asset: Asset, folder: Path) -> None:
+    meta: dict[str, Any] = {
+        "format": "artiworld-asset",
+        "version": FORMAT_VERSION,
+        "name": asset.name,
+        "category": asset.category,
+        "part_names": list(asset.part_names),
+        "warnings": list(asset.warnings),
+        "source": None,
+        "mesh": None,
+        "cloud": asset.cloud is not None,
+    }
+    if asset.source is not None:
+        meta["source"] = asdict(asset.source) | {"path": str(asset.source.path)}
+    if asset.element_part is not None:
+        _save(folder / "element_part.npy", asset.element_part)
+    if asset.mesh is not None:
+        meta["mesh"] = {"materials": _write_materials(asset.mesh.materials, folder)}
+        for name in _MESH:
+            _save(folder / f"mesh_{name}.npy", getattr(asset.mesh, name))
+    if asset.cloud is not None:
+        for name in _CLOUD:
+            _save(folder / f"cloud_{name}.npy", getattr(asset.cloud, name))
+    (folder / _META).write_text(json.dumps(meta, indent=1), "utf-8")
+
+
+def _save(path: Path, array: npt.NDArray[Any] | None) -> None:
+    if array is not None:
+        np.save(path, array, allow_pickle=False)
+
+
+def _write_materials(materials: tuple[Material, ...], folder: Path) -> list[dict[str, Any]]:
+    files: dict[int, str] = {}
+    out = []
+    for m in materials:
+        if m.texture is not None and id(m.texture) not in files:
+            data, suffix = encode(m.texture)
+            name = f"texture_{len(files)}{suffix}"
+            (folder / name).write_bytes(data)
+            files[id(m.texture)] = name
+        out.append(
+            {
+                "name": m.name,
+                "base_color": list(m.base_color),
+                "texture": None if m.texture is None else files[id(m.texture)],
+            }
+        )
+    return out
+
+
+def _replace(temporary: Path, folder: Path) -> None:
+    """Put ``temporary`` in the place of ``folder``."""
+    os.chmod(temporary, 0o755)
+    if not folder.exists():
+        os.rename(temporary, folder)
+        return
+    # A folder can't be renamed over a full one: move the old one aside first.
+    old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
+    try:
+        os.rename(folder, old / "asset")
+        os.rename(temporary, folder)
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def load_asset(folder: str | Path) -> Asset:
+    """Open what :func:`save_asset` wrote; arrays are memory-mapped read-only.
+
+    Raises:
+        InputFileError: where it is missing, damaged, or of a newer format.
+    """
+    folder = Path(folder)
+    path = folder / _META
+    try:
+        meta = json.loads(path.read_text("utf-8"))
+        version = meta["version"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputFileError(
+            path, f"is no saved asset ({error})", "open the source file again"
+        ) from None
+    if version != FORMAT_VERSION:
+        raise InputFileError(
+            path,
+            f"has format version {version}, this program reads {FORMAT_VERSION}",
+            "update ArtiWorld or open the source file again",
+        )
+    try:
+        return _read(folder, meta)
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        OSError,
+        EOFError,
+        GeometryError,
+        TextureError,
+    ) as error:
+        raise InputFileError(
+            folder, f"the saved asset is damaged ({error})", "open the source file again"
+        ) from None
+
+
+def _read(folder: Path, meta: dict[str, Any]) -> Asset:
+    mesh = cloud = source = None
+    if meta["mesh"] is not None:
+        arrays = {name: _load(folder / f"mesh_{name}.npy") for name in _MESH}
+        materials = _read_materials(meta["mesh"]["materials"], folder)
+        mesh = Mesh(materials=materials, **arrays)  # type: ignore[arg-type]
+    if meta["cloud"]:
+        cloud = PointCloud(**{name: _load(folder / f"cloud_{name}.npy") for name in _CLOUD})  # type: ignore[arg-type]
+    if meta["source"] is not None:
+        source = Source(**(meta["source"] | {"path": Path(meta["source"]["path"])}))
+    return Asset(
+        meta["name"],
+        mesh,
+        cloud,
+        source,
+        _load(folder / "element_part.npy"),
+        tuple(meta["part_names"]),
+        meta["category"],
+        tuple(meta["warnings"]),
+    )
+
+
+def _load(path: Path) -> npt.NDArray[Any] | None:
+    if not path.exists():
+        return None
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    return np.asarray(array)
+
+
+def _read_materials(rows: list[dict[str, Any]], folder: Path) -> tuple[Material, ...]:
+    textures: dict[str, Image.Image] = {}
+    out = []
+    for row in rows:
+        name = row["texture"]
+        if name is not None and name not in textures:
+            textures[name] = open_texture(folder / Path(name).name)
+        red, green, blue, alpha = row["base_color"]
+        texture = None if name is None else textures[name]
+        out.append(Material(row["name"], (red, green, blue, alpha), texture))
+    return tuple(out)

@@ -1,0 +1,321 @@
+"""Which face or point is under the cursor, in a box on the screen, or near a place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import GeometryError
+from model.geometry.asset import Asset
+
+Array = npt.NDArray[Any]
+
+DEFAULT_PIXEL_ANGLE = 1.5e-3
+"""Radians a pixel: 60 degrees over 700 pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pick:
+    """What a ray met.
+
+    Attributes:
+        position: (3,) on the surface, metres, object frame.
+        element: face or point.
+        normal: (3,) unit, towards where the ray came from.
+    """
+
+    position: npt.NDArray[np.float64]
+    element: int
+    normal: npt.NDArray[np.float64]
+
+
+class Camera:
+    """A pinhole camera.
+
+    Args:
+        position: (3,) metres.
+        world_from_camera: (3, 3) rotation or (4,) quaternion wxyz; camera axes are OpenCV's: x
+            right, y down, z forward.
+        fov: vertical field of view in radians.
+        aspect: width over height.
+
+    Raises:
+        GeometryError: for a rotation or a field of view that is none.
+    """
+
+    def __init__(
+        self, position: npt.ArrayLike, world_from_camera: npt.ArrayLike, fov: float, aspect: float
+    ) -> None:
+        from scipy.spatial.transform import Rotation
+
+        self.position = np.asarray(position, np.float64).reshape(3)
+        turn = np.asarray(world_from_camera, np.float64)
+        if turn.shape == (4,) and np.linalg.norm(turn) > 0 and np.isfinite(turn).all():
+            turn = Rotation.from_quat(turn[[1, 2, 3, 0]]).as_matrix()
+        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4):
+            raise GeometryError("the camera's orientation is no rotation")
+        if not (0 < fov < np.pi and aspect > 0 and np.isfinite(self.position).all()):
+            raise GeometryError(f"no camera has a field of view of {fov} and an aspect of {aspect}")
+        self.world_from_camera = turn
+        self.fov, self.aspect = float(fov), float(aspect)
+
+    def project(self, points: Array) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Screen coordinates (N, 2), (0, 0) the top left and (1, 1) the bottom right, and depth."""
+        seen = (points - self.position) @ self.world_from_camera
+        depth = seen[:, 2]
+        half = np.tan(self.fov / 2)
+        safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        x = 0.5 + seen[:, 0] / (safe * 2 * half * self.aspect)
+        y = 0.5 + seen[:, 1] / (safe * 2 * half)
+        return np.stack([x, y], axis=1), depth
+
+    def ray(self, screen: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Origin and unit direction of the ray through a place on the screen."""
+        x, y = np.asarray(screen, np.float64)
+        half = np.tan(self.fov / 2)
+        seen = np.array([(2 * x - 1) * half * self.aspect, (2 * y - 1) * half, 1.0])
+        direction = self.world_from_camera @ seen
+        return self.position, direction / np.linalg.norm(direction)
+
+
+class Picker:
+    """Answers picks on one asset. Building it indexes the asset once.
+
+    Meshes are asked through Embree, clouds by marching along the ray through a KD-tree.
+    """
+
+    def __init__(self, asset: Asset) -> None:
+        self._asset = asset
+        self._centers: npt.NDArray[np.float32] | None = None
+        low, high = asset.bounds
+        self._low, self._high = low, high
+        self._diagonal = max(float(np.linalg.norm(high - low)), 1e-9)
+        if asset.mesh is not None:
+            import open3d as o3d
+
+            self._o3d = o3d
+            self._scene = o3d.t.geometry.RaycastingScene()
+            # Embree counts in float32: bring the object to the origin first.
+            self._shift = (low + high) / 2
+            vertices = (asset.mesh.vertices - self._shift).astype(np.float32)
+            self._scene.add_triangles(
+                o3d.core.Tensor.from_numpy(vertices),
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(asset.mesh.faces, np.uint32)),
+            )
+            self._cast(np.zeros((1, 3)), np.ones((1, 3)))  # the first ray builds the index
+        else:
+            from scipy.spatial import KDTree
+
+            assert asset.cloud is not None
+            self._points = np.asarray(asset.cloud.points)
+            self._tree = KDTree(self._points, balanced_tree=False, compact_nodes=True)
+            self._spacing = self._measure_spacing()
+
+    def _measure_spacing(self) -> float:
+        """Metres between neighbours, as most points have it."""
+        step = max(1, len(self._points) // 1000)
+        k = min(2, len(self._points))
+        distance = np.atleast_2d(self._tree.query(self._points[::step], k=k)[0])
+        if k < 2:
+            return 0.0
+        apart = distance[:, 1][distance[:, 1] > 0]
+        return float(np.median(apart)) if len(apart) else 0.0
+
+    @property
+    def centers(self) -> npt.NDArray[np.float32]:
+        """(E, 3) middle of each element."""
+        if self._centers is None:
+            self._centers = self._asset.element_centers.astype(np.float32)
+        return self._centers
+
+    def pick(
+        self,
+        origin: npt.ArrayLike,
+        direction: npt.ArrayLike,
+        *,
+        pixel_angle: float = DEFAULT_PIXEL_ANGLE,
+    ) -> Pick | None:
+        """The first element that a ray meets, or None.
+
+        Args:
+            origin: (3,) where the ray begins.
+            direction: (3,) need not have length 1.
+            pixel_angle: radians of one pixel; a cloud's points count within a cone of three.
+
+        Raises:
+            GeometryError: for a ray that is none.
+        """
+        o = np.asarray(origin, np.float64).reshape(-1)
+        d = np.asarray(direction, np.float64).reshape(-1)
+        length = np.linalg.norm(d) if d.shape == (3,) else 0.0
+        if o.shape != (3,) or not np.isfinite(o).all() or not 0 < length < np.inf:
+            raise GeometryError(f"ray from {o.tolist()} along {d.tolist()} is no ray")
+        d = d / length
+        if self._asset.mesh is not None:
+            return self._pick_mesh(o, d)
+        return self._pick_cloud(o, d, 3.0 * pixel_angle)
+
+    # Meshes
+
+    def _cast(self, origins: Array, directions: Array) -> tuple[Array, Array]:
+        """Distance (inf: nothing) and face."""
+        rays = np.concatenate([origins - self._shift, directions], axis=1).astype(np.float32)
+        answer = self._scene.cast_rays(self._o3d.core.Tensor.from_numpy(rays))
+        return answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
+
+    def _pick_mesh(self, o: Array, d: Array) -> Pick | None:
+        mesh = self._asset.mesh
+        assert mesh is not None
+        # Begin near the object, so that a far camera doesn't cost precision.
+        start = o + d * max(0.0, float((self._shift - o) @ d) - self._diagonal)
+        distance, face = self._cast(start[None], d[None])
+        if not np.isfinite(distance[0]):
+            return None
+        element = int(face[0])
+        a, b, c = mesh.vertices[mesh.faces[element]]
+        normal = np.cross(b - a, c - a)
+        size = np.linalg.norm(normal)
+        normal = normal / size if size > 0 else -d
+        position = start + d * float(distance[0])
+        across = float(normal @ d)
+        if abs(across) > 1e-3:  # exactly onto the face's plane
+            position = position + d * float(normal @ (a - position)) / across
+        return Pick(position, element, -normal if across > 0 else normal)
+
+    # Clouds
+
+    def _pick_cloud(self, o: Array, d: Array, angle: float) -> Pick | None:
+        margin = self._radius(np.array([np.linalg.norm((self._low + self._high) / 2 - o)]), angle)
+        span = _clip(o, d, self._low - margin, self._high + margin)
+        if span is None:
+            return None
+        near, far = span
+        widest = float(self._radius(np.array([far]), angle)[0])
+        step = max(self._diagonal / 128, 4 * self._spacing, widest, (far - near) / 512)
+        middle = near + step * (np.arange(int(np.ceil((far - near) / step)) + 1) + 0.5)
+        ball = np.hypot(step / 2, self._radius(middle + step / 2, angle))
+        centers = o + middle[:, None] * d
+        nearest = self._tree.query(centers, distance_upper_bound=float(ball.max()))[0]
+        for i in np.flatnonzero(nearest <= ball):
+            found = np.asarray(self._tree.query_ball_point(centers[i], ball[i]), np.int64)
+            element = self._front(o, d, found, angle)
+            if element is not None:
+                return self._point_pick(element, d)
+        return None
+
+    def _radius(self, depth: Array, angle: float) -> Array:
+        """The cone's radius: a few pixels, but never so thin that it slips between the points.
+
+        Random points have half a mean spacing to their nearest neighbour, so a disc of three such
+        distances misses a surface once in a thousand times.
+        """
+        return np.maximum(depth * angle, 3.0 * self._spacing)
+
+    def _front(self, o: Array, d: Array, found: Array, angle: float) -> int | None:
+        """The point nearest to the ray among the foremost ones in the cone."""
+        away = self._points[found] - o
+        depth = away @ d
+        across = np.linalg.norm(away - depth[:, None] * d, axis=1)
+        radius = self._radius(depth, angle)
+        inside = (depth > 0) & (across <= radius)
+        if not inside.any():
+            return None
+        found, depth, across, radius = (v[inside] for v in (found, depth, across, radius))
+        front = depth <= depth.min() + 2 * radius
+        cost = across + 0.5 * (depth - depth.min())
+        return int(found[np.flatnonzero(front)[np.argmin(cost[front])]])
+
+    def _point_pick(self, element: int, d: Array) -> Pick:
+        cloud = self._asset.cloud
+        assert cloud is not None
+        position = self._points[element].astype(np.float64)
+        if cloud.normals is not None:
+            normal = cloud.normals[element].astype(np.float64)
+        else:
+            k = min(16, len(self._points))
+            around = self._points[np.atleast_1d(self._tree.query(position, k=k)[1])]
+            normal = np.linalg.svd(around - around.mean(0), full_matrices=False)[2][-1]
+            normal = normal.astype(np.float64)
+        size = np.linalg.norm(normal)
+        normal = normal / size if size > 0 else -d
+        return Pick(position, element, -normal if normal @ d > 0 else normal)
+
+    # Many at once
+
+    def select_box(
+        self,
+        camera: Camera,
+        lower_left: npt.ArrayLike,
+        upper_right: npt.ArrayLike,
+        *,
+        visible_only: bool = True,
+    ) -> npt.NDArray[np.int64]:
+        """Elements whose middle is inside a rectangle on the screen.
+
+        Args:
+            camera: where it was drawn from.
+            lower_left, upper_right: two opposite corners in any order, (0, 0) the screen's top
+                left and (1, 1) its bottom right.
+            visible_only: leave out what lies behind something else.
+
+        Returns:
+            (K,) elements, ascending.
+        """
+        corners = np.stack([np.asarray(lower_left, float), np.asarray(upper_right, float)])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        screen, depth = camera.project(self.centers)
+        inside = (depth > 1e-6) & ((screen >= low) & (screen <= high)).all(axis=1)
+        found = np.flatnonzero(inside)
+        if not visible_only or not len(found):
+            return found
+        if self._asset.mesh is not None:
+            return found[self._seen_faces(camera, found)]
+        return found[self._seen_points(camera, screen[found], depth[found])]
+
+    def _seen_faces(self, camera: Camera, found: Array) -> Array:
+        toward = self.centers[found] - camera.position
+        distance = np.linalg.norm(toward, axis=1)
+        origins = np.broadcast_to(camera.position, toward.shape)
+        hit, face = self._cast(origins, toward / distance[:, None])
+        slack = 1e-4 * self._diagonal
+        return (face == found) | (hit >= distance - slack)
+
+    def _seen_points(self, camera: Camera, screen: Array, depth: Array) -> Array:
+        """The foremost points of each small square of the screen, as a z-buffer has it."""
+        from scipy.ndimage import minimum_filter
+
+        view = np.tan(camera.fov / 2) * np.array([camera.aspect, 1.0]) * 2
+        pixel = max(2.5 * self._spacing / float(np.median(depth)), 1e-3)
+        index = np.floor(screen * view / pixel).astype(np.int64)
+        index -= index.min(axis=0)
+        shape = index.max(axis=0) + 1
+        if float(shape[0]) * float(shape[1]) > 5e7:
+            return np.ones(len(depth), bool)
+        front = np.full(int(shape[0] * shape[1]), np.inf)
+        key = index[:, 0] * shape[1] + index[:, 1]
+        np.minimum.at(front, key, depth)
+        # A square may hold no point of the front surface by chance, three times three never do.
+        front = minimum_filter(front.reshape(shape), size=3, mode="nearest").reshape(-1)
+        # A surface seen at a slant spans some depth within one square.
+        return depth <= front[key] + 5 * np.maximum(pixel * depth, self._spacing)
+
+    def select_brush(self, position: npt.ArrayLike, radius: float) -> npt.NDArray[np.int64]:
+        """(K,) elements whose middle is within ``radius`` metres of ``position``, ascending."""
+        away = self.centers - np.asarray(position, np.float32).reshape(3)
+        return np.flatnonzero(np.einsum("ij,ij->i", away, away) <= radius * radius)
+
+
+def _clip(o: Array, d: Array, low: Array, high: Array) -> tuple[float, float] | None:
+    """Where the ray is inside a box: (near, far) metres along it, or None."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - o) / d, (high - o) / d
+    a, b = np.minimum(a, b), np.maximum(a, b)
+    flat = np.abs(d) < 1e-300
+    if (flat & ((o < low) | (o > high))).any():
+        return None
+    near = max(0.0, float(np.where(flat, -np.inf, a).max()))
+    far = float(np.where(flat, np.inf, b).min())
+    return (near, far) if near <= far else None
