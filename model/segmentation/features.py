@@ -100,7 +100,7 @@ def edge_features(nodes: Nodes, graph: Graph) -> Float:
     out += [np.maximum(rim[a], rim[b])]
     out += [np.einsum("ij,ij->i", lean[b] - lean[a], along) / h]
     reach = np.linalg.norm(to[:, :6], axis=2).mean(1) / h
-    wide = smooth(reach, 3)
+    wide = np.maximum(smooth(reach, 3), 1e-6)
     out += [np.maximum(reach[a] / wide[a], reach[b] / wide[b])]
     out += [np.maximum(graph.variation[a], graph.variation[b])]
     out += _color_features(nodes, graph, smooth)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from model.segmentation.nodes import Nodes
 from model.segmentation.normals import orient_outwards, plane_normals, smooth_normals
@@ -121,7 +121,7 @@ def _bridges(
         ).astype(np.int32)
         group = label[chosen]
         k = min(len(chosen), 2 * _BRIDGE_SAMPLES + 2)
-        distance, near = cKDTree(points[chosen]).query(points[chosen], k=k, workers=2)
+        distance, near = KDTree(points[chosen]).query(points[chosen], k=k, workers=2)
         stranger = group[near] != group[:, None]
         first = stranger.argmax(1)
         rows = np.arange(len(chosen))

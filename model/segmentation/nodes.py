@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
@@ -103,9 +103,9 @@ class Nodes:
         return len(self.points)
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> KDTree:
         """KD-tree over the points."""
-        return cKDTree(self.points)
+        return KDTree(self.points)
 
 
 def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
@@ -242,7 +242,7 @@ def _nodes_of_faces(
     missing = np.nonzero(node_of < 0)[0]
     if len(missing):
         k = min(8, len(points))
-        tree = cKDTree(points)
+        tree = KDTree(points)
         _, near = tree.query(mesh.triangles[missing].mean(1), k=k, workers=2)
         near = near.reshape(len(missing), k)
         same = shells[face[near]] == shells[missing][:, None]

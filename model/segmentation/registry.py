@@ -8,17 +8,19 @@ from importlib.metadata import entry_points
 
 from model.errors import ConfigurationError
 from model.segmentation import baselines
+from model.segmentation.default import DefaultSegmenter
 from model.segmentation.protocol import Segmenter
 
 GROUP = "artiworld.segmenters"
 DEFAULT = "default"
 
 _BUILT_IN: dict[str, Callable[[], Segmenter]] = {
+    DEFAULT: DefaultSegmenter,
     "region-growing": baselines.region_growing,
     "random-walk": baselines.random_walk,
     "nearest": baselines.nearest_click,
 }
-_BUILT_IN[DEFAULT] = baselines.region_growing
+
 
 SEGMENTERS: list[str] = list(_BUILT_IN)
 """Names of the built-in segmenters; :func:`segmenter_names` adds the plug-ins."""

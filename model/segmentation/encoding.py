@@ -1,0 +1,52 @@
+"""Everything the default segmenter computes once for an asset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometry.asset import Asset
+from model.progress import Progress, no_progress
+from model.segmentation.cells import Cells, build_cells
+from model.segmentation.edge_strength import edge_strength, edge_weight
+from model.segmentation.graph import Graph, build_graph
+from model.segmentation.hierarchy import Hierarchy, build_hierarchy
+from model.segmentation.mlp import Mlp
+from model.segmentation.nodes import Nodes, nodes_of_asset
+from model.segmentation.walk import Walk
+
+
+@dataclass(frozen=True, eq=False)
+class Encoding:
+    """Nodes, graph, cells, merge trees and factorised walks of an asset.
+
+    Attributes:
+        strength: (M,) float32 how much each edge of the node graph looks like a cut, 0..9.
+    """
+
+    nodes: Nodes
+    graph: Graph
+    strength: npt.NDArray[np.float32]
+    cells: Cells
+    hierarchy: Hierarchy
+    walk: Walk
+
+
+def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:
+    """Over-segment ``asset``; ``edges`` is the edge model, None for the hand-set rule."""
+    progress(0.0, "sampling the surface")
+    nodes = nodes_of_asset(asset)
+    progress(0.15, "neighbours and normals")
+    graph = build_graph(nodes)
+    progress(0.45, "creases and colours")
+    strength = edge_strength(nodes, graph, edges)
+    progress(0.7, "cells")
+    cells = build_cells(nodes, graph, strength, edge_weight(strength, graph))
+    progress(0.8, "merge trees")
+    hierarchy = build_hierarchy(cells)
+    progress(0.95, "factorising")
+    walk = Walk(cells)
+    progress(1.0, "ready")
+    return Encoding(nodes, graph, strength, cells, hierarchy, walk)

@@ -1,0 +1,250 @@
+"""What a candidate mask shows: its border, its shape, its colours, and how it fits the clicks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.segmentation.cells import Cells
+
+Bool = npt.NDArray[np.bool_]
+Float = npt.NDArray[np.float32]
+
+SOURCES = (
+    "contact", "absorb", "patch", "grow", "replace", "union", "cut", "walk", "mend", "keep",
+)  # fmt: skip
+"""Where a mask came from. contact, absorb, patch: one region of that merge tree; grow: the
+earlier mask and a region; replace: a region that holds all the clicks; union: a region around
+each click; cut: the earlier mask without a region; walk: a random walk from the clicks alone;
+mend: a walk that keeps to a mask; keep: the earlier mask and the clicked cell."""
+
+FEATURE_NAMES = (
+    "log_size", "border", "border_soft_min", "border_weak", "border_strong", "border_color",
+    "border_turn", "border_per_size", "inside_strength", "inside_strong", "inside_weak",
+    "extent_1", "extent_2", "extent_3", "flat", "thin", "one_normal", "color_spread",
+    "click_depth", "click_depth_relative", "click_off_center", "first_depth_relative",
+    "height", "life", "life_relative",
+    "agreement", "agreement_max", "border_rank", "size_rank", "border_over_inside",
+    "positives", "negatives", "last_positive", "overlap_before", "growth", "changed_border",
+    "has_color", "bounds_filled", "closest_larger",
+    *(f"from_{s}" for s in SOURCES),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Masks over the cells with what is known of their making.
+
+    Attributes:
+        masks: (H, C) bool.
+        source: (H,) int8 index into ``SOURCES``.
+        height, life: (H,) float32 cost at which a tree region forms, and how long it lasts.
+    """
+
+    masks: Bool
+    source: npt.NDArray[np.int8]
+    height: Float
+    life: Float
+
+    def __len__(self) -> int:
+        return len(self.masks)
+
+    @classmethod
+    def of(cls, masks: list[Bool], source: str) -> Candidates:
+        """Candidates that are no tree regions."""
+        number = len(masks)
+        zero = np.zeros(number, np.float32)
+        return cls(
+            np.stack(masks), np.full(number, SOURCES.index(source), np.int8), zero, zero.copy()
+        )
+
+    def take(self, index: npt.NDArray) -> Candidates:
+        """Some of them."""
+        return Candidates(
+            self.masks[index], self.source[index], self.height[index], self.life[index]
+        )
+
+
+def joined(groups: list[Candidates]) -> Candidates:
+    """All candidates of several groups; of equal masks the first stays."""
+    masks = np.concatenate([g.masks for g in groups])
+    together = Candidates(
+        masks,
+        np.concatenate([g.source for g in groups]),
+        np.concatenate([g.height for g in groups]),
+        np.concatenate([g.life for g in groups]),
+    )
+    packed = np.packbits(masks, axis=1)
+    _, first = np.unique(packed.view(f"V{packed.shape[1]}").ravel(), return_index=True)
+    return together.take(np.sort(first))
+
+
+@dataclass(frozen=True)
+class Clicked:
+    """The clicks that a mask must fit.
+
+    Attributes:
+        positive, negative: cells, in order.
+        last: the cell clicked now, and on which side.
+        before: (C,) the mask before this click, or None at the first.
+    """
+
+    positive: tuple[int, ...]
+    negative: tuple[int, ...]
+    last: int
+    last_positive: bool
+    before: Bool | None = None
+
+
+class MaskDescriber:
+    """Computes the features of many masks at once."""
+
+    def __init__(self, cells: Cells) -> None:
+        links = cells.links
+        self._cells = cells
+        self._a, self._b = links.a, links.b
+        mean = links.strength / np.maximum(links.count, 1)
+        unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
+        turn = 1 - np.abs(np.einsum("ij,ij->i", unit[links.a], unit[links.b]))
+        hue = np.linalg.norm(cells.color[links.a] - cells.color[links.b], axis=1) / 20
+        per_link = np.stack(
+            [
+                np.ones(len(mean)),
+                mean,
+                np.exp(-mean),
+                mean < 1.0,
+                mean > 4.0,
+                np.minimum(hue, 3),
+                turn,
+            ],
+            axis=1,
+        )
+        self._link = (per_link * links.count[:, None]).astype(np.float32)
+        incident = np.zeros((len(cells), 7))
+        for column in range(7):
+            incident[:, column] = np.bincount(
+                links.a, self._link[:, column], len(cells)
+            ) + np.bincount(links.b, self._link[:, column], len(cells))
+        low, high = cells.center.min(0), cells.center.max(0)
+        self._diagonal = max(float(np.linalg.norm(high - low)), 1e-9)
+        x = (cells.center - (low + high) / 2) / self._diagonal
+        self._x = x.astype(np.float32)
+        size = cells.size / cells.size.sum()
+        pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        outer = np.stack([x[:, i] * x[:, j] for i, j in pairs], axis=1)
+        color = cells.color / 20
+        square = (color**2).sum(1, keepdims=True)
+        one = np.ones((len(x), 1))
+        moments = np.concatenate([one, x, outer, cells.normal, color, square], axis=1)
+        self._cell = np.concatenate([moments * size[:, None], incident], axis=1).astype(np.float32)
+        self._has_color = float(np.ptp(cells.color) > 1e-6)
+
+    def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
+        """(H, F) features, in the order of ``FEATURE_NAMES``."""
+        masks = candidates.masks
+        m = masks.astype(np.float32)
+        border = (masks[:, self._a] ^ masks[:, self._b]).astype(np.float32) @ self._link
+        sums = m @ self._cell
+        inside = np.maximum(sums[:, 17:] - border, 0) / 2
+        area = np.maximum(sums[:, 0], 1e-9)
+        center = sums[:, 1:4] / area[:, None]
+        extents = self._extents(sums[:, 4:10] / area[:, None], center)
+        b0 = np.maximum(border[:, 0], 1e-9)
+        no_border = border[:, 0] < 0.5
+        mean_border = np.where(no_border, 9.0, border[:, 1] / b0)
+        soft = np.where(no_border, 9.0, -np.log(np.maximum(border[:, 2] / b0, 1e-4)))
+        i0 = np.maximum(inside[:, 0], 1)
+        scale = np.sqrt(area)
+        color = sums[:, 13:16] / area[:, None]
+        spread = np.sqrt(np.maximum(sums[:, 16] / area - (color**2).sum(1), 0))
+        depth = self._depth(masks, clicked.last)
+        first = clicked.positive[0] if clicked.positive else clicked.last
+        first_depth = depth if first == clicked.last else self._depth(masks, first)
+        off = np.linalg.norm(center - self._x[clicked.last], axis=1)
+        overlap = self._overlap(m)
+        order = np.argsort(np.argsort(area, kind="stable"), kind="stable")
+        rank = np.argsort(np.argsort(mean_border, kind="stable"), kind="stable")
+        count = max(len(masks) - 1, 1)
+        extent = np.maximum(extents[:, 2], 1e-6)
+        columns = [
+            np.log(area), mean_border, soft, border[:, 3] / b0, border[:, 4] / b0,
+            border[:, 5] / b0, border[:, 6] / b0, np.log(b0 / (scale * 1000) + 1e-3),
+            inside[:, 1] / i0, inside[:, 4] / i0, inside[:, 3] / i0,
+            extents[:, 2], extents[:, 1], extents[:, 0], extents[:, 0] / (extents[:, 1] + 1e-6),
+            extents[:, 1] / extent, np.linalg.norm(sums[:, 10:13], axis=1) / area, spread,
+            depth, depth / scale, off / extent, first_depth / scale,
+            candidates.height, candidates.life,
+            candidates.life / (1 + 0.5 * candidates.height),
+            (overlap.sum(1) - 1) / count, self._second(overlap), rank / count, order / count,
+            mean_border - inside[:, 1] / i0,
+        ]  # fmt: skip
+        columns += self._context(candidates, clicked, m, area)
+        columns += [
+            np.full(len(m), self._has_color),
+            area / np.maximum(extents.prod(1) ** (2 / 3), 1e-6).clip(1e-6),
+            self._next_larger(area),
+        ]
+        flags = candidates.source[:, None] == np.arange(len(SOURCES))
+        return np.concatenate(
+            [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags], axis=1
+        ).astype(np.float32)
+
+    def _extents(self, second: Float, center: Float) -> Float:
+        covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        covariance = covariance - center[:, :, None] * center[:, None, :]
+        return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance.astype(np.float64)), 0)).astype(
+            np.float32
+        )
+
+    def _depth(self, masks: Bool, cell: int) -> Float:
+        """(H,) distance from a cell to the nearest cell on the other side, diagonal = 1."""
+        apart = np.linalg.norm(self._x - self._x[cell], axis=1)
+        other = masks != masks[:, cell : cell + 1]
+        far = np.where(other, apart[None], np.float32(2))
+        return np.minimum(far.min(1), 1)
+
+    @staticmethod
+    def _overlap(m: Float) -> Float:
+        common = m @ m.T
+        size = np.diagonal(common)
+        return common / np.maximum(size[:, None] + size[None] - common, 1e-9)
+
+    @staticmethod
+    def _second(overlap: Float) -> Float:
+        return np.sort(overlap, axis=1)[:, -2] if len(overlap) > 1 else np.zeros(len(overlap))
+
+    @staticmethod
+    def _next_larger(area: Float) -> Float:
+        """(H,) log of how much larger the next larger candidate is, at most 3."""
+        order = np.sort(area)
+        index = np.searchsorted(order, area * 1.02)
+        larger = np.where(index < len(order), order[np.minimum(index, len(order) - 1)], area * 20)
+        return np.minimum(np.log(larger / area), 3)
+
+    def _context(
+        self, candidates: Candidates, clicked: Clicked, m: Float, area: Float
+    ) -> list[Float]:
+        number = len(m)
+        overlap = np.zeros(number, np.float32)
+        growth = np.zeros(number, np.float32)
+        changed = np.zeros(number, np.float32)
+        if clicked.before is not None and clicked.before.any():
+            before = clicked.before.astype(np.float32)
+            common = m @ before
+            overlap = common / np.maximum(m.sum(1) + before.sum() - common, 1)
+            was = float((self._cell[:, 0] * before).sum())
+            growth = np.clip(np.log(area / max(was, 1e-9)), -4, 4)
+            flipped = candidates.masks ^ clicked.before
+            edge = (flipped[:, self._a] ^ flipped[:, self._b]).astype(np.float32)
+            counted = edge @ self._link[:, :2]
+            changed = counted[:, 1] / np.maximum(counted[:, 0], 1)
+        return [
+            np.full(number, min(len(clicked.positive), 10)),
+            np.full(number, min(len(clicked.negative), 10)),
+            np.full(number, float(clicked.last_positive)),
+            overlap,
+            growth,
+            changed,
+        ]

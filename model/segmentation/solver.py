@@ -1,0 +1,260 @@
+"""One part against the rest: hypotheses for a click, and the choice among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from model.segmentation.cells import Cells
+from model.segmentation.hierarchy import TREES, Hierarchy
+from model.segmentation.masks import (
+    Candidates,
+    Clicked,
+    MaskDescriber,
+    joined,
+)
+from model.segmentation.mlp import Mlp
+from model.segmentation.walk import Walk
+
+Bool = npt.NDArray[np.bool_]
+Float = npt.NDArray[np.float32]
+
+_THINNING = 1.06
+_BIASES = (-0.02, -0.1, -0.25)
+_CHAIN = 40
+
+
+@dataclass(frozen=True, eq=False)
+class PartState:
+    """What is known of one part so far.
+
+    Attributes:
+        positive, negative: clicked cells in order.
+        mask: (C,) its cells.
+    """
+
+    positive: tuple[int, ...] = ()
+    negative: tuple[int, ...] = ()
+    mask: Bool | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """Hypotheses with their features and scores."""
+
+    candidates: Candidates
+    features: Float
+    scores: Float
+
+    @property
+    def best(self) -> Bool:
+        """(C,) the mask with the highest score."""
+        return self.candidates.masks[int(self.scores.argmax())]
+
+
+class PartSolver:
+    """Finds the mask that a part's clicks mean."""
+
+    def __init__(
+        self,
+        cells: Cells,
+        hierarchy: Hierarchy,
+        walk: Walk,
+        first_scorer: Mlp | None,
+        later_scorer: Mlp | None,
+    ) -> None:
+        self.cells = cells
+        self.describe = MaskDescriber(cells)
+        self._walk = walk
+        self._first = first_scorer
+        self._later = later_scorer
+        self._labels = hierarchy.labels
+        self._tree = hierarchy.tree
+        self._height = hierarchy.height
+        offset = np.concatenate([[0], np.cumsum(hierarchy.labels.max(1).astype(np.int64) + 1)])
+        self._offset = offset[:-1]
+        self._sizes = np.bincount(
+            (hierarchy.labels + self._offset[:, None]).ravel(),
+            np.tile(cells.size, len(hierarchy.labels)),
+        )
+
+    # Regions around a cell -------------------------------------------------------------
+
+    def chain(self, cell: int) -> Candidates:
+        """The nested regions around a cell, those of nearly the same size only once."""
+        sizes = self._sizes[self._labels[:, cell] + self._offset]
+        total = self.cells.size.sum()
+        levels: list[int] = []
+        lives: list[float] = []
+        for tree in range(len(TREES)):
+            rows = np.nonzero(self._tree == tree)[0]
+            start = 0
+            while start < len(rows):
+                end = start
+                while end + 1 < len(rows) and sizes[rows[end + 1]] < _THINNING * sizes[rows[start]]:
+                    end += 1
+                # The region lives from the level where it forms to the one that swallows it.
+                if sizes[rows[start]] <= 0.97 * total:
+                    last = self._height[rows[end + 1]] if end + 1 < len(rows) else 10.0
+                    levels.append(int(rows[end]))
+                    lives.append(float(last - self._height[rows[start]]))
+                start = end + 1
+        if not levels:
+            levels, lives = [0], [0.0]
+        if len(levels) > _CHAIN + 20:
+            keep = np.sort(np.argsort(-np.array(lives), kind="stable")[: _CHAIN + 20])
+            levels, lives = [levels[k] for k in keep], [lives[k] for k in keep]
+        index = np.array(levels)
+        masks = self._labels[index] == self._labels[index, cell][:, None]
+        return joined(
+            [Candidates(masks, self._tree[index], self._height[index], np.array(lives, np.float32))]
+        )
+
+    # Hypotheses ----------------------------------------------------------------------
+
+    def answer(self, state: PartState, cell: int, positive: bool, blocked: Bool | None) -> Ranked:
+        """Hypotheses for a new click, scored.
+
+        Args:
+            state: before the click.
+            cell: the clicked cell.
+            positive: whether the part should hold it.
+            blocked: (C,) cells of other parts that this part may not take.
+        """
+        after = with_click(state, cell, positive)
+        if state.mask is None or not state.mask.any():
+            return self._first_answer(after, cell, blocked)
+        clicked = Clicked(after.positive, after.negative, cell, positive, state.mask)
+        found = self._finish(self._region_hypotheses(state, after, cell, positive), after, blocked)
+        if self._later is None:
+            scores = self._rule(found, clicked)
+        else:
+            scores = self._later(self.describe(found, clicked))
+        mended = [self._mend(found.masks[int(i)], after) for i in np.argsort(-scores)[:2]]
+        walks = self._walks(state.mask, after)
+        more = [Candidates.of([m for pair in mended for m in pair], "mend"), *walks]
+        both = joined([found, self._finish(joined(more), after, blocked)])
+        features = self.describe(both, clicked)
+        scores = self._rule(both, clicked) if self._later is None else self._later(features)
+        return Ranked(both, features, scores)
+
+    def _first_answer(self, after: PartState, cell: int, blocked: Bool | None) -> Ranked:
+        clicked = Clicked(after.positive, after.negative, cell, True)
+        if not after.positive:
+            empty = Candidates.of([np.zeros(len(self.cells), bool)], "keep")
+            return Ranked(empty, self.describe(empty, clicked), np.zeros(1, np.float32))
+        found = self.chain(cell)
+        if blocked is not None:
+            found = replace(found, masks=found.masks & ~blocked)
+        if after.negative:
+            clean = ~found.masks[:, list(after.negative)].any(1)
+            if clean.any():
+                found = found.take(np.nonzero(clean)[0])
+        found = self._finish(found, after, blocked)
+        features = self.describe(found, clicked)
+        scores = self._rule(found, clicked) if self._first is None else self._first(features)
+        return Ranked(found, features, scores)
+
+    def _region_hypotheses(
+        self, state: PartState, after: PartState, cell: int, positive: bool
+    ) -> Candidates:
+        assert state.mask is not None
+        mask, positives, negatives = state.mask, list(after.positive), list(after.negative)
+        chain = self.chain(cell)
+        keep = mask.copy()
+        keep[cell] = positive
+        made = [Candidates.of([keep], "keep")]
+        if positive:
+            clean = ~chain.masks[:, negatives].any(1) if negatives else np.ones(len(chain), bool)
+            usable = chain.take(np.nonzero(clean)[0])
+            if len(usable):
+                made.append(
+                    replace(Candidates.of(list(usable.masks | mask), "grow"),
+                            height=usable.height, life=usable.life)
+                )  # fmt: skip
+                whole = usable.masks[:, positives].all(1)
+                if whole.any():
+                    region = usable.take(np.nonzero(whole)[0])
+                    made.append(replace(Candidates.of(list(region.masks), "replace"),
+                                        height=region.height, life=region.life))  # fmt: skip
+        else:
+            clean = ~chain.masks[:, positives].any(1)
+            usable = chain.take(np.nonzero(clean)[0])
+            if len(usable):
+                made.append(
+                    replace(Candidates.of(list(mask & ~usable.masks), "cut"),
+                            height=usable.height, life=usable.life)
+                )  # fmt: skip
+        made += self._unions(positives, negatives)
+        return joined(made)
+
+    def _unions(self, positives: list[int], negatives: list[int]) -> list[Candidates]:
+        """At each level the regions of all positive clicks together, where no negative is in."""
+        labels = self._labels
+        own = labels[:, positives]
+        if negatives:
+            hit = (labels[:, negatives][:, :, None] == own[:, None, :]).any((1, 2))
+        else:
+            hit = np.zeros(len(labels), bool)
+        rows = np.nonzero(~hit)[0]
+        made: list[Bool] = []
+        for tree in range(len(TREES)):
+            size = 0.0
+            for row in rows[self._tree[rows] == tree]:
+                regions = np.unique(own[row])
+                now = float(self._sizes[regions + self._offset[row]].sum())
+                if now < 1.15 * size or now > 0.97 * self.cells.size.sum():
+                    continue
+                size = now
+                made.append(np.isin(labels[row], regions))
+        if not made:
+            return []
+        made = made[-24:]
+        return [Candidates.of(made, "union")]
+
+    def _walks(self, mask: Bool, after: PartState) -> list[Candidates]:
+        seeds, values = _seeds(after)
+        flat = np.repeat(np.array(_BIASES, np.float32)[:, None], len(self.cells), axis=1)
+        free = self._walk.fields(flat, seeds, values, 0)
+        before = np.where(mask, np.float32(1), np.float32(-1))[None]
+        mended = [self._walk.fields(before, seeds, values, reach)[0] > 0 for reach in (1, 2)]
+        return [Candidates.of(list(free > 0), "walk"), Candidates.of(mended, "mend")]
+
+    def _mend(self, mask: Bool, after: PartState) -> list[Bool]:
+        seeds, values = _seeds(after)
+        prior = np.where(mask, np.float32(1), np.float32(-1))[None]
+        return [self._walk.fields(prior, seeds, values, 1)[0] > 0]
+
+    def _finish(self, found: Candidates, after: PartState, blocked: Bool | None) -> Candidates:
+        masks = found.masks.copy()
+        if blocked is not None:
+            masks &= ~blocked
+        masks[:, list(after.negative)] = False
+        masks[:, list(after.positive)] = True
+        return joined([replace(found, masks=masks)])
+
+    def _rule(self, found: Candidates, clicked: Clicked) -> Float:
+        """Scores without a trained scorer: strong borders, lasting regions, not too small."""
+        features = self.describe(found, clicked)
+        size = features[:, 0]
+        prior = -0.5 * ((size - np.log(0.06)) / 1.6) ** 2
+        if clicked.before is None:
+            return features[:, 1] + 0.5 * features[:, 24] + 0.5 * prior
+        return features[:, 1] / 9 + 0.1 * features[:, 25]
+
+
+def with_click(state: PartState, cell: int, positive: bool) -> PartState:
+    """The clicks after one more; a cell is on the side where it was clicked last."""
+    yes = tuple(c for c in state.positive if c != cell)
+    no = tuple(c for c in state.negative if c != cell)
+    if positive:
+        return replace(state, positive=(*yes, cell), negative=no)
+    return replace(state, positive=yes, negative=(*no, cell))
+
+
+def _seeds(state: PartState) -> tuple[npt.NDArray[np.int64], Float]:
+    cells = np.array([*state.positive, *state.negative], np.int64)
+    values = np.r_[np.ones(len(state.positive)), -np.ones(len(state.negative))]
+    return cells, values.astype(np.float32)
