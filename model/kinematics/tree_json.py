@@ -38,7 +38,7 @@ class TreeNode:
 
     def walk(self, parent: str | None = None) -> list[tuple[TreeNode, str | None]]:
         """This node and all below it with their parents' parts, parents first."""
-        out = [(self, parent)]
+        out: list[tuple[TreeNode, str | None]] = [(self, parent)]
         for child in self.children:
             out += child.walk(self.part)
         return out

@@ -1,0 +1,289 @@
+"""A part as contact and sweeps see it: points with normals, and triangles that rays hit.
+
+Works for thin shells, open and unoriented meshes, and clouds: nothing here needs an inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import Part
+
+POINTS = 4096
+"""Sample points a part."""
+COARSE = 384
+"""Of them, those that stand for the part's bulk."""
+SURFELS = 20_000
+"""Discs that stand for a cloud's surface."""
+PLANAR = 0.3
+"""Largest ratio of a disc's two smallest variances: rims of thin boards have no normal."""
+AGREEMENT = 0.88
+"""Smallest mean cosine between a disc's normal and its neighbours'."""
+SURFEL_RADIUS = 0.75
+"""In mean spacings to the four nearest points: neighbouring discs overlap."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Where rays meet a surface first.
+
+    Attributes:
+        distance: (R,) in lengths of the ray's direction; infinite where nothing is hit.
+        element: (R,) triangle of a mesh, disc of a cloud.
+        normals: (R, 3) unit, the triangle's own sign.
+    """
+
+    distance: FloatArray
+    normals: FloatArray
+    element: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Sampled and ray-traceable geometry of one part at rest, metres, object frame.
+
+    Attributes:
+        link: the part's link.
+        points: (N, 3) samples.
+        normals: (N, 3) unit normals; a cloud's have no meaningful sign.
+        vertices, faces: (V, 3) and (F, 3) triangles: the mesh, or one disc a cloud point.
+        oriented: whether the triangles' winding may mean something (False for clouds).
+        spacing: typical distance between neighbouring samples.
+        resolution: spacing of a cloud's discs, or three times its noise where that is more:
+            finer than that it tells nothing. 0 for a mesh.
+    """
+
+    link: str
+    points: FloatArray
+    normals: FloatArray
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.uint32]
+    oriented: bool
+    spacing: float
+    resolution: float
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """(2, 3) lowest and highest corner of samples and triangles' vertices."""
+        corners = self.vertices[np.unique(self.faces)]
+        low = np.minimum(self.points.min(0), corners.min(0))
+        return np.stack([low, np.maximum(self.points.max(0), corners.max(0))])
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Length of the box's diagonal."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Of the samples."""
+        return KDTree(self.points)
+
+    @cached_property
+    def coarse(self) -> FloatArray:
+        """(≤ COARSE, 3) samples; their order is random."""
+        return self.points[:COARSE]
+
+    @cached_property
+    def _scene(self) -> Any:
+        import open3d as o3d
+
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(
+            o3d.core.Tensor.from_numpy(self.vertices), o3d.core.Tensor.from_numpy(self.faces)
+        )
+        return scene
+
+    def _element(self, face: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        return face if self.oriented else face % (len(self.faces) // 2)
+
+    def cast(self, origins: FloatArray, directions: FloatArray) -> Hits:
+        """First hits of (R, 3) rays; directions need not be unit."""
+        import open3d as o3d
+
+        rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
+        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        return Hits(
+            answer["t_hit"].numpy().astype(np.float64),
+            answer["primitive_normals"].numpy().astype(np.float64),
+            self._element(answer["primitive_ids"].numpy().astype(np.int64)),
+        )
+
+    @cached_property
+    def _solid(self) -> tuple[npt.NDArray[np.bool_], KDTree]:
+        """Whether each of the coarse samples bounds a solid, and the tree to find the nearest."""
+        points, normals = self.points[:COARSE], self.normals[:COARSE]
+        out = np.zeros(len(points), bool)
+        if self.oriented:
+            gap = 1e-4 * self.diagonal * normals
+            out = self._enclosed(points - gap) & ~self._enclosed(points + gap)
+        return out, KDTree(points)
+
+    def bounds_solid(self, points: FloatArray) -> npt.NDArray[np.bool_]:
+        """(M,) whether the surface about points on it bounds a solid and is wound outwards.
+
+        False for the sheets of a scan, for open boxes and for clouds.
+        """
+        solid, tree = self._solid
+        if not solid.any() or not len(points):
+            return np.zeros(len(points), bool)
+        return solid[tree.query(points)[1]]
+
+    def _enclosed(self, points: FloatArray) -> npt.NDArray[np.bool_]:
+        """(M,) whether the winding along rays in all directions says that a point is inside."""
+        import open3d as o3d
+
+        ways = np.array([w for w in np.ndindex(3, 3, 3) if w != (1, 1, 1)]) - 1.0
+        ways = ways[np.abs(ways).sum(1) != 2] + 1e-3  # 14 ways, off the edges of square boxes
+        out = np.ones(len(points), bool)
+        for way in ways:
+            left = np.flatnonzero(out)
+            if not len(left):
+                break
+            directions = np.broadcast_to(way, (len(left), 3))
+            rays = np.concatenate([points[left], directions], axis=1).astype(np.float32)
+            found = self._scene.list_intersections(o3d.core.Tensor.from_numpy(rays))
+            winding = np.zeros(len(left))
+            face, ray = found["primitive_ids"].numpy(), found["ray_ids"].numpy()
+            a, b, c = np.moveaxis(self.vertices[self.faces[face]].astype(np.float64), 1, 0)
+            np.add.at(winding, ray, np.sign(np.cross(b - a, c - a) @ way))
+            out[left] = winding >= 1
+        return out
+
+    def distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(M,) distance of points to the triangles, and (M, 3) the closest points on them."""
+        import open3d as o3d
+
+        query = points.astype(np.float32)
+        closest = self._scene.compute_closest_points(o3d.core.Tensor.from_numpy(query))[
+            "points"
+        ].numpy()
+        return np.linalg.norm(points - closest, axis=1), closest.astype(np.float64)
+
+
+_CACHE: WeakKeyDictionary[Part, dict[int, Surface | None]] = WeakKeyDictionary()
+
+
+def surface_of(part: Part, count: int = POINTS) -> Surface | None:
+    """The surface of ``part``, computed once; None where it has no face and no point.
+
+    A mesh beats a cloud. Sampling is deterministic.
+    """
+    known = _CACHE.setdefault(part, {})
+    if count not in known:
+        known[count] = _build(part, count)
+    return known[count]
+
+
+def _build(part: Part, count: int) -> Surface | None:
+    rng = np.random.default_rng(0)
+    if part.mesh is not None and len(part.mesh.faces):
+        return _of_mesh(part.link, part.mesh, count, rng)
+    if part.cloud is not None and len(part.cloud):
+        return _of_cloud(part.link, part.cloud, count, rng)
+    return None
+
+
+def _of_mesh(link: str, mesh: Mesh, count: int, rng: np.random.Generator) -> Surface:
+    areas = mesh.face_areas
+    total = float(areas.sum())
+    corners = np.unique(mesh.faces)
+    if len(corners) > count // 4:
+        corners = rng.choice(corners, count // 4, replace=False)
+    # Corners and edges touch first, and a random sample misses them.
+    corner_normals = np.zeros((len(mesh.vertices), 3))
+    corner_normals[mesh.faces] = mesh.face_normals[:, None]
+    points, normals = mesh.vertices[corners], corner_normals[corners]
+    if total > 0:
+        drawn, face = _on_triangles(mesh, areas, count - len(corners), rng)
+        points = np.concatenate([points, drawn])
+        normals = np.concatenate([normals, mesh.face_normals[face]])
+    order = rng.permutation(len(points))
+    spacing = float(np.sqrt(total / max(len(points), 1)))
+    return Surface(
+        link,
+        points[order],
+        normals[order],
+        mesh.vertices.astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        True,
+        spacing,
+        0.0,
+    )
+
+
+def _on_triangles(
+    mesh: Mesh, areas: FloatArray, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Area-weighted points, one in each of ``count`` equal shares of the area."""
+    cumulated = np.cumsum(areas)
+    share = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
+    face = np.minimum(np.searchsorted(cumulated, share), len(areas) - 1)
+    root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = np.moveaxis(mesh.triangles[face], 1, 0)
+    return (1 - root) * a + root * (1 - v) * b + root * v * c, face
+
+
+def _of_cloud(link: str, cloud: PointCloud, count: int, rng: np.random.Generator) -> Surface:
+    everything = cloud.points.astype(np.float64)
+    chosen = np.arange(len(everything))
+    if len(chosen) > SURFELS:
+        chosen = np.sort(rng.choice(len(everything), SURFELS, replace=False))
+    points = everything[chosen]
+    neighbours = min(12, len(points))
+    distance, index = KDTree(points).query(points, k=neighbours)
+    distance, index = distance.reshape(len(points), -1), index.reshape(len(points), -1)
+    normals, flat, noise = _principal_normals(points[index])
+    agreement = np.abs(np.einsum("ni,nki->nk", normals, normals[index])).mean(axis=1)
+    flat &= agreement > AGREEMENT
+    flat[np.argmax(agreement)] = True
+    if cloud.normals is not None:
+        normals = cloud.normals[chosen].astype(np.float64)
+    near = distance[:, 1:5]
+    radius = near.mean(axis=1) if near.shape[1] else np.full(len(points), 1e-6)
+    resolution = float(np.median(radius))
+    # A lone outlier must not become a large disc.
+    radius = SURFEL_RADIUS * np.minimum(radius, 3 * resolution + 1e-12)
+    vertices, faces = _discs(points[flat], normals[flat], radius[flat])
+    kept = rng.permutation(len(points))[:count]
+    spacing = resolution * float(np.sqrt(len(points) / len(kept)))
+    resolution = max(resolution, 3 * float(np.median(noise)))
+    return Surface(link, points[kept], normals[kept], vertices, faces, False, spacing, resolution)
+
+
+def _principal_normals(
+    neighbourhoods: FloatArray,
+) -> tuple[FloatArray, npt.NDArray[np.bool_], FloatArray]:
+    """(N, 3) direction of least spread of (N, k, 3) neighbourhoods, whether they are flat, and
+    their spread along it."""
+    centred = neighbourhoods - neighbourhoods.mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+    spread = np.sqrt(np.maximum(values[:, 0], 0) / max(neighbourhoods.shape[1] - 3, 1))
+    return vectors[:, :, 0], values[:, 0] <= PLANAR * values[:, 1], spread
+
+
+def _discs(
+    points: FloatArray, normals: FloatArray, radius: FloatArray
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
+    """Squares of the disc's area about each point, square to its normal."""
+    helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    side = np.cross(normals, helper)
+    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
+    other = np.cross(normals, side)
+    half = (radius * np.sqrt(np.pi) / 2)[:, None]
+    u, v = half * side, half * other
+    corners = np.stack([points - u - v, points + u - v, points + u + v, points - u + v], axis=1)
+    first = 4 * np.arange(len(points))[:, None]
+    faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
+    return corners.reshape(-1, 3).astype(np.float32), faces.astype(np.uint32)
