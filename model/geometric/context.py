@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.geometric.hypothesis import UP, unit
 from model.geometric.scene import TOUCHING, Scene
-from model.geometric.shape import Shape
+from model.geometric.shape import Protrusion, Shape
 from model.geometric.vocabulary import category_key, words
 
 Array = npt.NDArray[np.float64]
@@ -132,11 +132,38 @@ class PartContext:
         back = self.scene.cover(self.part, -axis, (self.parent,), self.shape.box.axes)
         away = float(axis @ (self.shape.center - self.base.center))
         score = back - there + 0.6 * np.tanh(6 * away)
-        panel = self.shape.panel
-        if panel.side and abs(self.shape.box.axes[:, panel.normal] @ axis) > 0.9:
-            handle = panel.side * float(self.shape.box.axes[:, panel.normal] @ axis)
-            score += 0.3 * np.sign(handle) if panel.share < 0.2 else 0.0
+        normal = self.shape.panel.normal
+        along = float(self.shape.box.axes[:, normal] @ axis)
+        if abs(along) > 0.9:
+            for side in (-1.0, 1.0):
+                out = self.shape.panel.beyond(side * np.sign(along))
+                if out is not None and out.share < 0.15:
+                    score += 0.2 * side
         return axis if score >= 0 else -axis
+
+    @cached_property
+    def panel_normal(self) -> Array:
+        """(3,) the panel's normal, away from the parent."""
+        return self.panel_outward(self.shape.box.axes[:, self.shape.panel.normal])
+
+    @cached_property
+    def handle(self) -> Protrusion | None:
+        """What sticks out of the panel's outer face."""
+        panel = self.shape.panel
+        return panel.beyond(float(self.shape.box.axes[:, panel.normal] @ self.panel_normal))
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the panel lies in or on its parent's box, as closed doors and lids do."""
+        shape, base = self.shape, self.base
+        panel, box = shape.panel, shape.box
+        low, high = -box.half.copy(), box.half.copy()
+        low[panel.normal], high[panel.normal] = panel.low, panel.high
+        corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+        world = corners @ box.axes.T + box.center
+        slack = 0.03 + (panel.high - panel.low)
+        inside = (world > base.low - slack) & (world < base.high + slack)
+        return bool(inside.all(1).mean() >= 0.75)
 
     def upright(self) -> Array:
         """The part's box axis nearest to +z, pointing up."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import PartContext
-from model.geometric.hypothesis import UP, Hypothesis
+from model.geometric.hypothesis import UP, Hypothesis, snapped
 from model.geometric.scene import TOUCHING
 from model.geometric.sweep import free_range
 
@@ -40,7 +40,7 @@ class EdgeWeights:
 
 
 WEIGHTS: dict[str, EdgeWeights] = {
-    "hinge": EdgeWeights(upright=0.9, long=0.3),
+    "hinge": EdgeWeights(upright=0.9, long=0.8),
     "drop": EdgeWeights(level=0.6, bottom=1.6, margin=0.5, handle=1.5),
     "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2),
     "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
@@ -71,6 +71,15 @@ CATEGORY_OPENING: dict[tuple[str, str], float] = {
     ("phone", "flap"): 2.6,
 }
 
+CATEGORY_UPRIGHT: dict[str, float] = {
+    "refrigerator": 2.0,
+    "door": 2.0,
+    "safe": 1.5,
+    "washingmachine": 0.8,
+    "microwave": 0.5,
+}
+"""How much more than usual a category's doors turn about upright axes."""
+
 FOLDED_TOTAL = 3.0
 """Whole range (rad) assumed for a panel that was scanned open, from closed to far open."""
 
@@ -82,6 +91,7 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
     shape, box = context.shape, context.shape.box
     n_axis = box.axes[:, normal]
     out_normal = context.panel_outward(n_axis)
+    closed = context.closed and mechanism != "temple"
     in_plane = [k for k in range(3) if k != normal]
     local = box.local(shape.points)
     contact = _contact_scores(context, local, in_plane)
@@ -92,11 +102,14 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
             e[across] = side
             direction = box.axes @ e
             axis = box.axes[:, along]
+            if mechanism == "temple":
+                axis = snapped(axis, _frame_axes(context), 0.3)
             score, why = _edge_score(context, weights, direction, axis, across, along, side, normal)
-            score += weights.contact * contact[across, side]
-            if contact[across, side] > 0.3:
+            held = 0.0 if closed else contact[across, side]
+            score += weights.contact * held
+            if held > 0.3:
                 why.append("only this edge touches")
-            open_ = contact[across, side] > 0.45
+            open_ = not closed and held > 0.3
             origin = _edge_origin(context, normal, across, side, out_normal, open_, local)
             found.append(
                 _with_limits(
@@ -106,15 +119,20 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
     return found
 
 
+def _frame_axes(context: PartContext) -> Array:
+    """(6, 3) the object's directions and the parent's box axes."""
+    return np.concatenate([np.eye(3), context.base.box.axes.T])
+
+
 def _panel_normal(context: PartContext, mechanism: str) -> int:
     """Index of the box axis across the panel."""
     shape = context.shape
     axes = shape.box.axes
     if mechanism == "temple":
-        long = shape.order[2]
-        if context.category == "eyeglasses":
-            return min((k for k in range(3) if k != long), key=lambda k: abs(axes[2, k]))
-        # An arm folds upright: its normal is the most upright axis but its own length.
+        thin, _, long = shape.order
+        if shape.thinness < 0.6 and context.category != "stapler":
+            return thin
+        # A thick arm folds upright.
         return max((k for k in range(3) if k != long), key=lambda k: abs(axes[2, k]))
     return shape.panel.normal
 
@@ -155,7 +173,8 @@ def _edge_score(
     half = shape.box.half
     why: list[str] = []
     upright = abs(float(axis @ UP))
-    score = weights.upright * upright + weights.level * (1 - upright)
+    more = CATEGORY_UPRIGHT.get(context.category, 0.0) if weights.upright else 0.0
+    score = (weights.upright + more) * upright + weights.level * (1 - upright)
     if weights.bottom and direction[2] < -0.5:
         score += weights.bottom
         why.append("bottom edge")
@@ -171,8 +190,10 @@ def _edge_score(
         why.append(reason)
     if _sibling_beyond(context, direction, across, along, normal):
         score -= weights.sibling
-    elif _sibling_beyond(context, -direction, across, along, normal):
-        score += 0.3 * weights.sibling
+        # Of two doors side by side each turns about its outer upright edge.
+        score += weights.sibling * upright * 0.5
+    elif upright > 0.5 and _sibling_beyond(context, -direction, across, along, normal):
+        score += 0.6 * weights.sibling
         why.append("next to another panel")
     if weights.back:
         front = context.assembly.front
@@ -198,18 +219,17 @@ def _handle_cue(
     context: PartContext, across: int, along: int, side: float, normal: int
 ) -> tuple[float, str]:
     """-1..1: a handle far from this edge speaks for it."""
-    panel, box = context.shape.panel, context.shape.box
-    if panel.protrusion is None or panel.normal != normal or panel.share > 0.3:
+    handle, box = context.handle, context.shape.box
+    if handle is None or context.shape.panel.normal != normal or handle.strength == 0:
         return 0.0, ""
-    assert panel.spread is not None
-    at = float(panel.protrusion[across] / max(box.half[across], 1e-6))
+    at = float(handle.center[across] / max(box.half[across], 1e-6))
     if abs(at) < 0.25:
         return 0.0, ""
     value = -side * float(np.clip(at / 0.7, -1, 1))
     # A bar handle lies along the hinge axis.
-    a, b = float(panel.spread[along]), float(panel.spread[across])
+    a, b = float(handle.spread[along]), float(handle.spread[across])
     shape = (a - b) / max(a + b, 1e-6)
-    return value * (0.75 + 0.25 * shape), "handle opposite"
+    return value * (0.75 + 0.25 * shape) * handle.strength, "handle opposite"
 
 
 def _sibling_beyond(
@@ -305,6 +325,14 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     """
     import dataclasses
 
+    twin = _mirrored_twin(context)
+    if best.note.startswith("temple") and twin is not None and not context.closed:
+        # Arms of a pair fold towards each other.
+        arm = context.shape.center - best.origin
+        inward = context.scene.shapes[twin].center - context.shape.center
+        axis = best.axis if float(np.cross(best.axis, arm) @ inward) >= 0 else -best.axis
+        return dataclasses.replace(best, axis=axis, lower=0.0)
+
     def sweep(stop: float) -> float:
         return free_range(
             context.scene,
@@ -316,26 +344,32 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
             stop=stop,
         )
 
+    if context.closed:
+        opening = sweep(np.pi * 0.95)
+        return dataclasses.replace(best, upper=min(best.upper, opening) if opening > 0.7 else best.upper)
     closing = -sweep(-np.pi * 0.95)
     opening = sweep(np.pi * 0.95)
-    if closing < 0.3:
-        upper = min(best.upper, opening) if opening > 0.6 else best.upper
-        return dataclasses.replace(best, lower=0.0, upper=upper)
-    if opening < 0.3:
-        return dataclasses.replace(
-            best,
-            axis=-best.axis,
-            lower=0.0,
-            upper=min(best.upper, closing) if closing > 0.6 else best.upper,
-        )
-    # Open at rest. Which way it closes: towards the collision that comes first, if any does.
-    total = closing + opening
-    if total > 4.4:
+    if closing + opening > 4.4:
         return dataclasses.replace(best, lower=-closing, upper=opening)
     if closing > opening:
         return dataclasses.replace(
-            best, axis=-best.axis, lower=-opening, upper=min(closing, FOLDED_TOTAL - opening + 0.3)
+            best,
+            axis=-best.axis,
+            lower=-opening,
+            upper=max(0.3, min(closing, FOLDED_TOTAL - opening)),
         )
     return dataclasses.replace(
         best, lower=-closing, upper=max(0.3, min(opening, FOLDED_TOTAL - closing))
     )
+
+
+def _mirrored_twin(context: PartContext) -> int | None:
+    """Another part of the same size on the other side of the parent."""
+    own = np.sort(context.shape.box.half)
+    for j in context.scene.others(context.part):
+        other = context.scene.shapes[j]
+        if j == context.parent or context.assembly.parent[j] != context.parent:
+            continue
+        if np.all(np.abs(np.sort(other.box.half) - own) < 0.3 * own + 0.01):
+            return j
+    return None

@@ -88,16 +88,16 @@ def find_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Ar
         context = PartContext(assembly, part)
         shape = context.shape
         if mechanism in ("hinge", "drop"):
-            n = context.panel_outward(shape.box.axes[:, shape.panel.normal])
+            n = context.panel_normal
             weight = 2.0 * shape.size
         elif mechanism in ("slide_out", "press", "spin") and not (
             {"wheel", "caster"} & set(context.words)
         ):
             n = context.outward
             weight = 1.0 if mechanism == "slide_out" else 0.4
-        elif mechanism == "flap" and shape.panel.protrusion is not None:
+        elif mechanism == "flap" and context.handle is not None:
             # A knob or latch on a lid is at the front.
-            at = shape.box.axes @ (shape.panel.protrusion / np.maximum(shape.box.half, 1e-6))
+            at = shape.box.axes @ (context.handle.center / np.maximum(shape.box.half, 1e-6))
             n, weight = at * 0.5, 0.5
         else:
             continue

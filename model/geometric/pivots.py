@@ -152,10 +152,17 @@ def lever_hypotheses(context: PartContext) -> list[Hypothesis]:
     long = shape.order[2]
     arm = shape.points.mean(0) - context.contact_center
     found = []
-    for k, direction in enumerate(context.directions):
-        if k % 3 == long and shape.slenderness < 0.6:
+    along = shape.box.axes[:, long]
+    choices = list(zip(context.directions, covers, np.roll(covers, 3), strict=True))
+    if shape.thinness > 0.7:
+        # A rod's box may lie anyhow about its own length: offer the object's directions too.
+        e = np.concatenate([np.eye(3), -np.eye(3)])
+        there = [context.scene.cover(context.part, d, (context.parent,)) for d in e]
+        choices += list(zip(e, there, np.roll(there, 3), strict=True))
+    for direction, ahead, behind in choices:
+        if abs(direction @ along) > 0.5 and shape.slenderness < 0.6:
             continue
-        score = 1.2 * covers[(k + 3) % 6] - 0.8 * covers[k]
+        score = 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
         score += 0.9 * float(direction @ unit(shape.center - context.base.center))
         score += 0.8 * float(direction @ unit(arm))
         origin = context.contact_center

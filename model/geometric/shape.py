@@ -169,54 +169,96 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
+class Protrusion:
+    """What sticks out of one face of a panel: a handle, or what reaches into the body.
+
+    Attributes:
+        center: (3,) mean of its points, box coordinates. spread: (3,) their standard deviation.
+        share: of the part's sample.
+        height: how far it sticks out.
+    """
+
+    center: Array
+    spread: Array
+    share: float
+    height: float
+
+    @property
+    def strength(self) -> float:
+        """0..1: how much it is like a handle, not like a seam, a step or a frame."""
+        return float(np.clip((self.height - 0.004) / 0.008, 0, 1)) * float(
+            np.clip((0.3 - self.share) / 0.15, 0, 1)
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Panel:
-    """A slab and what sticks out of it.
+    """The part seen as a slab with something sticking out of its faces.
 
     Attributes:
         normal: index of the box axis across the slab.
-        low, high: where the slab lies along that axis, in box coordinates; handles are outside.
-        protrusion: (3,) mean of the points that stick out, box coordinates; None without any.
-        side: +1 or -1, the side of the slab to which they stick out.
-        share: of the sample that sticks out.
-        spread: (3,) standard deviation of the protruding points along the box axes.
+        low, high: the slab's two faces along that axis, in box coordinates.
+        below, above: what sticks out beyond ``low`` and beyond ``high``, or None.
+        fill: share of the box's face that the part covers, 1 for a full panel.
     """
 
     normal: int
     low: float
     high: float
-    protrusion: Array | None = None
-    side: int = 0
-    share: float = 0.0
-    spread: Array | None = None
+    below: Protrusion | None = None
+    above: Protrusion | None = None
+    fill: float = 1.0
+
+    def beyond(self, sign: float) -> Protrusion | None:
+        """What sticks out towards the positive or the negative side of the normal."""
+        return self.above if sign > 0 else self.below
 
 
-def fit_panel(shape: Shape) -> Panel:
-    """Find the slab: the thinnest layer across the thin axis that spans the whole face."""
-    box, k = shape.box, shape.order[0]
+FACE_COVER = 0.3
+"""Share of the panel's outline that a layer must cover to be its face and not a handle."""
+
+
+def fit_panel(shape: Shape, normal: int | None = None) -> Panel:
+    """Find the slab's faces: from outside, the first layers that cover enough of the outline."""
+    box = shape.box
+    k = shape.order[0] if normal is None else normal
     local = box.local(shape.points)
     u, v = (i for i in range(3) if i != k)
     depth = local[:, k]
     half = float(box.half[k])
-    if half < 1e-6:
+    if half < 1e-6 or len(local) < 30:
         return Panel(k, -half, half)
-    edges = np.linspace(-half, half, 25)
-    layer = np.clip(np.digitize(depth, edges) - 1, 0, 23)
-    cells = 8
-    cu = np.clip(((local[:, u] / (2 * box.half[u] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1)
-    cv = np.clip(((local[:, v] / (2 * box.half[v] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1)
-    cover = np.zeros((24, cells * cells), bool)
-    cover[layer, cu * cells + cv] = True
-    share = cover.mean(1)
-    full = share >= 0.5 * share.max()
-    first, last = int(np.argmax(full)), 23 - int(np.argmax(full[::-1]))
-    low, high = float(edges[first]), float(edges[last + 1])
-    slack = 0.04 * 2 * half + (0.004 if shape.scanned else 0.0)
-    above, below = depth > high + slack, depth < low - slack
-    side = 1 if above.sum() >= below.sum() else -1
-    out = above if side > 0 else below
-    if out.sum() < max(4, 0.002 * len(depth)) or out.mean() > 0.45:
-        return Panel(k, low, high)
-    return Panel(k, low, high, local[out].mean(0), side, float(out.mean()), local[out].std(0))
+    cells = 12 if len(local) > 900 else 8
+    cell = np.zeros(len(local), int)
+    for i in (u, v):
+        at = np.clip(((local[:, i] / (2 * box.half[i] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1)
+        cell = cell * cells + at
+    total = len(np.unique(cell))
+
+    def face(sign: float) -> float:
+        highest = np.full(cells * cells, -np.inf)
+        np.maximum.at(highest, cell, sign * depth)
+        levels = np.sort(highest[np.isfinite(highest)])[::-1]
+        return sign * float(levels[min(len(levels) - 1, int(FACE_COVER * total))])
+
+    high, low = face(1.0), face(-1.0)
+    if low > high:
+        low, high = high, low
+    slack = max(0.06 * half, 0.004 if shape.scanned else 0.0015)
+
+    def beyond(sign: float) -> Protrusion | None:
+        edge = high if sign > 0 else -low
+        out = sign * depth > edge + slack
+        if out.sum() < max(4, 0.002 * len(depth)) or out.mean() > 0.45:
+            return None
+        return Protrusion(
+            local[out].mean(0),
+            local[out].std(0),
+            float(out.mean()),
+            float((sign * depth[out]).max() - edge),
+        )
+
+    return Panel(k, low, high, beyond(-1.0), beyond(1.0), total / cells**2)
 
 
 def _extent(points: Array, scanned: bool) -> Array:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.shape import fit_panel
 from model.geometric.sweep import free_range
 
 Array = npt.NDArray[np.float64]
@@ -30,10 +31,7 @@ def slide_out_hypotheses(context: PartContext) -> list[Hypothesis]:
         reach = max(base.box.reach(direction), 1e-3)
         edge = float(np.clip((own - end) / (0.5 * reach), -1.5, 0.3))
         axis_k = k % 3
-        panel = shape.panel
-        handle = 0.0
-        if panel.protrusion is not None and panel.normal == axis_k and panel.share < 0.3:
-            handle = panel.side * float(np.sign(shape.box.axes[:, axis_k] @ direction))
+        handle = _handle_beyond(context, axis_k, direction)
         score = 1.8 * (1 - covers[k]) + 0.9 * covers[(k + 3) % 6] + 1.0 * edge + 0.8 * handle
         score += 0.8 * certainty * float(direction @ front)
         score += 0.3 * float(direction @ unit(shape.center - base.center))
@@ -45,6 +43,18 @@ def slide_out_hypotheses(context: PartContext) -> list[Hypothesis]:
             )
         )
     return found
+
+
+def _handle_beyond(context: PartContext, k: int, direction: Array) -> float:
+    """1 where a handle sticks out that way, -1 where one does the other way."""
+    panel = fit_panel(context.shape, k)
+    sign = float(np.sign(context.shape.box.axes[:, k] @ direction))
+    out = 0.0
+    for side in (1.0, -1.0):
+        found = panel.beyond(sign * side)
+        if found is not None and found.share < 0.12:
+            out += side
+    return out
 
 
 def _drawer_depth(context: PartContext, direction: Array) -> float:

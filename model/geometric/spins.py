@@ -94,7 +94,7 @@ def screw_hypotheses(context: PartContext) -> list[Hypothesis]:
     shape = context.shape
     up = context.upright()
     best: Hypothesis | None = None
-    if "seat" in context.words:
+    if "seat" in context.words or (shape.roundest is None and shape.size > 0.4):
         origin = _support(context, up)
         return [
             Hypothesis(

@@ -32,22 +32,34 @@ def root_scores(scene: Scene) -> Array:
     out += 0.8 * (volume / max(volume.max(), 1e-12)) ** (1 / 3)
     out += 0.5 * np.sqrt(area / max(area.max(), 1e-12))
     out += 1.0 * touching / max(1, n - 1)
-    out += 0.5 * (1 - np.clip(low / height, 0, 1))
+    out += 0.8 * (1 - np.clip(low / height, 0, 1))
     out += 1.5 * named
+    for i in np.argsort(-out)[: min(3, n)]:
+        out[i] += 1.2 * _encloses(scene, int(i))
     return out
+
+
+def _encloses(scene: Scene, i: int) -> float:
+    """0..1: how far the other parts lie within part ``i``, mean over the larger ones."""
+    found = []
+    for j in sorted(scene.others(i), key=lambda j: -scene.shapes[j].size)[:6]:
+        covers = [scene.cover(j, d, (i,)) for d in (*np.eye(3), *-np.eye(3))]
+        found.append(float(np.mean(covers)))
+    return float(np.mean(found)) if found else 0.0
 
 
 def spanning_parents(scene: Scene, root: int) -> list[int]:
     """Parent of each part (-1 for the root).
 
     A part hangs on the root where the two touch; else on the part that it touches and through
-    which the root is reached with the smallest gaps.
+    which the root is reached with the smallest gaps. A part that touches another far more than it
+    touches the root (a wheel in its fork, a knob on a door) hangs on that one.
     """
     n = len(scene)
     gap = scene.gap
     parent = [-1] * n
     placed = {root}
-    # Cost of hanging on a part that isn't the root: it must be clearly nearer to pay.
+    held = {i: _holder(scene, root, i) for i in range(n) if i != root}
     while len(placed) < n:
         best: tuple[float, float, int, int] | None = None
         for i in range(n):
@@ -62,7 +74,38 @@ def spanning_parents(scene: Scene, root: int) -> list[int]:
         assert best is not None
         parent[best[2]] = best[3]
         placed.add(best[2])
+    for i, j in held.items():
+        if j is not None and held.get(j) is None and not _below(parent, j, i):
+            parent[i] = j
     return _named_parents(scene, root, parent)
+
+
+def _holder(scene: Scene, root: int, i: int) -> int | None:
+    """The part that ``i`` touches far more than it touches the root."""
+    shape = scene.shapes[i]
+
+    def share(j: int) -> float:
+        return float((scene.distances(i, j) < TOUCHING).mean())
+
+    near = [
+        j
+        for j in scene.others(i)
+        if j != root
+        and scene.gap[i, j] < TOUCHING / 2
+        and scene.shapes[j].size > 0.75 * shape.size
+        and not _alike(scene, i, j)
+    ]
+    if not near:
+        return None
+    best = max(near, key=lambda j: (share(j), -j))
+    mine, roots = share(best), share(root)
+    return best if mine > 0.15 + 2.0 * roots else None
+
+
+def _alike(scene: Scene, i: int, j: int) -> bool:
+    """Whether two parts have nearly the same box, like neighbouring doors or keys."""
+    a, b = np.sort(scene.shapes[i].box.half), np.sort(scene.shapes[j].box.half)
+    return bool(np.all(np.abs(a - b) < 0.2 * b + 0.001))
 
 
 def _small(scene: Scene, holder: int, held: int) -> float:
