@@ -1,0 +1,160 @@
+"""The session loop: one live state an object, shared by everybody who looks at it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from weakref import WeakValueDictionary
+
+from sessions.commands import Command, from_json, to_json
+from sessions.document import Document
+from sessions.review import Role
+from sessions.state import Context, SessionState, apply, replay
+from sessions.store import ConflictError, Store, clean_who, now
+
+logger = logging.getLogger(__name__)
+
+Subscriber = Callable[[SessionState, Command], None]
+
+MAX_ATTEMPTS = 20
+
+
+class LiveSession:
+    """The state of one object in this process. Every method may be called from any thread."""
+
+    def __init__(self, store: Store, object_id: int) -> None:
+        self.store = store
+        self.object_id = object_id
+        self._lock = threading.RLock()
+        self._state = store.load(object_id)
+        self._subscribers: dict[int, Subscriber] = {}
+        self._next_key = 0
+        self._queue: deque[tuple[int, SessionState, Command]] = deque()
+        self._delivering = False
+
+    @property
+    def state(self) -> SessionState:
+        """The state now."""
+        with self._lock:
+            return self._state
+
+    @property
+    def document(self) -> Document:
+        """The present document."""
+        return self.state.present
+
+    def do(self, command: Command, who: str, *, role: Role = "reviewer") -> SessionState:
+        """Apply ``command``, keep it, tell the subscribers.
+
+        What is applied is what is read back from the written form, so a replay can't differ. Where
+        another process was first, its commands are taken in and the command is tried again.
+
+        Returns:
+            The state after it; the former one where it changes nothing.
+
+        Raises:
+            CommandError: where the state doesn't allow the command; nothing was kept.
+            StoreError: where it couldn't be kept; the state is as before.
+        """
+        command = from_json(to_json(command))
+        who = clean_who(who)
+        try:
+            with self._lock:
+                return self._do(command, who, role)
+        finally:
+            self._deliver()
+
+    def refresh(self) -> SessionState:
+        """Take in what other processes did."""
+        with self._lock:
+            self._catch_up()
+            state = self._state
+        self._deliver()
+        return state
+
+    def subscribe(self, callback: Subscriber) -> Callable[[], None]:
+        """Call ``callback(state, command)`` after each command, in order, outside of the lock.
+
+        Calls come one at a time, from the thread that gave this or another command. What a
+        callback raises is logged and stops nothing.
+
+        Returns:
+            A function that ends the subscription; it may be called twice.
+        """
+        with self._lock:
+            key, self._next_key = self._next_key, self._next_key + 1
+            self._subscribers[key] = callback
+
+        def unsubscribe() -> None:
+            with self._lock:
+                self._subscribers.pop(key, None)
+
+        return unsubscribe
+
+    def _do(self, command: Command, who: str, role: Role) -> SessionState:
+        for attempt in range(MAX_ATTEMPTS):
+            at = now()
+            after = apply(self._state, command, Context(who, at, role))
+            if after is self._state:
+                return after
+            try:
+                self.store.append(
+                    self.object_id, command, who, self._state.seq, at=at, role=role, after=after
+                )
+            except ConflictError:
+                if attempt == MAX_ATTEMPTS - 1:
+                    raise
+                self._catch_up()
+                continue
+            self._advance(after, command)
+            return after
+        raise AssertionError("unreachable")
+
+    def _catch_up(self) -> None:
+        for entry in self.store.history(self.object_id, after=self._state.seq):
+            context = Context(entry.who, entry.at)
+            self._advance(replay([(entry.seq, entry.command, context)], self._state), entry.command)
+
+    def _advance(self, state: SessionState, command: Command) -> None:
+        self._state = state
+        self._queue.extend((key, state, command) for key in self._subscribers)
+
+    def _deliver(self) -> None:
+        while True:
+            with self._lock:
+                if self._delivering or not self._queue:
+                    return
+                self._delivering = True
+                key, state, command = self._queue.popleft()
+                subscriber = self._subscribers.get(key)
+            try:
+                if subscriber is not None:
+                    subscriber(state, command)
+            except Exception:  # one screen's failure must not cost the others their update
+                logger.exception("a subscriber of object %d failed", self.object_id)
+            finally:
+                with self._lock:
+                    self._delivering = False
+
+
+class SessionHub:
+    """One :class:`LiveSession` an object, for all who hold it; forgotten when nobody does."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._lock = threading.Lock()
+        self._sessions: WeakValueDictionary[int, LiveSession] = WeakValueDictionary()
+
+    def session(self, object_id: int) -> LiveSession:
+        """The live session of an object.
+
+        Raises:
+            StoreError: where there is no such object.
+        """
+        with self._lock:
+            session = self._sessions.get(object_id)
+            if session is None:
+                session = self._sessions[object_id] = LiveSession(self.store, object_id)
+            return session

@@ -1,0 +1,173 @@
+"""Where an asset comes from: source, prompts, predictor, edits, who, when, versions."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from typing import Any
+
+from model.geometry.asset import Source
+from model.segmentation.prompts import Click
+from sessions import codec
+from sessions.commands import (
+    LockJoint,
+    RecordPrediction,
+    RecordSegmentation,
+    Redo,
+    ResetJoint,
+    Saved,
+    SetFrame,
+    SetJoint,
+    SetRoot,
+    Undo,
+    describe,
+    to_json,
+)
+from sessions.document import Document
+from sessions.state import SessionState
+from sessions.store import Entry
+
+FORMAT = 1
+
+_JOINT_EDITS = (SetJoint, SetRoot, ResetJoint, LockJoint)
+
+
+def provenance(
+    state: SessionState, history: Iterable[Entry], source: Source | None
+) -> dict[str, Any]:
+    """For the asset's ``provenance.json``.
+
+    Args:
+        state: the session.
+        history: all its commands, as :meth:`sessions.store.Store.history` gives them.
+        source: where the asset was read from, None for one made in memory.
+
+    Returns:
+        A dict that JSON can hold. ``edits`` lists the joint edits made on the last prediction that
+        are still in force; what was undone isn't there.
+    """
+    document = state.present
+    kept = effective(history)
+    return {
+        "format": FORMAT,
+        "source": None if source is None else _source(source),
+        "category": document.category,
+        "parts": _parts(document),
+        "prompts": [_prompt(p) for p in document.prompts],
+        "segmenter": None if document.segmentation is None else _segmenter(document),
+        "predictor": _predictor(document, kept),
+        "edits": _edits(kept),
+        "edited_joints": list(document.edited_joints),
+        "review": codec.write(document.review, "review"),
+        "people": _people(kept),
+        "started": kept[0].at if kept else None,
+        "finished": kept[-1].at if kept else None,
+        "commands": state.seq,
+        "versions": _versions(),
+    }
+
+
+def effective(history: Iterable[Entry]) -> list[Entry]:
+    """The entries that are in force: without what was undone, without undo and redo themselves."""
+    done: list[Entry] = []
+    undone: list[Entry] = []
+    amendments: list[Entry] = []
+    for entry in history:
+        if isinstance(entry.command, Undo):
+            undone.append(done.pop())
+        elif isinstance(entry.command, Redo):
+            done.append(undone.pop())
+        elif isinstance(entry.command, (RecordSegmentation, Saved)):
+            amendments.append(entry)
+        else:
+            done.append(entry)
+            undone.clear()
+    return sorted([*done, *amendments], key=lambda e: e.seq)
+
+
+def _source(source: Source) -> dict[str, Any]:
+    return {
+        "path": str(source.path),
+        "sha256": source.sha256,
+        "up_axis": source.up_axis,
+        "unit_scale": source.unit_scale,
+    }
+
+
+def _parts(document: Document) -> list[dict[str, Any]]:
+    counts: Mapping[int, int] = (
+        {} if document.segmentation is None else document.segmentation.counts
+    )
+    return [
+        {"id": p.id, "link": p.link, "name": p.name, "elements": counts.get(p.id, 0)}
+        for p in document.parts
+    ]
+
+
+def _prompt(prompt: Any) -> dict[str, Any]:
+    kind = "click" if isinstance(prompt, Click) else "region"
+    return {"kind": kind, **codec.write(prompt, kind)}
+
+
+def _segmenter(document: Document) -> dict[str, Any]:
+    record = document.segmentation
+    assert record is not None
+    return {"name": record.segmenter, "seconds": record.seconds, "labels": record.labels}
+
+
+def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:
+    prediction = document.prediction
+    if prediction is None:
+        return None
+    made = next((e for e in reversed(kept) if isinstance(e.command, RecordPrediction)), None)
+    return {
+        "backend": prediction.backend,
+        "seed": prediction.seed,
+        "seconds": prediction.seconds,
+        "problems": list(prediction.problems),
+        "confidence": codec.write(prediction.confidence, "confidence"),
+        "by": None if made is None else made.who,
+        "at": None if made is None else made.at,
+        "parts_changed_since": document.prediction_stale,
+    }
+
+
+def _edits(kept: list[Entry]) -> list[dict[str, Any]]:
+    out: list[dict[str, Any]] = []
+    for e in kept:
+        starts_afresh = isinstance(e.command, SetFrame) or (
+            isinstance(e.command, RecordPrediction) and e.command.prediction.tree is not None
+        )
+        if starts_afresh:
+            out = []
+        elif isinstance(e.command, _JOINT_EDITS):
+            out.append(
+                {
+                    "seq": e.seq,
+                    "who": e.who,
+                    "at": e.at,
+                    "what": describe(e.command),
+                    "command": to_json(e.command),
+                }
+            )
+    return out
+
+
+def _people(kept: list[Entry]) -> list[dict[str, Any]]:
+    """Everybody who decided something, first come first, with the number of their decisions."""
+    counts: dict[str, int] = {}
+    for e in kept:
+        if not isinstance(e.command, (RecordSegmentation, Saved)):
+            counts[e.who] = counts.get(e.who, 0) + 1
+    return [{"who": who, "decisions": n} for who, n in counts.items()]
+
+
+def _versions() -> dict[str, str]:
+    out = {"python": platform.python_version()}
+    for package in ("artiworld", "numpy", "trimesh"):
+        try:
+            out[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            out[package] = "unknown"
+    return out

@@ -1,0 +1,408 @@
+"""The workspace: a database of commands, and the arrays beside it.
+
+Commands are only ever appended. Everything else in the database can be made again from them:
+snapshots save the time of a replay, and the columns of an object save the queue from loading it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+from sqlalchemy import Connection, Row, delete, exc, insert, select, update
+
+from model.errors import CommandError, StoreError
+from sessions import codec
+from sessions.arrays import ArrayFiles
+from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
+from sessions.database import Database, commands, objects, snapshots
+from sessions.review import ReviewState, Role
+from sessions.serialise import VERSION, state_from_json, state_to_json
+from sessions.state import Context, SessionState, apply, replay
+from sessions.text import clean_text
+
+SNAPSHOT_EVERY = 50
+SNAPSHOTS_KEPT = 2
+
+
+class ConflictError(StoreError):
+    """Another process appended first; read what it did and try again."""
+
+
+@dataclass(frozen=True)
+class ObjectRecord:
+    """One line of the queue.
+
+    Attributes:
+        id: in this workspace.
+        path: the source, absolute.
+        name: short, for people.
+        sha256: of the source when it was opened first, None where nobody read it yet.
+        state: see :mod:`sessions.review`.
+        prompts, parts: how many.
+        category: what it is, or None.
+        who: who gave the last command, "" before the first.
+        updated, created: ISO 8601, UTC.
+        assigned_to: the annotator whom a rejected object waits for, or None.
+        seq: number of the last command.
+        changed: the source isn't any more what was annotated (only from ``open_object``).
+    """
+
+    id: int
+    path: Path
+    name: str
+    sha256: str | None
+    state: ReviewState
+    prompts: int
+    parts: int
+    category: str | None
+    who: str
+    updated: str
+    created: str
+    assigned_to: str | None
+    seq: int
+    changed: bool = False
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One command as it was given.
+
+    Attributes:
+        seq: 1 for the first command of an object.
+        at: ISO 8601, UTC.
+        who: the person.
+        command: what was decided.
+    """
+
+    seq: int
+    at: str
+    who: str
+    command: Command
+
+    @property
+    def kind(self) -> str:
+        """The command's name in JSON."""
+        return kind_of(self.command)
+
+
+def now() -> str:
+    """The moment as ISO 8601, UTC, microseconds; sorts as text."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+class Store:
+    """A workspace folder with its database. Threads may share one; processes open their own.
+
+    Args:
+        workspace: folder for the arrays and, by default, the database; made where it is missing.
+        database_url: any SQLAlchemy URL; None is SQLite at ``workspace/artiworld.db``.
+        busy_timeout: seconds to wait for another process that is writing.
+
+    Raises:
+        StoreError: naming the file, where the workspace can't be used.
+    """
+
+    def __init__(
+        self, workspace: Path, database_url: str | None = None, busy_timeout: float = 10.0
+    ) -> None:
+        self.workspace = Path(os.path.abspath(workspace))
+        try:
+            (self.workspace / "arrays").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(
+                f"{workspace}: can't be the workspace ({error.strerror or error}); "
+                "choose a folder that you may write to"
+            ) from error
+        url = database_url or "sqlite:///" + str(self.workspace / "artiworld.db")
+        self._database = Database(url, busy_timeout)
+        self._arrays = ArrayFiles(self.workspace / "arrays")
+
+    def close(self) -> None:
+        """Close the database's connections."""
+        self._database.close()
+
+    def open_object(self, path: Path, sha256: str | None, name: str) -> ObjectRecord:
+        """The object of the source ``path``; made where it isn't there yet.
+
+        Args:
+            path: file or folder; relative ones count from the current folder.
+            sha256: of its content, None where it wasn't read yet.
+            name: short, for people.
+        """
+        return self.open_objects([(path, sha256, name)])[0]
+
+    def open_objects(self, sources: Iterable[tuple[Path, str | None, str]]) -> list[ObjectRecord]:
+        """As :meth:`open_object`, for many at once in one transaction."""
+        wanted = [(_key(path), sha256, name) for path, sha256, name in sources]
+        with self._database.writing() as connection:
+            known = _by_path(connection, [key for key, _, _ in wanted])
+            fresh = {key: (sha256, name) for key, sha256, name in wanted if key not in known}
+            if fresh:
+                connection.execute(
+                    insert(objects), [_new(k, sha, name) for k, (sha, name) in fresh.items()]
+                )
+                known |= _by_path(connection, list(fresh))
+            out = []
+            for key, sha256, _ in wanted:
+                row = known[key]
+                if sha256 not in (None, row.sha256) and (row.sha256 is None or row.seq == 0):
+                    # Nobody decided anything about the former content, if there was any.
+                    mine = objects.c.id == row.id
+                    connection.execute(update(objects).where(mine).values(sha256=sha256))
+                    row = connection.execute(select(objects).where(mine)).one()
+                out.append(_record(row, changed=sha256 not in (None, row.sha256)))
+        return out
+
+    def objects(self) -> list[ObjectRecord]:
+        """All the objects in the order in which they were opened first."""
+        with self._database.reading() as connection:
+            rows = connection.execute(select(objects).order_by(objects.c.id)).all()
+        return [_record(row) for row in rows]
+
+    def object(self, object_id: int) -> ObjectRecord:
+        """One object.
+
+        Raises:
+            StoreError: where there is none with that id.
+        """
+        with self._database.reading() as connection:
+            return _record(self._row(connection, object_id))
+
+    def load(self, object_id: int) -> SessionState:
+        """The session's state: the last snapshot that is whole, and the commands after it."""
+        with self._database.reading() as connection:
+            row = self._row(connection, object_id)
+            state = self._snapshot(connection, object_id, row.seq)
+            tail = self._entries(connection, object_id, state.seq)
+        try:
+            return replay(((e.seq, e.command, Context(e.who, e.at)) for e in tail), state)
+        except CommandError as error:
+            raise StoreError(
+                f"{self._database.name}: object {object_id} can't be replayed ({error}); "
+                "its commands were changed by hand or by another version"
+            ) from error
+
+    def append(
+        self,
+        object_id: int,
+        command: Command,
+        who: str,
+        expected_seq: int,
+        *,
+        at: str | None = None,
+        role: Role = "reviewer",
+        after: SessionState | None = None,
+    ) -> int:
+        """Keep ``command``; it is durable when this returns.
+
+        Args:
+            object_id: the object.
+            command: the decision; one that the state doesn't allow is refused.
+            who: the person.
+            expected_seq: number of the last command that the caller knows.
+            at: when, ISO 8601, UTC; None is now.
+            role: what the person may do.
+            after: the state with the command applied, where the caller has it already.
+
+        Returns:
+            The command's number; ``expected_seq`` where it changes nothing and isn't kept.
+
+        Raises:
+            ConflictError: where ``expected_seq`` isn't the last number any more.
+            CommandError: where the state doesn't allow the command.
+        """
+        who, at = clean_who(who), at or now()
+        if after is None:
+            before = self.load(object_id)
+            if before.seq != expected_seq:
+                raise self._conflict(object_id, expected_seq, before.seq)
+            after = apply(before, command, Context(who, at, role))
+        if after.seq == expected_seq:
+            return expected_seq
+        assert after.seq == expected_seq + 1, "the state belongs to another command"
+        line = {
+            "object_id": object_id,
+            "seq": after.seq,
+            "at": at,
+            "who": who,
+            "kind": kind_of(command),
+            "payload": _dumps(to_json(command)),
+        }
+        blob = _compressed(after) if after.seq % SNAPSHOT_EVERY == 0 else None
+        try:
+            with self._database.writing() as connection:
+                self._append(connection, line, _summary(after, who, at), blob)
+        except StoreError as error:
+            if isinstance(error.__cause__, exc.IntegrityError):
+                # A database without a writers' queue: both inserted, the second one is refused.
+                raise self._conflict(object_id, expected_seq, expected_seq + 1) from error
+            raise
+        return after.seq
+
+    def history(self, object_id: int, after: int = 0) -> list[Entry]:
+        """The commands of an object in order, from number ``after`` + 1."""
+        with self._database.reading() as connection:
+            self._row(connection, object_id)
+            return self._entries(connection, object_id, after)
+
+    def put_array(self, array: npt.NDArray[Any]) -> str:
+        """Keep an array of numbers; the same content has the same reference. Durable on return."""
+        return self._arrays.put(array)
+
+    def get_array(self, ref: str) -> npt.NDArray[Any]:
+        """The array behind ``ref``, read-only.
+
+        Raises:
+            StoreError: naming the file, where it is missing or damaged.
+        """
+        return self._arrays.get(ref)
+
+    def _append(
+        self,
+        connection: Connection,
+        line: dict[str, Any],
+        summary: dict[str, Any],
+        blob: bytes | None,
+    ) -> None:
+        object_id, seq = line["object_id"], line["seq"]
+        current = self._row(connection, object_id).seq
+        if current != seq - 1:
+            raise self._conflict(object_id, seq - 1, current)
+        connection.execute(insert(commands).values(line))
+        connection.execute(update(objects).where(objects.c.id == object_id).values(summary))
+        if blob is None:
+            return
+        connection.execute(
+            insert(snapshots).values(object_id=object_id, seq=seq, format=VERSION, blob=blob)
+        )
+        old = (snapshots.c.object_id == object_id) & (
+            snapshots.c.seq <= seq - SNAPSHOTS_KEPT * SNAPSHOT_EVERY
+        )
+        connection.execute(delete(snapshots).where(old))
+
+    def _row(self, connection: Connection, object_id: int) -> Row[Any]:
+        row = connection.execute(select(objects).where(objects.c.id == object_id)).one_or_none()
+        if row is None:
+            raise StoreError(f"{self._database.name}: there is no object {object_id}")
+        return row
+
+    def _snapshot(self, connection: Connection, object_id: int, last: int) -> SessionState:
+        query = (
+            select(snapshots)
+            .where(snapshots.c.object_id == object_id, snapshots.c.seq <= last)
+            .order_by(snapshots.c.seq.desc())
+        )
+        for row in connection.execute(query):
+            try:
+                state = state_from_json(json.loads(zlib.decompress(row.blob)))
+            except (StoreError, ValueError, zlib.error):
+                continue  # only a shortcut: an older one, or the commands alone, say the same
+            if state.seq == row.seq:
+                return state
+        return SessionState()
+
+    def _entries(self, connection: Connection, object_id: int, after: int) -> list[Entry]:
+        query = (
+            select(commands)
+            .where(commands.c.object_id == object_id, commands.c.seq > after)
+            .order_by(commands.c.seq)
+        )
+        out: list[Entry] = []
+        for row in connection.execute(query):
+            where = f"{self._database.name}: object {object_id}, command {row.seq}"
+            if row.seq != after + len(out) + 1:
+                raise StoreError(f"{where}: a command before it is missing; restore a copy")
+            try:
+                command = from_json(json.loads(row.payload))
+            except (ValueError, CommandError) as error:
+                raise StoreError(f"{where}: can't be read ({error})") from error
+            out.append(Entry(row.seq, row.at, row.who, command))
+        return out
+
+    def _conflict(self, object_id: int, expected: int, current: int) -> ConflictError:
+        return ConflictError(
+            f"object {object_id} was changed by another process: it is at command {current}, "
+            f"not {expected}; load it again"
+        )
+
+
+def clean_who(who: str) -> str:
+    """A person's name as it is kept."""
+    return clean_text(who, NAME_LIMIT, "the person's name") or "anonymous"
+
+
+def _key(path: Path) -> str:
+    key = os.path.abspath(path)
+    try:
+        key.encode()
+    except UnicodeEncodeError:
+        raise StoreError(f"{key!r}: the path has characters that aren't UTF-8; rename it") from None
+    return key
+
+
+def _by_path(connection: Connection, keys: list[str]) -> dict[str, Row[Any]]:
+    out: dict[str, Row[Any]] = {}
+    for start in range(0, len(keys), 500):  # databases limit the values of one statement
+        chosen = objects.c.path.in_(keys[start : start + 500])
+        out |= {row.path: row for row in connection.execute(select(objects).where(chosen))}
+    return out
+
+
+def _new(key: str, sha256: str | None, name: str) -> dict[str, Any]:
+    at = now()
+    plain = clean_text(name[:NAME_LIMIT], NAME_LIMIT, "the object's name") or Path(key).name
+    line = {"path": key, "name": plain, "sha256": sha256, "created": at}
+    return line | _summary(SessionState(), "", at)
+
+
+def _summary(state: SessionState, who: str, at: str) -> dict[str, Any]:
+    document = state.present
+    rejected = document.review.state == "rejected"
+    return {
+        "seq": state.seq,
+        "state": document.review.state,
+        "prompts": len(document.prompts),
+        "parts": len(document.parts),
+        "category": document.category,
+        "who": who,
+        "updated": at,
+        "assigned_to": (document.annotator or None) if rejected else None,
+    }
+
+
+def _record(row: Row[Any], changed: bool = False) -> ObjectRecord:
+    return ObjectRecord(
+        id=row.id,
+        path=Path(row.path),
+        name=row.name,
+        sha256=row.sha256,
+        state=row.state,
+        prompts=row.prompts,
+        parts=row.parts,
+        category=row.category,
+        who=row.who or "",
+        updated=row.updated,
+        created=row.created,
+        assigned_to=row.assigned_to,
+        seq=row.seq,
+        changed=changed,
+    )
+
+
+def _dumps(data: Any) -> str:
+    return json.dumps(data, allow_nan=False, separators=(",", ":"))
+
+
+def _compressed(state: SessionState) -> bytes:
+    try:
+        return zlib.compress(_dumps(state_to_json(state)).encode(), 1)
+    except codec.CodecError as error:
+        raise CommandError(str(error)) from error
