@@ -9,21 +9,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.etree.ElementTree import Element
-
-import numpy as np
-import numpy.typing as npt
 
 from model.datasets.protocol import GroundTruth
 from model.errors import InputFileError
-from model.geometry.mesh import Mesh
 from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import JOINT_TYPES, Joint
+from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
-
-Matrix = npt.NDArray[np.float64]
+from model.kinematics.urdf_meshes import load_part
+from model.kinematics.urdf_model import UrdfModel
+from model.kinematics.urdf_reader import read_urdf_model
 
 
 @dataclass(frozen=True)
@@ -57,230 +53,75 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
     """Read one PartNet-Mobility folder.
 
     Returns:
-        The object in the URDF's base frame (+z up, metres as written), q = 0.
+        The object in the URDF's root frame (+z up, metres as written), q = 0.
 
     Raises:
         InputFileError: where ``mobility.urdf`` or a mesh is missing or broken.
     """
-    urdf = _Urdf.read(folder / "mobility.urdf")
-    pose = urdf.rest_poses()
-    group = urdf.rigid_groups()
+    folder = Path(folder)
+    model = read_urdf_model(folder / "mobility.urdf")
     names = _semantic_names(folder)
-    members: dict[str, list[str]] = {}
-    for link, head in group.items():
-        members.setdefault(head, []).append(link)
-    parts, notes = [], []
+    notes = list(model.notes)
+    parts: list[Part] = []
     rename: dict[str, str] = {}
-    for head, links in members.items():
-        pieces = [m for link in links for m in urdf.link_meshes(link, pose[link])]
-        if not pieces:
-            rename[head] = _helper_name(head)
+    for head, links in _rigid_groups(model.tree).items():
+        visuals = [v for link in links for v in model.by_link.get(link, ())]
+        if not visuals:
+            rename[head] = head
             continue
+        shown = [link for link in links if link in model.by_link]
         # The part is called after the link that the annotators named, else its first link.
-        link = next((n for n in links if n in names), next(iter(links)))
+        link = next((n for n in links if n in names), shown[0])
         rename[head] = link if link.startswith("link_") else f"link_{link}"
-        parts.append(Part(rename[head], mesh=_join(pieces), name=names.get(link)))
-        if len(links) > 1 and sum(bool(urdf.visuals(x)) for x in links) > 1:
-            notes.append(f"{rename[head]}: merged from {', '.join(links)}")
+        parts.append(replace(load_part(rename[head], visuals), name=names.get(link)))
+        if len(shown) > 1:
+            notes.append(f"{rename[head]}: merged from {', '.join(shown)}")
     if not parts:
-        raise InputFileError(urdf.path, "no link has a mesh", "at least one is needed")
-    joints = urdf.joints_in_rest_frame(pose, group, rename)
-    links, joints, dropped = _without_empty_root(tuple(rename.values()), joints)
-    notes += dropped
+        raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
+    tree = _moving_tree(model, rename)
     meta = _json(folder / "meta.json")
+    category = meta.get("model_cat") if isinstance(meta, dict) else None
     obj = ArticulatedObject(
-        folder.name,
-        tuple(sorted(parts, key=lambda p: _natural(p.link))),
-        KinematicTree(links, joints),
-        meta.get("model_cat") if isinstance(meta, dict) else None,
+        folder.name, tuple(sorted(parts, key=lambda p: _natural(p.link))), tree, category
     )
     return GroundTruth(folder.name, obj, tuple(notes))
 
 
-@dataclass(frozen=True)
-class _Urdf:
-    """The few things that are read from a PartNet-Mobility URDF."""
-
-    path: Path
-    links: Mapping[str, Element]
-    joints: tuple[Element, ...]
-    parent_joint: Mapping[str, Element] = field(default_factory=dict)
-
-    @staticmethod
-    def read(path: Path) -> _Urdf:
-        from defusedxml.ElementTree import ParseError, parse
-
-        try:
-            root = parse(path).getroot()
-        except FileNotFoundError:
-            raise InputFileError(
-                path, "no such file", "a PartNet-Mobility folder has one"
-            ) from None
-        except ParseError as error:
-            raise InputFileError(path, f"not XML: {error}", "a URDF is an XML file") from None
-        links = {e.get("name", ""): e for e in root.findall("link")}
-        joints = tuple(root.findall("joint"))
-        out = _Urdf(path, links, joints, {_end(j, "child"): j for j in joints})
-        for j in joints:
-            for end in ("parent", "child"):
-                if _end(j, end) not in links:
-                    raise InputFileError(
-                        path,
-                        f"joint {j.get('name')!r} names the {end} link {_end(j, end)!r}",
-                        f"links are {', '.join(links)}",
-                    )
-            if j.get("type") not in JOINT_TYPES:
-                raise InputFileError(
-                    path,
-                    f"joint {j.get('name')!r} has type {j.get('type')!r}",
-                    f"one of {', '.join(JOINT_TYPES)} is read",
-                )
-        return out
-
-    def rest_poses(self) -> dict[str, Matrix]:
-        """Link → (4, 4) ``world_from_link`` with every joint at 0."""
-        out: dict[str, Matrix] = {}
-
-        def pose(link: str, depth: int = 0) -> Matrix:
-            if link not in out:
-                if depth > len(self.links):
-                    raise InputFileError(self.path, f"a cycle through link {link!r}")
-                j = self.parent_joint.get(link)
-                out[link] = (
-                    np.eye(4)
-                    if j is None
-                    else pose(_end(j, "parent"), depth + 1) @ self._origin(j.find("origin"))
-                )
-            return out[link]
-
-        for name in self.links:
-            pose(name)
-        return out
-
-    def rigid_groups(self) -> dict[str, str]:
-        """Link → the topmost link that it is fixed to."""
-
-        def head(link: str) -> str:
-            j = self.parent_joint.get(link)
-            while j is not None and j.get("type") == "fixed":
-                link = _end(j, "parent")
-                j = self.parent_joint.get(link)
-            return link
-
-        return {link: head(link) for link in self.links}
-
-    def visuals(self, link: str) -> list[Element]:
-        return self.links[link].findall("visual")
-
-    def link_meshes(self, link: str, world_from_link: Matrix) -> list[Mesh]:
-        out = []
-        for visual in self.visuals(link):
-            mesh = self._geometry(visual)
-            if mesh is None or not len(mesh.faces):
-                continue
-            m = world_from_link @ self._origin(visual.find("origin"))
-            out.append(replace(mesh, vertices=mesh.vertices @ m[:3, :3].T + m[:3, 3]))
-        return out
-
-    def _geometry(self, visual: Element) -> Mesh | None:
-        mesh = visual.find("geometry/mesh")
-        if mesh is not None:
-            path = self.path.parent / mesh.get("filename", "")
-            scale = self._numbers(mesh.get("scale"), (1.0, 1.0, 1.0))
-            loaded = _read_obj(path)
-            return replace(loaded, vertices=loaded.vertices * scale)
-        box = visual.find("geometry/box")
-        if box is not None:
-            import trimesh
-
-            shape = trimesh.creation.box(self._numbers(box.get("size"), (1.0, 1.0, 1.0)))
-            return Mesh(np.asarray(shape.vertices), np.asarray(shape.faces, np.int32))
-        return None
-
-    def _origin(self, element: Element | None) -> Matrix:
-        out = np.eye(4)
-        if element is None:
-            return out
-        out[:3, 3] = self._numbers(element.get("xyz"), (0.0, 0.0, 0.0))
-        roll, pitch, yaw = self._numbers(element.get("rpy"), (0.0, 0.0, 0.0))
-        cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-        cy, sy = np.cos(yaw), np.sin(yaw)
-        out[:3, :3] = [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-        return out
-
-    def _numbers(
-        self, text: str | None, default: tuple[float, float, float]
-    ) -> npt.NDArray[np.float64]:
-        if text is None:
-            return np.array(default)
-        try:
-            out = np.array([float(v) for v in text.split()])
-        except ValueError:
-            out = np.zeros(0)
-        if out.shape != (3,) or not np.isfinite(out).all():
-            raise InputFileError(self.path, f"{text!r} is not three numbers")
-        return out
-
-    def joints_in_rest_frame(
-        self, pose: Mapping[str, Matrix], group: Mapping[str, str], rename: Mapping[str, str]
-    ) -> tuple[Joint, ...]:
-        out = []
-        for j in self.joints:
-            kind = j.get("type")
-            if kind == "fixed":
-                continue
-            parent, child = _end(j, "parent"), _end(j, "child")
-            world_from_child = pose[child]
-            element = j.find("axis")
-            axis = self._numbers(None if element is None else element.get("xyz"), (1.0, 0.0, 0.0))
-            limit = j.find("limit")
-            low, high = 0.0, 0.0
-            if limit is not None:
-                low, high = (float(limit.get(k, "0")) for k in ("lower", "upper"))
-            out.append(
-                Joint(
-                    j.get("name", f"joint_{len(out)}"),
-                    kind,  # type: ignore[arg-type]
-                    rename[group[parent]],
-                    rename[group[child]],
-                    tuple(world_from_child[:3, :3] @ axis),  # type: ignore[arg-type]
-                    tuple(world_from_child[:3, 3]),  # type: ignore[arg-type]
-                    min(low, high),
-                    max(low, high),
-                )
-            )
-        return tuple(out)
+def _rigid_groups(tree: KinematicTree) -> dict[str, list[str]]:
+    """The topmost link of each rigid group → its links, parents first."""
+    head: dict[str, str] = {}
+    out: dict[str, list[str]] = {}
+    for link in tree.order:
+        joint = tree.joint_of.get(link)
+        fixed = joint is not None and not joint.moves
+        head[link] = head[joint.parent] if joint is not None and fixed else link
+        out.setdefault(head[link], []).append(link)
+    return out
 
 
-def _without_empty_root(
-    links: tuple[str, ...], joints: tuple[Joint, ...]
-) -> tuple[tuple[str, ...], tuple[Joint, ...], list[str]]:
-    """Drop helper roots that carry nothing and have one child: the frame they stood for."""
-    children = {j.child for j in joints}
-    roots = [link for link in links if link not in children]
-    if len(roots) == 1 and not roots[0].startswith("link_"):
-        kids = [j for j in joints if j.parent == roots[0]]
-        if len(kids) == 1:
-            links = tuple(x for x in links if x != roots[0])
-            return (
-                links,
-                tuple(j for j in joints if j is not kids[0]),
-                [f"{kids[0].name}: it moves the whole object and was left out"],
-            )
-    return links, joints, []
+def _moving_tree(model: UrdfModel, rename: Mapping[str, str]) -> KinematicTree:
+    """The tree over rigid groups, without an empty root that only carries the whole object."""
+    group = {link: head for head, links in _rigid_groups(model.tree).items() for link in links}
+    joints = [
+        replace(j, parent=rename[group[j.parent]], child=rename[group[j.child]])
+        for j in model.tree.joints
+        if j.moves
+    ]
+    links = list(rename.values())
+    root = rename[group[model.tree.root]]
+    below = [j for j in joints if j.parent == root]
+    if not root.startswith("link_") and len(below) == 1:
+        links.remove(root)
+        joints.remove(below[0])
+    return KinematicTree(tuple(links), tuple(_unmimicked(joints)))
 
 
-def _end(joint: Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
-
-
-def _helper_name(link: str) -> str:
-    return f"helper_{link.removesuffix('_helper').removeprefix('link_')}"
+def _unmimicked(joints: list[Joint]) -> list[Joint]:
+    """Without mimics whose leader was dropped."""
+    names = {j.name for j in joints}
+    return [
+        j if j.mimic is None or j.mimic.joint in names else replace(j, mimic=None) for j in joints
+    ]
 
 
 def _natural(name: str) -> tuple[int, str]:
@@ -290,7 +131,7 @@ def _natural(name: str) -> tuple[int, str]:
 
 def _json(path: Path) -> object:
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}
     except ValueError as error:
@@ -301,34 +142,9 @@ def _semantic_names(folder: Path) -> dict[str, str]:
     """``link_k`` → part name, from semantics.txt, else from mobility_v2.json."""
     path = folder / "semantics.txt"
     if path.exists():
-        rows = [line.split() for line in path.read_text().splitlines()]
+        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
         return {r[0]: r[2] for r in rows if len(r) >= 3}
     nodes = _json(folder / "mobility_v2.json")
     if not isinstance(nodes, list):
         return {}
-    return {f"link_{n['id']}": n["name"] for n in nodes if "id" in n and n.get("name")}
-
-
-def _read_obj(path: Path) -> Mesh:
-    """Triangles of an OBJ, without its materials (a predictor reads geometry alone)."""
-    import trimesh
-
-    try:
-        loaded = trimesh.load(
-            path, file_type="obj", process=False, skip_materials=True, force="mesh"
-        )
-    except (FileNotFoundError, ValueError, IndexError) as error:
-        raise InputFileError(path, f"can't be read: {error}", "a Wavefront OBJ is needed") from None
-    if not isinstance(loaded, trimesh.Trimesh):
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32))
-
-
-def _join(meshes: list[Mesh]) -> Mesh:
-    offset = np.cumsum([0] + [len(m.vertices) for m in meshes])
-    return Mesh(
-        np.concatenate([m.vertices for m in meshes]),
-        np.concatenate([m.faces + o for m, o in zip(meshes, offset, strict=False)]).astype(
-            np.int32
-        ),
-    )
+    return {f"link_{n['id']}": str(n["name"]) for n in nodes if "id" in n and n.get("name")}

@@ -346,7 +346,9 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
 
     if context.closed:
         opening = sweep(np.pi * 0.95)
-        return dataclasses.replace(best, upper=min(best.upper, opening) if opening > 0.7 else best.upper)
+        return dataclasses.replace(
+            best, upper=min(best.upper, opening) if opening > 0.7 else best.upper
+        )
     closing = -sweep(-np.pi * 0.95)
     opening = sweep(np.pi * 0.95)
     if closing + opening > 4.4:

@@ -96,7 +96,14 @@ def shape_scores(
             s["spin"] += 1.0
         if k.ball:
             s["spin"] += 1.5
-        if level_disc and k.size > 0.3 and k.backed > 0.8 and not k.grounded and k.walls <= 2 and k.flat < 0.3:
+        if (
+            level_disc
+            and k.size > 0.3
+            and k.backed > 0.8
+            and not k.grounded
+            and k.walls <= 2
+            and k.flat < 0.3
+        ):
             s["spin"] -= 1.5  # a round door
 
     s["swivel"] = 0.0

@@ -231,7 +231,9 @@ def fit_panel(shape: Shape, normal: int | None = None) -> Panel:
     cells = 12 if len(local) > 900 else 8
     cell = np.zeros(len(local), int)
     for i in (u, v):
-        at = np.clip(((local[:, i] / (2 * box.half[i] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1)
+        at = np.clip(
+            ((local[:, i] / (2 * box.half[i] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1
+        )
         cell = cell * cells + at
     total = len(np.unique(cell))
 
