@@ -99,7 +99,7 @@ def _poisson(cloud: PointCloud, spacing: float) -> tuple[Array, Array] | None:
     low, high = cloud.bounds
     shift, scale = (low + high) / 2, float((high - low).max())
     # Cells about as large as the points are apart; finer ones only cost time.
-    depth = int(np.clip(np.rint(np.log2(1.1 * scale / (1.5 * spacing))), 5, 9))
+    depth = int(np.clip(np.rint(np.log2(1.1 * scale / (2.0 * spacing))), 5, 9))
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
         _open3d_cloud(cloud, shift, scale), depth=depth, scale=1.1, n_threads=1
     )
