@@ -1,0 +1,241 @@
+"""Whatever people do in whatever order: undo inverts, replay equals live, JSON keeps everything."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from model.errors import CommandError
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.segmentation.prompts import Click
+from sessions.commands import (
+    Accept,
+    AddClick,
+    AddPart,
+    AddRegion,
+    ClearPrompts,
+    Command,
+    DeletePart,
+    LockJoint,
+    NamePart,
+    RecordPrediction,
+    RecordSegmentation,
+    Redo,
+    Reject,
+    RemovePrompt,
+    Reopen,
+    ResetJoint,
+    Saved,
+    SetCategory,
+    SetFrame,
+    SetJoint,
+    SetRoot,
+    Undo,
+    from_json,
+    to_json,
+)
+from sessions.live import LiveSession
+from sessions.provenance import effective, provenance
+from sessions.serialise import state_from_json, state_to_json
+from sessions.state import Context, SessionState, apply, needed_jobs, replay
+from sessions.store import Store
+
+parts = st.integers(0, 4)
+links = st.integers(0, 4).map("link_{}".format)
+refs = st.sampled_from(["ab" * 32, "cd" * 32])
+coordinate = st.floats(-2, 2, allow_nan=False)
+point = st.tuples(coordinate, coordinate, coordinate)
+texts = st.sampled_from([None, "door", "Türe 門", 'a "quoted" \\ name'])
+comments = st.text(max_size=20)
+axes = st.sampled_from([(1.0, 0.0, 0.0), (0.0, 0.6, 0.8), (0.3, -0.2, 0.7)])
+
+
+@st.composite
+def joints(draw, child=links) -> Joint:
+    name = draw(child)
+    return Joint(
+        draw(st.sampled_from(["a", "b", f"joint_{name}"])),
+        draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"])),
+        draw(links.filter(lambda n: n != name)),
+        name,
+        draw(axes),
+        draw(point),
+        -0.1,
+        draw(st.floats(0, 3)),
+    )
+
+
+@st.composite
+def predictions(draw) -> Prediction:
+    if draw(st.integers(0, 5)) == 0:
+        return Prediction(None, ("nothing found",), backend="geometric 1")
+    tree = KinematicTree(
+        tuple(f"link_{i}" for i in range(5)),
+        tuple(
+            replace(
+                draw(joints(st.just(f"link_{i}"))),
+                name=f"joint_link_{i}",
+                parent=f"link_{draw(st.integers(0, i - 1))}",
+            )
+            for i in range(1, 5)
+        ),
+    )
+    confidence = draw(st.dictionaries(links, st.floats(0, 1), max_size=3))
+    return Prediction(tree, confidence=confidence, seconds=draw(st.floats(0, 9)))
+
+
+clicks = st.builds(AddClick, st.builds(Click, point, parts, st.booleans(), st.none() | parts))
+counts = st.fixed_dictionaries({i: st.integers(0, 3) for i in range(-1, 5)})
+answers = st.builds(RecordSegmentation, st.just("?"), refs, st.just("walk"), coordinate, counts)
+commands: st.SearchStrategy[Command] = st.one_of(
+    clicks,
+    clicks,
+    answers,
+    answers,
+    st.builds(AddRegion, parts, refs, st.booleans(), parts),
+    st.builds(RemovePrompt, parts),
+    st.builds(ClearPrompts, st.none() | parts),
+    st.builds(AddPart, parts, texts),
+    st.builds(NamePart, parts, texts),
+    st.builds(DeletePart, st.integers(1, 4)),
+    st.builds(SetCategory, texts),
+    st.builds(SetFrame, st.sampled_from(["y", "-z"]), st.sampled_from([1.0, 0.001])),
+    st.builds(RecordPrediction, predictions(), refs),
+    st.builds(RecordPrediction, predictions(), refs),
+    st.builds(SetJoint, joints()),
+    st.builds(SetJoint, joints()),
+    st.builds(SetRoot, links),
+    st.builds(ResetJoint, links),
+    st.builds(LockJoint, links, st.booleans()),
+    st.builds(Accept, comments, st.just(("close",))),
+    st.builds(Reject, st.just("axis"), comments),
+    st.builds(Reopen, comments),
+    st.builds(Saved, st.just("out")),
+    st.builds(Undo),
+    st.builds(Undo),
+    st.builds(Redo),
+)
+sequences = st.lists(commands, max_size=60)
+quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+def contexts(index: int) -> Context:
+    return Context(("ann", "rob")[index % 2], f"2030-01-01T00:{index // 60:02}:{index % 60:02}Z")
+
+
+def meant(command: Command, state: SessionState) -> Command:
+    """Most answers fit the prompts, as they do in life."""
+    if isinstance(command, RecordSegmentation) and needed_jobs(state):
+        return replace(command, prompts_key=needed_jobs(state)[0].prompts_key)
+    return command
+
+
+def play(sequence) -> tuple[SessionState, list[tuple[int, Command, Context]]]:
+    state, log = SessionState(), []
+    for i, raw in enumerate(sequence):
+        command = meant(raw, state)
+        try:
+            after = apply(state, command, contexts(i))
+        except CommandError:
+            continue
+        if after is not state:
+            log.append((after.seq, command, contexts(i)))
+        state = after
+    return state, log
+
+
+@quick
+@given(sequences)
+def test_replay_of_the_written_log_equals_live(sequence):
+    state, log = play(sequence)
+    assert [seq for seq, _, _ in log] == list(range(1, len(log) + 1))
+    written = [(s, from_json(json.loads(json.dumps(to_json(c)))), x) for s, c, x in log]
+    assert replay(written) == state
+
+
+@quick
+@given(sequences, commands)
+def test_undo_inverts_every_step_and_redo_inverts_undo(sequence, last):
+    before, _ = play(sequence)
+    try:
+        after = apply(before, meant(last, before), contexts(0))
+    except CommandError:
+        return
+    if len(after.past) != len(before.past) + 1 or isinstance(last, Redo):
+        return
+    undone = apply(after, Undo(), contexts(1))
+    assert (undone.present, undone.past) == (before.present, before.past)
+    redone = apply(undone, Redo(), contexts(2))
+    assert (redone.present, redone.past, redone.future) == (after.present, after.past, ())
+
+
+@quick
+@given(sequences)
+def test_a_written_state_is_read_back_whole(sequence):
+    state, _ = play(sequence)
+    written = json.loads(json.dumps(state_to_json(state), allow_nan=False))
+    assert state_from_json(written) == state
+
+
+@quick
+@given(sequences, st.floats(0, 1))
+def test_a_snapshot_and_the_tail_equal_the_full_replay(sequence, where):
+    state, log = play(sequence)
+    cut = int(where * len(log))
+    snapshot = json.loads(json.dumps(state_to_json(replay(log[:cut]))))
+    assert replay(log[cut:], state_from_json(snapshot)) == state
+
+
+@quick
+@given(sequences)
+def test_what_must_hold_of_every_document(sequence):
+    state, _ = play(sequence)
+    for document in (*state.past, state.present, *state.future):
+        ids = [p.id for p in document.parts]
+        assert ids == sorted(set(ids))
+        assert ids[0] == 0
+        assert {p.part for p in document.prompts} <= set(ids)
+        assert document.next_part not in ids
+        if document.tree is None:
+            assert not document.locked
+        else:
+            assert document.locked <= set(document.tree.joint_of)
+        if document.review.state in ("predicted", "accepted"):
+            assert document.tree is not None
+        if document.review.state == "accepted":
+            assert document.segmentation_current
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(commands, min_size=20, max_size=120))
+def test_the_store_gives_back_what_was_live(sequence):
+    with TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        live = LiveSession(store, store.open_object(Path("a.ply"), None, "a").id)
+        for i, raw in enumerate(sequence):
+            try:
+                live.do(meant(raw, live.state), contexts(i).who)
+            except CommandError:
+                continue
+        assert store.load(live.object_id) == live.state
+        history = store.history(live.object_id)
+        # The way back holds just the steps that are in force.
+        steps = [
+            e for e in effective(history) if not isinstance(e.command, (RecordSegmentation, Saved))
+        ]
+        assert len(steps) == len(live.state.past) == live.document.edits
+        json.dumps(provenance(live.state, history, None), allow_nan=False)
+        record = store.object(live.object_id)
+        assert record.seq == live.state.seq == len(history)
+        assert (record.state, record.prompts) == (
+            live.document.review.state,
+            len(live.document.prompts),
+        )
+        store.close()
