@@ -1,7 +1,8 @@
-"""viser's page with our title, and with a script that refuses large files before they are sent.
+"""viser's page with our title and two small scripts.
 
-The server refuses them too (:mod:`app.upload_guard`), but viser's page goes on sending parts to a
-server that throws them away.
+One refuses large files before they are sent: the server refuses them too (:mod:`app.upload_guard`),
+but viser's page goes on sending parts to a server that throws them away. The other gives the
+keyboard back after a choice: a box that keeps the focus swallows the keys.
 """
 
 from __future__ import annotations
@@ -37,6 +38,20 @@ _SCRIPT = """<script>
     input.value = "";
     tell("Upload refused: " + large.name + " has " + readable(large.size) + "; the limit is " +
       readable(limit) + ". Put large files on the server and open them by path.");
+  }, true);
+})();
+(() => {
+  const release = () => setTimeout(() => {
+    const held = document.activeElement;
+    if (held instanceof HTMLElement && !(held instanceof HTMLTextAreaElement)) held.blur();
+  }, 60);
+  const done = '[role="option"], button, input[type="checkbox"], [role="slider"], canvas';
+  window.addEventListener("click", (event) => {
+    if (event.target instanceof Element && event.target.closest(done)) release();
+  }, true);
+  window.addEventListener("keydown", (event) => {
+    const ends = event.key === "Enter" || event.key === "Escape";
+    if (ends && event.target instanceof HTMLInputElement) release();
   }, true);
 })();
 </script>"""

@@ -8,7 +8,6 @@ import threading
 from pathlib import Path
 
 import viser
-from sessions.store import Store
 
 from app.config import ServeConfig
 from app.guard import guarded_server
@@ -16,6 +15,7 @@ from app.viewer.client_app import ClientApp
 from app.workbench import Workbench
 from model.errors import InputFileError
 from model.resources import static_assets
+from sessions.store import Store
 
 log = logging.getLogger(__name__)
 
@@ -34,6 +34,7 @@ class Server:
             config.token,
             config.max_upload_mb * 1_000_000,
             label="ArtiWorld",
+            allowed_origins=config.allowed_origins,
         )
         self.apps: dict[int, ClientApp] = {}
         self.viser.on_client_connect(self._connected)

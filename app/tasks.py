@@ -173,7 +173,6 @@ def open_asset(
 ) -> OpenedAsset:
     """Read ``path``, lay its arrays down for the other workers, and prepare what is shown."""
     from model.geometry.cache import load_asset, save_asset
-
     from model.geometry.readers import read_asset
 
     progress(0.02, "Reading")
@@ -204,7 +203,7 @@ def _stamp(path: Path) -> tuple[tuple[str, int, int], ...]:
 
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
     from model.geometry.display import display_asset
-    from model.geometry.writers import mesh_to_glb
+    from model.geometry.glb import mesh_to_glb
 
     shown = display_asset(asset)
     source = asset.source
@@ -307,9 +306,9 @@ def select_box(
 
 
 def _arrays(workspace: Path) -> Any:
-    from sessions.arrays import ArrayStore
+    from sessions.arrays import ArrayFiles
 
-    return ArrayStore(workspace / "arrays")
+    return ArrayFiles(workspace / "arrays")
 
 
 def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> float:
@@ -389,11 +388,19 @@ def display_labels(
 # --- parts, prediction, saving ----------------------------------------------------------------
 
 
+_cut: _Recent[Any, tuple[Part, ...]] = _Recent(2)
+
+
 def _parts(source: PartSource) -> tuple[Part, ...]:
+    """The parts; the last ones are kept, with what others computed for them."""
     from model.geometry.parts import split
 
-    labels = _arrays(source.workspace).get(source.labels)
-    return split(_asset(source.folder), labels, source.names)
+    def cut() -> tuple[Part, ...]:
+        labels = _arrays(source.workspace).get(source.labels)
+        return split(_asset(source.folder), labels, source.names)
+
+    names = tuple(sorted(source.names.items()))
+    return _cut.get((source.folder, source.labels, names), cut)
 
 
 def part_payloads(
@@ -401,7 +408,7 @@ def part_payloads(
 ) -> list[PartPayload]:
     """Each part as the browser draws it, from the displayed elements."""
     from model.geometry.display import display_asset
-    from model.geometry.writers import mesh_to_glb
+    from model.geometry.glb import mesh_to_glb
 
     shown = display_asset(_asset(source.folder))
     labels = _arrays(source.workspace).get(source.labels)[element]
@@ -462,17 +469,10 @@ def check_joints(
         progress(k / max(len(moving), 1), f"Sweeping {joint.name}")
         sweep = sweep_joint(obj, joint.name)
         worst = int(np.argmax(sweep.depth)) if len(sweep.depth) else 0
-        point = sweep.where[worst] if len(sweep.depth) else None
-        hit = point is not None and math.isfinite(float(np.sum(point)))
-        out.append(
-            JointCheck(
-                joint.name,
-                np.asarray(sweep.q),
-                np.asarray(sweep.depth),
-                tuple(float(v) for v in point) if hit else None,  # type: ignore[arg-type]
-                sweep.other,
-            )
-        )
+        hit = bool(sweep.collides.any())
+        where = tuple(float(v) for v in sweep.where[worst]) if hit else None
+        other = sweep.others[worst] if hit else None
+        out.append(JointCheck(joint.name, sweep.q, sweep.depth, where, other))  # type: ignore[arg-type]
     return out
 
 
@@ -555,5 +555,13 @@ def _with_free_range(
 ) -> Joint:
     from model.kinematics.sweep import free_range
 
-    lower, upper = free_range(ArticulatedObject(source.title, parts, tree), joint.name)
-    return replace(joint, lower=float(lower), upper=float(upper))
+    part = next(p for p in parts if p.link == joint.child)
+    along = _surface_points(part) @ np.asarray(joint.axis)
+    most = math.pi if joint.rotates else 0.95 * float(np.ptp(along))
+    lower, upper = free_range(ArticulatedObject(source.title, parts, tree), joint.name, most)
+    closed_below, closed_above = joint.lower == 0.0, joint.upper == 0.0
+    return replace(
+        joint,
+        lower=0.0 if closed_below else float(lower),
+        upper=0.0 if closed_above else float(upper),
+    )

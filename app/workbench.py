@@ -16,9 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sessions.live import LiveSession, SessionHub
-from sessions.provenance import provenance
-from sessions.store import ObjectRecord, Store
 
 from app import tasks
 from app.config import ServeConfig
@@ -28,7 +25,10 @@ from model.kinematics.tree import KinematicTree
 from model.progress import Cancelled
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
+from sessions.live import LiveSession, SessionHub
+from sessions.provenance import provenance
 from sessions.state import Context, Document, SessionState, acceptance_problems, apply, needed_jobs
+from sessions.store import ObjectRecord, Store
 
 log = logging.getLogger(__name__)
 Listener = Callable[[], None]
@@ -54,7 +54,7 @@ class Workbench:
 
     def add_paths(self, paths: list[Path]) -> list[int]:
         """Put files or folders into the queue; returns their object ids."""
-        ids = [self.store.open_object(p, None, p.stem).id for p in paths]
+        ids = [r.id for r in self.store.open_objects((p, None, p.stem) for p in paths)]
         with self._lock:
             self._ids = list(dict.fromkeys([*getattr(self, "_ids", []), *ids]))
         self.queue_changed()
@@ -70,8 +70,7 @@ class Workbench:
         """The shared view of an object; opens it on first use."""
         with self._lock:
             if object_id not in self._open:
-                record = next(r for r in self.store.objects() if r.id == object_id)
-                self._open[object_id] = OpenObject(self, record)
+                self._open[object_id] = OpenObject(self, self.store.object(object_id))
             opened = self._open[object_id]
         opened.ensure_open()
         return opened
@@ -122,8 +121,9 @@ class OpenObject:
         self._notices.append(notice)
 
         def stop() -> None:
-            self._listeners.remove(listener)
-            self._notices.remove(notice)
+            if listener in self._listeners:
+                self._listeners.remove(listener)
+                self._notices.remove(notice)
 
         return stop
 

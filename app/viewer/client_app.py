@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 import numpy as np
 import viser
-from model.geometry.picking import Camera
 
 from app.viewer import palette
 from app.viewer.animation import Animation
@@ -31,6 +30,7 @@ from app.viewer.text import plain
 from app.viewer.widgets import put
 from app.workbench import OpenObject, Workbench
 from model.errors import ArtiworldError
+from model.geometry.picking import Camera
 from model.kinematics.joint import Joint
 from model.progress import Cancelled
 from model.segmentation.prompts import MAX_PARTS, Click
@@ -64,6 +64,7 @@ class ClientApp:
         self._dirty = threading.Event()
         self._closed = False
         self._drawn_asset: Any = None
+        self._seen: tuple[int, Any] | None = None
         self._unwatch: Callable[[], None] = lambda: None
         self.scene = SceneView(client)
         self.animation = Animation(self._animate)
@@ -77,9 +78,7 @@ class ClientApp:
 
     def _build(self) -> None:
         gui = self.client.gui
-        gui.configure_theme(
-            control_layout="fixed", show_logo=False, show_share_button=False, dark_mode=False
-        )
+        gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
         gui.set_panel_label("ArtiWorld")
         self.queue_panel = QueuePanel(self)
         self.status = gui.add_markdown("")
@@ -344,7 +343,7 @@ class ClientApp:
         view = self.client.camera
         return Camera(
             position=np.asarray(view.position, np.float64),
-            wxyz=np.asarray(view.wxyz, np.float64),
+            world_from_camera=np.asarray(view.wxyz, np.float64),
             fov=float(view.fov),
             aspect=float(view.aspect),
         )
@@ -449,6 +448,7 @@ class ClientApp:
         if obj is None:
             return
         self._draw_status(obj)
+        self._follow_prediction(obj)
         if obj.asset is not None and obj.asset is not self._drawn_asset:
             self.scene.show_asset(obj.asset)
             self._drawn_asset, self._gizmo, self._gizmo_key = obj.asset, None, None
@@ -459,6 +459,15 @@ class ClientApp:
         self.annotate_panel.draw(obj)
         self.joints_panel.draw(obj)
         self.review_panel.draw(obj)
+
+    def _follow_prediction(self, obj: OpenObject) -> None:
+        """A new prediction is what the person waited for: show its joints."""
+        prediction = obj.document.prediction
+        before, self._seen = self._seen, (obj.record.id, prediction)
+        if prediction is None or before is None or before[0] != obj.record.id:
+            return
+        if prediction is not before[1] and self.stage == "Annotate":
+            self.set_stage("Joints")
 
     def _draw_status(self, obj: OpenObject) -> None:
         doc, asset = obj.document, obj.asset

@@ -191,6 +191,7 @@ class JointsPanel:
         checks = tuple((c.joint, c.where) for c in obj.checks)
         now = (
             obj.record.id,
+            doc.prediction_stale,
             tree,
             doc.parts,
             doc.locked,
@@ -205,6 +206,7 @@ class JointsPanel:
         for widget in (self._tree, self._motion, self._editor):
             put(widget, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
+        put(self._again, "visible", tree is None or doc.prediction_stale)
         if tree is None:
             text = "No joints yet. Click the moving parts, then predict."
             put(self._empty, "content", text)
@@ -340,7 +342,7 @@ def _range(joint: Joint) -> tuple[float, float]:
         return -180.0, 180.0
     assert joint.lower is not None and joint.upper is not None
     low, high = _shown(joint, joint.lower), _shown(joint, joint.upper)
-    low, high = min(low, 0.0), max(high, 0.0)
+    low, high = math.floor(min(low, 0.0) * 10) / 10, math.ceil(max(high, 0.0) * 10) / 10
     return (low, high) if high > low else (low, low + 1e-3)
 
 

@@ -20,7 +20,8 @@ from app.viewer import palette
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import Click
 
-TINT_OPACITY = 0.42
+FIELD_OF_VIEW = 0.7
+TINT_OPACITY = 0.5
 CLOUD_TINT = 0.55
 PROMPT_RADIUS = 0.0075
 
@@ -113,12 +114,13 @@ class SceneView:
         direction = front + 0.5 * side + np.array([0.0, 0.0, 0.45])
         direction /= np.linalg.norm(direction)
         aspect = max(min(camera.aspect or 1.5, 2.5), 0.4)
-        half = min(camera.fov / 2, np.arctan(np.tan(camera.fov / 2) * aspect))
-        distance = 0.5 * asset.diagonal / np.sin(half) * 1.02
+        half = min(FIELD_OF_VIEW / 2, np.arctan(np.tan(FIELD_OF_VIEW / 2) * aspect))
+        distance = 0.5 * asset.diagonal / np.sin(half) * 1.08
         with self._client.atomic():
+            camera.fov = FIELD_OF_VIEW
             camera.up_direction = (0.0, 0.0, 1.0)
-            camera.look_at = center
             camera.position = center + distance * direction
+            camera.look_at = center  # after the position, which carries the old one along
             camera.near = max(distance * 1e-3, 1e-4)
             camera.far = distance * 100
 

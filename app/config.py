@@ -1,0 +1,51 @@
+"""Settings of the commands, as documented dataclasses."""
+
+from __future__ import annotations
+
+import getpass
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from model.geometry.asset import UpAxis
+
+
+def _default_user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "annotator"
+
+
+@dataclass(frozen=True)
+class ServeConfig:
+    """Settings of ``artiworld serve``.
+
+    Attributes:
+        paths: files or folders to open; none: the bundled examples.
+        workspace: where sessions, working copies and accepted assets are kept.
+        database: SQLAlchemy URL; None is SQLite inside the workspace.
+        host: where to listen; any other than this machine needs a token.
+        port: 0 for any free one.
+        token: what visitors must know.
+        user: name written beside decisions until the browser gives another.
+        up_axis: of the files; None is each format's default.
+        unit_scale: metres per unit of the files.
+        max_upload_mb: largest file that a browser may send.
+        segmenter: who answers clicks.
+        predictor: who predicts joints.
+        allowed_origins: addresses under which a proxy shows the server, besides its own.
+    """
+
+    paths: tuple[Path, ...] = ()
+    workspace: Path = Path("workspace")
+    database: str | None = None
+    host: str = "127.0.0.1"
+    port: int = 8080
+    token: str | None = None
+    user: str = field(default_factory=_default_user)
+    up_axis: UpAxis | None = None
+    unit_scale: float = 1.0
+    max_upload_mb: int = 500
+    segmenter: str = "default"
+    predictor: str = "geometric"
+    allowed_origins: tuple[str, ...] = ()

@@ -1,0 +1,150 @@
+"""Driving the real page: pixels of 3D points, widgets by label, waiting on the server's state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+CHROMIUM_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+)
+TIMEOUT = 60.0
+
+_PROJECT = """(p) => {
+  const m = window.__viserMutable, cam = m.camera, box = m.canvas.getBoundingClientRect();
+  cam.updateMatrixWorld();
+  const v = cam.position.clone().set(p[0], p[1], p[2]);
+  const root = m.nodeRefFromName[''];
+  if (root) { root.updateWorldMatrix(true, false); v.applyMatrix4(root.matrixWorld); }
+  v.project(cam);
+  return [box.left + (v.x + 1) / 2 * box.width, box.top + (1 - v.y) / 2 * box.height];
+}"""
+
+
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = TIMEOUT) -> Any:
+    """Poll until ``condition()`` is true; returns its value."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.05)
+    raise AssertionError(f"waited {seconds:.0f} s in vain for: {what}")
+
+
+class Tab:
+    """One page and the server's application behind it."""
+
+    def __init__(self, page: Any, server: Any) -> None:
+        self.page = page
+        self.server = server
+
+    @property
+    def app(self) -> Any:
+        """The newest application of the server."""
+        return self.server.apps[max(self.server.apps)]
+
+    @property
+    def document(self) -> Any:
+        return self.app.object.document
+
+    def ready(self) -> Tab:
+        """Wait for the object's picture and for clicks to be heard."""
+        page = self.page
+        page.wait_for_selector("canvas", state="attached", timeout=60_000)
+        page.wait_for_function(
+            "() => window.__viserSceneTree && window.__viserMutable", timeout=60_000
+        )
+        wait_until(lambda: self.server.apps, "the server sees the tab")
+        wait_until(
+            lambda: self.app.object is not None and self.app.object.asset is not None,
+            "the object is open",
+        )
+        self.wait_node("/scan")
+        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=60_000)
+        page.wait_for_timeout(400)
+        return self
+
+    def wait_node(self, name: str) -> None:
+        self.page.wait_for_function(
+            "(n) => { const s = window.__viserSceneTree?.getState?.(); return !!s && !!s[n]; }",
+            arg=name,
+            timeout=60_000,
+        )
+
+    def pixel(self, point: Any) -> tuple[float, float]:
+        """Where a 3D point is on the page."""
+        x, y = self.page.evaluate(_PROJECT, [float(v) for v in point])
+        return x, y
+
+    def click3d(self, point: Any, modifiers: tuple[str, ...] = ()) -> None:
+        """Click on a 3D point in the picture."""
+        x, y = self.pixel(point)
+        for key in modifiers:
+            self.page.keyboard.down(key)
+        self.page.mouse.click(x, y)
+        for key in modifiers:
+            self.page.keyboard.up(key)
+
+    def prompt(self, point: Any, modifiers: tuple[str, ...] = ()) -> None:
+        """Click and wait until the labels have followed."""
+        before = len(self.document.prompts)
+        self.click3d(point, modifiers)
+        wait_until(lambda: len(self.document.prompts) == before + 1, "the click is a prompt")
+        self.settled()
+
+    def settled(self) -> None:
+        """Wait until the labels belong to the prompts."""
+        wait_until(lambda: self.document.segmentation_current, "labels follow the prompts")
+        wait_until(
+            lambda: not self.document.prompts or self.app.object.labels is not None, "labels shown"
+        )
+
+    def key(self, name: str) -> None:
+        """Press a key with the canvas in focus."""
+        self.page.keyboard.press(name)
+
+    def row(self, label: str) -> Any:
+        """The row of a labelled widget."""
+        return self.page.locator(
+            f'xpath=//label[normalize-space()="{label}"]'
+            '/ancestor::div[contains(@class,"mantine-Flex-root")][1]'
+        ).first
+
+    def field(self, label: str, index: int = 0) -> Any:
+        return self.row(label).locator("input, textarea").nth(index)
+
+    def set_number(self, label: str, value: float, index: int = 0) -> None:
+        box = self.field(label, index)
+        box.fill(str(value))
+        box.press("Enter")
+
+    def set_slider(self, label: str, value: float) -> None:
+        box = self.row(label).locator("input.mantine-NumberInput-input").last
+        box.fill(str(value))
+        box.press("Enter")
+
+    def choose(self, label: str, option: str) -> None:
+        self.field(label).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def button(self, text: str) -> Any:
+        return self.page.get_by_role("button", name=text, exact=True)
+
+    def step(self, name: str) -> None:
+        """Annotate, Joints or Review."""
+        for label in (name, f"● {name}"):
+            if self.button(label).count():
+                self.button(label).first.click()
+                break
+        wait_until(lambda: self.app.stage == name, f"the {name} step")
+        self.page.wait_for_timeout(200)

@@ -1,0 +1,70 @@
+"""A real Chromium and a real server for the browser tests."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from browsing import CHROMIUM_FLAGS, Tab
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        pytest.skip("Chromium is not installed: apt-get install chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=list(CHROMIUM_FLAGS))
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Start servers in this process: ``start(paths, **ServeConfig fields)``."""
+    from app.config import ServeConfig
+    from app.server import Server
+
+    running: list[Any] = []
+
+    def begin(*paths: Path, **settings: Any) -> Any:
+        config = ServeConfig(
+            paths=tuple(paths),
+            workspace=settings.pop("workspace", tmp_path / "workspace"),
+            port=0,
+            user=settings.pop("user", "tester"),
+            **settings,
+        )
+        running.append(Server(config))
+        return running[-1]
+
+    yield begin
+    for server in running:
+        server.close()
+
+
+@pytest.fixture
+def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
+    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
+    contexts: list[Any] = []
+
+    def begin(server: Any, width: int = 1280, height: int = 800, **context: Any) -> Tab:
+        contexts.append(
+            browser.new_context(viewport={"width": width, "height": height}, **context)
+        )
+        page = contexts[-1].new_page()
+        page.goto(server.url)
+        return Tab(page, server).ready()
+
+    yield begin
+    for context in contexts:
+        context.close()

@@ -1,0 +1,65 @@
+"""Small objects for the browser: quick to draw without a GPU, with known parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+
+def _box(size: tuple[float, ...], center: tuple[float, ...]) -> trimesh.Trimesh:
+    box = trimesh.creation.box(size)
+    box.apply_translation(center)
+    return box
+
+
+def write_cabinet(path: Path) -> dict[str, np.ndarray]:
+    """A carcass with a door (left) and a drawer (right), front at -y, gaps of 4 mm.
+
+    Returns a visible point of the carcass ("base"), the door and the drawer.
+    """
+    w, d, h, t = 0.8, 0.45, 0.6, 0.02
+    carcass = [
+        _box((w, d, t), (0, 0, t / 2)),
+        _box((w, d, t), (0, 0, h - t / 2)),
+        _box((t, d, h - 2 * t), (-w / 2 + t / 2, 0, h / 2)),
+        _box((t, d, h - 2 * t), (w / 2 - t / 2, 0, h / 2)),
+        _box((t, d, h - 2 * t), (0, 0, h / 2)),
+        _box((w - 2 * t, t, h - 2 * t), (0, d / 2 - t / 2, h / 2)),
+    ]
+    front = -d / 2 - 0.004 - t / 2
+    door = [
+        _box((w / 2 - 0.01, t, h - 0.01), (-w / 4, front, h / 2)),
+        _box((0.015, 0.03, 0.12), (-0.05, front - 0.025, h / 2)),
+    ]
+    dx, dz = w / 2 - 0.06, h - 0.08
+    drawer = [
+        _box((w / 2 - 0.01, t, h - 0.01), (w / 4, front, h / 2)),
+        _box((0.12, 0.03, 0.015), (w / 4, front - 0.025, h / 2)),
+        _box((dx, d - 0.08, 0.01), (w / 4, -0.01, 0.06)),
+        _box((0.01, d - 0.08, dz / 2), (w / 4 - dx / 2, -0.01, 0.06 + dz / 4)),
+        _box((0.01, d - 0.08, dz / 2), (w / 4 + dx / 2, -0.01, 0.06 + dz / 4)),
+    ]
+    mesh = trimesh.util.concatenate([*carcass, *door, *drawer])
+    mesh.export(path)
+    return {
+        "base": np.array([-0.2, -0.05, h]),
+        "door": np.array([-w / 4 - 0.1, front - t / 2, h * 0.7]),
+        "drawer": np.array([w / 4 + 0.1, front - t / 2, h * 0.7]),
+    }
+
+
+def write_cloud(path: Path, count: int = 6000) -> dict[str, np.ndarray]:
+    """A cloud of a lidded chest: body and lid with a gap between."""
+    body, lid = _box((0.6, 0.4, 0.3), (0, 0, 0.15)), _box((0.6, 0.4, 0.05), (0, 0, 0.34))
+    points = np.concatenate(
+        [
+            trimesh.sample.sample_surface(body, count * 3 // 4, seed=0)[0],
+            trimesh.sample.sample_surface(lid, count // 4, seed=1)[0],
+        ]
+    )
+    colors = np.full((len(points), 4), (150, 120, 90, 255), np.uint8)
+    colors[count * 3 // 4 :, :3] = (90, 120, 160)
+    trimesh.PointCloud(points, colors).export(path)
+    return {"base": np.array([0.1, -0.2, 0.15]), "lid": np.array([0.05, 0.02, 0.365])}
