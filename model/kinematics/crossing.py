@@ -5,9 +5,10 @@ works for single sheets of a scan as for closed boards. A crossing counts unless
 
 - it grazes the surface (below :data:`GRAZING`): sliding along a rail is no collision, and the
   normals of a noisy scan are not better than that;
-- a step aside by the tolerance avoids the target: parts that touch along a face or an edge;
+- a small step aside avoids the target: parts that touch along a face or an edge;
 - the point leaves a solid, where the triangles say so;
-- the bulk of its part lies ahead of the surface already: it was on the far side at rest.
+- the bulk of its part lies ahead of the surface already: it was on the far side at rest;
+- it touches at rest, and its own part's material lies ahead of it: it withdraws.
 
 How deep: the way beyond the crossed element, along its normal.
 """
@@ -27,7 +28,11 @@ GRAZING = 0.34
 ROUNDS = 6
 """Surfaces that a chord may pass without a crossing that counts."""
 SIDESTEPS = 6
-OUTLIERS = 0.001
+SIDESTEP = 0.3
+"""In tolerances, for meshes; a whole one for clouds."""
+THICK = 10.0
+"""Thickness of boards that points of their back don't look through, in tolerances."""
+OUTLIERS = 0.004
 """Share of a part's samples that may be wrong."""
 BULK = 0.08
 """Reach of a part's bulk about a point, in the part's diagonal."""
@@ -117,34 +122,29 @@ def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> C
     if path.straight and len(path.q) > 2:
         path = Path(path.q[[0, -1]], path.target_from_part[[0, -1]], True)
     chosen, at = _near(part, target, path, tolerance)
-    rest, chords = _chords(at, target, tolerance)
+    judge = _Judge(part, target, path, chosen, at, tolerance)
+    chords = _chords(at, target, tolerance)
     best = np.full(len(chosen), np.inf)
     element = np.zeros(len(chosen), np.int64)
     anchor, normal = np.zeros((len(chosen), 3)), np.zeros((len(chosen), 3))
-    coarse = path.move(part.coarse)
-    travelled = _travelled(at)
     for _ in range(ROUNDS):
         if not len(chords.point):
             break
         hits = target.cast(chords.origin, chords.direction)
-        # Where along its step each chord was met, in 0..1; the first ones begin before rest.
-        met = hits.distance <= 1.0
+        met = np.flatnonzero(hits.distance <= 1.0)
         chords, t, n = chords.take(met), hits.distance[met], hits.normals[met]
-        disc = hits.element[met]
         hit = chords.origin + t[:, None] * chords.direction
+        # Where on its step a chord is met, in 0..1; negative on the stretch before rest.
         along = _along(hit, at, chords)
         fraction = chords.step + along
-        way = travelled[chords.step, chords.point] * (1 - along)
-        way += travelled[chords.step + 1, chords.point] * along
-        at_rest = way <= tolerance
-        counts = _counts(part, target, chords, hit, n, at_rest, at, coarse, tolerance)
+        counts = judge.counts(chords, hit, n, along)
         order = np.flatnonzero(counts & (fraction < best[chords.point]))
         order = order[np.argsort(-fraction[order], kind="stable")]
         points = chords.point[order]  # the earliest of a point is written last
-        best[points], element[points] = fraction[order], disc[order]
+        best[points], element[points] = fraction[order], hits.element[met][order]
         sign = np.sign(np.einsum("ri,ri->r", n, chords.direction))[:, None]
         normal[points] = (n * sign)[order]
-        anchor[points] = np.where((along[order] <= 0)[:, None], rest[points], hit[order])
+        anchor[points] = np.where((along[order] <= 0)[:, None], at[0][points], hit[order])
         again = np.flatnonzero(~counts & (fraction < best[chords.point]))
         chords = _continued(chords.take(again), t[again], tolerance)
     found = np.flatnonzero(np.isfinite(best))
@@ -153,7 +153,8 @@ def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> C
         order = found[np.argsort(best[found], kind="stable")]
         found = order[np.unique(element[order], return_index=True)[1]]
     q = np.interp(np.maximum(best[found], 0), np.arange(len(path.q)), path.q)
-    outliers = math.floor(OUTLIERS * len(part.points))
+    share = OUTLIERS if target.oriented else OUTLIERS / 2
+    outliers = math.floor(share * len(part.points))
     return Crossings(q, part.points[chosen[found]], anchor[found], normal[found], outliers)
 
 
@@ -173,14 +174,8 @@ def _near(
     return chosen, at[:, chosen]
 
 
-def _travelled(at: FloatArray) -> FloatArray:
-    """(K, P) length of the path up to each step."""
-    step = np.linalg.norm(np.diff(at, axis=0), axis=2)
-    return np.concatenate([np.zeros((1, at.shape[1])), np.cumsum(step, axis=0)])
-
-
-def _chords(at: FloatArray, target: Surface, tolerance: float) -> tuple[FloatArray, _Chords]:
-    """(P, 3) rest positions, and the chords that come near the target's box."""
+def _chords(at: FloatArray, target: Surface, tolerance: float) -> _Chords:
+    """The chords that come near the target's box; the first ones begin a bit before rest."""
     low, high = target.bounds[0] - 2 * tolerance, target.bounds[1] + 2 * tolerance
     start, end = at[:-1], at[1:]
     near = (np.maximum(start, end) >= low) & (np.minimum(start, end) <= high)
@@ -191,7 +186,7 @@ def _chords(at: FloatArray, target: Surface, tolerance: float) -> tuple[FloatArr
     before = direction[first] / length * tolerance
     origin[first] -= before
     direction[first] += before
-    return at[0], _Chords(origin, direction, point, step)
+    return _Chords(origin, direction, point, step)
 
 
 def _along(hit: FloatArray, at: FloatArray, chords: _Chords) -> FloatArray:
@@ -215,54 +210,102 @@ def _continued(chords: _Chords, t: FloatArray, tolerance: float) -> _Chords:
     )
 
 
-def _counts(
-    part: Surface,
-    target: Surface,
-    chords: _Chords,
-    hit: FloatArray,
-    normals: FloatArray,
-    at_rest: npt.NDArray[np.bool_],
-    at: FloatArray,
-    coarse: FloatArray,
-    tolerance: float,
-) -> npt.NDArray[np.bool_]:
-    """(R,) whether the hits are crossings that count."""
-    length = np.linalg.norm(chords.direction, axis=1)
-    sine = np.einsum("ri,ri->r", normals, chords.direction) / length
-    out = np.abs(sine) > GRAZING
-    steep = np.flatnonzero(out)
-    solid = target.bounds_solid(hit[steep])
-    out[steep[solid & (sine[steep] > 0)]] = False
-    sheet = steep[~solid]
-    toward = normals[sheet] * np.sign(sine[sheet])[:, None]
-    for step in np.unique(chords.step[sheet]):
-        mine = np.flatnonzero(chords.step[sheet] == step)
-        here = at[step, chords.point[sheet[mine]]]
-        ahead, behind = _bulk(part, coarse[step], here, toward[mine], 0.5 * tolerance)
-        fresh = (ahead < 0.05) & (behind > 0.2)
-        out[sheet[mine]] = np.where(at_rest[sheet[mine]], fresh, ahead < 0.5)
-    left = np.flatnonzero(out)
-    ways = chords.direction[left] / length[left, None]
-    out[left] = _broad(target, hit[left], ways, tolerance)
-    return out
+class _Judge:
+    """Tells crossings that count from touching, sliding and leaving."""
+
+    def __init__(
+        self,
+        part: Surface,
+        target: Surface,
+        path: Path,
+        chosen: npt.NDArray[np.int64],
+        at: FloatArray,
+        tolerance: float,
+    ) -> None:
+        self.part, self.target, self.tolerance = part, target, tolerance
+        exact = part.oriented and target.oriented
+        self.sidestep = SIDESTEP * tolerance if exact else tolerance
+        self.points, self.at = part.points[chosen], at
+        self.part_from_target = inverse(path.target_from_part[:1])[0]
+        self.coarse = path.move(part.coarse)
+        step = np.linalg.norm(np.diff(at, axis=0), axis=2)
+        self.travelled = np.concatenate([np.zeros((1, at.shape[1])), np.cumsum(step, axis=0)])
+
+    def counts(
+        self, chords: _Chords, hit: FloatArray, normals: FloatArray, along: FloatArray
+    ) -> npt.NDArray[np.bool_]:
+        """(R,) for hits at (R, 3) with the target's normals, ``along`` their steps."""
+        ways = chords.direction / np.linalg.norm(chords.direction, axis=1, keepdims=True)
+        sine = np.einsum("ri,ri->r", normals, ways)
+        steep = np.flatnonzero(np.abs(sine) > GRAZING)
+        solid = self.target.bounds_solid(hit[steep])
+        kept = ~(solid & (sine[steep] > 0))
+        steep, solid = steep[kept], solid[kept]
+        fresh = self._at_rest(chords, along)[steep]
+        toward = normals[steep] * np.sign(sine[steep])[:, None]
+        ahead, behind = self._bulk(chords.take(steep), toward, solid)
+        start = np.flatnonzero(fresh)
+        good = ahead < 0.5
+        good[start] = (ahead[start] < 0.05) & (behind[start] > 0.2)
+        good[start] &= self._leads(chords.point[steep[start]], ways[steep[start]])
+        steep = steep[good]
+        out = np.zeros(len(hit), bool)
+        out[steep] = _broad(self.target, hit[steep], ways[steep], self.sidestep)
+        return out
+
+    def _at_rest(self, chords: _Chords, along: FloatArray) -> npt.NDArray[np.bool_]:
+        """(R,) whether a hit is no further from rest than parts that touch may be."""
+        before = self.travelled[chords.step, chords.point]
+        after = self.travelled[chords.step + 1, chords.point]
+        return (1 - along) * before + along * after <= self.tolerance
+
+    def _bulk(
+        self, chords: _Chords, toward: FloatArray, solid: npt.NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(R,) shares of the part about the crossing points that lie beyond the surface, and
+        before it. Where the target is solid its winding has settled it: all lies before."""
+        ahead, behind = np.zeros(len(toward)), np.ones(len(toward))
+        for step in np.unique(chords.step[~solid]):
+            mine = np.flatnonzero(~solid & (chords.step == step))
+            ahead[mine], behind[mine] = _shares(
+                self.coarse[step],
+                self.at[step, chords.point[mine]],
+                toward[mine],
+                BULK * self.part.diagonal,
+                0.5 * self.tolerance,
+            )
+        return ahead, behind
+
+    def _leads(self, point: npt.NDArray[np.int64], ways: FloatArray) -> npt.NDArray[np.bool_]:
+        """(R,) whether a point has none of its own part's material ahead of it.
+
+        Only such points can push into what they touch; the others withdraw from it.
+        """
+        own = ways @ self.part_from_target[:3, :3].T
+        gap = 1e-2 if self.part.oriented else 1.0  # discs of a noisy cloud lie about the point
+        starts = self.points[point] + gap * self.tolerance * own
+        out = self.part.cast(starts, own).distance > THICK * self.tolerance
+        if self.part.oriented:
+            out &= self.part.count(starts, own) % 2 == 0
+        return out
 
 
-def _bulk(
-    part: Surface, posed: FloatArray, here: FloatArray, toward: FloatArray, margin: float
+def _shares(
+    posed: FloatArray, here: FloatArray, toward: FloatArray, reach: float, margin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(R,) shares of the part's samples (C, 3) about each of (R, 3) places that lie beyond it
-    along (R, 3) directions, and before it, by more than ``margin``."""
+    """(R,) shares of samples (C, 3) about each of (R, 3) places that lie beyond it along (R, 3)
+    directions, and before it, by more than ``margin``."""
     squared = (here**2).sum(1)[:, None] - 2 * here @ posed.T + (posed**2).sum(1)
-    weight = np.exp(-squared / (2 * (BULK * part.diagonal) ** 2))
+    weight = np.exp(-squared / (2 * reach**2))
     weight /= np.maximum(weight.sum(1, keepdims=True), 1e-12)
     beyond = toward @ posed.T - np.einsum("ri,ri->r", here, toward)[:, None]
     return (weight * (beyond > margin)).sum(1), (weight * (beyond < -margin)).sum(1)
 
 
 def _broad(
-    target: Surface, hit: FloatArray, ways: FloatArray, tolerance: float
+    target: Surface, hit: FloatArray, ways: FloatArray, sidestep: float
 ) -> npt.NDArray[np.bool_]:
-    """(R,) whether the target is still hit when the path is moved sideways by the tolerance.
+    """(R,) whether the target is still hit when the path is moved sideways by ``sidestep``.
 
     Where it isn't, a step aside avoids the target: parts that touch along an edge or a face.
     """
@@ -270,13 +313,13 @@ def _broad(
     u = np.cross(ways, helper)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     v = np.cross(ways, u)
-    reach = 3.0 * tolerance  # a surface as flat as GRAZING allows is met that much later
+    reach = 3.0 * sidestep  # a surface as flat as GRAZING allows is met that much later
     out = np.ones(len(hit), bool)
     for angle in np.arange(SIDESTEPS) * (2 * np.pi / SIDESTEPS):
         left = np.flatnonzero(out)
         if not len(left):
             break
-        aside = tolerance * (np.cos(angle) * u[left] + np.sin(angle) * v[left])
+        aside = sidestep * (np.cos(angle) * u[left] + np.sin(angle) * v[left])
         start = hit[left] + aside - reach * ways[left]
         out[left] = target.cast(start, ways[left]).distance <= 2 * reach
     return out

@@ -24,6 +24,8 @@ COARSE = 384
 """Of them, those that stand for the part's bulk."""
 SURFELS = 20_000
 """Discs that stand for a cloud's surface."""
+NEIGHBOURS = (8, 16, 32)
+"""Points that a disc's plane is fitted to: near for thin boards, wide for noise."""
 PLANAR = 0.3
 """Largest ratio of a disc's two smallest variances: rims of thin boards have no normal."""
 AGREEMENT = 0.88
@@ -119,6 +121,14 @@ class Surface:
             answer["primitive_normals"].numpy().astype(np.float64),
             self._element(answer["primitive_ids"].numpy().astype(np.int64)),
         )
+
+    def count(self, origins: FloatArray, directions: FloatArray) -> npt.NDArray[np.int64]:
+        """(R,) number of triangles that each ray meets."""
+        import open3d as o3d
+
+        rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
+        found = self._scene.count_intersections(o3d.core.Tensor.from_numpy(rays))
+        return found.numpy().astype(np.int64)
 
     @cached_property
     def _solid(self) -> tuple[npt.NDArray[np.bool_], KDTree]:
@@ -241,11 +251,12 @@ def _of_cloud(link: str, cloud: PointCloud, count: int, rng: np.random.Generator
     if len(chosen) > SURFELS:
         chosen = np.sort(rng.choice(len(everything), SURFELS, replace=False))
     points = everything[chosen]
-    neighbours = min(12, len(points))
-    distance, index = KDTree(points).query(points, k=neighbours)
+    distance, index = KDTree(points).query(points, k=min(NEIGHBOURS[-1], len(points)))
     distance, index = distance.reshape(len(points), -1), index.reshape(len(points), -1)
-    normals, flat, noise = _principal_normals(points[index])
-    agreement = np.abs(np.einsum("ni,nki->nk", normals, normals[index])).mean(axis=1)
+    centers, normals, flat, noise = _planes(points, index)
+    agreement = np.abs(np.einsum("ni,nki->nk", normals, normals[index[:, : NEIGHBOURS[0]]])).mean(
+        axis=1
+    )
     flat &= agreement > AGREEMENT
     flat[np.argmax(agreement)] = True
     if cloud.normals is not None:
@@ -255,22 +266,38 @@ def _of_cloud(link: str, cloud: PointCloud, count: int, rng: np.random.Generator
     resolution = float(np.median(radius))
     # A lone outlier must not become a large disc.
     radius = SURFEL_RADIUS * np.minimum(radius, 3 * resolution + 1e-12)
-    vertices, faces = _discs(points[flat], normals[flat], radius[flat])
+    vertices, faces = _discs(centers[flat], normals[flat], radius[flat])
     kept = rng.permutation(len(points))[:count]
     spacing = resolution * float(np.sqrt(len(points) / len(kept)))
-    resolution = max(resolution, 3 * float(np.median(noise)))
+    resolution = max(resolution, 3 * float(np.median(noise[flat])))
     return Surface(link, points[kept], normals[kept], vertices, faces, False, spacing, resolution)
 
 
-def _principal_normals(
-    neighbourhoods: FloatArray,
-) -> tuple[FloatArray, npt.NDArray[np.bool_], FloatArray]:
-    """(N, 3) direction of least spread of (N, k, 3) neighbourhoods, whether they are flat, and
-    their spread along it."""
-    centred = neighbourhoods - neighbourhoods.mean(axis=1, keepdims=True)
-    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
-    spread = np.sqrt(np.maximum(values[:, 0], 0) / max(neighbourhoods.shape[1] - 3, 1))
-    return vectors[:, :, 0], values[:, 0] <= PLANAR * values[:, 1], spread
+def _planes(
+    points: FloatArray, index: npt.NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_], FloatArray]:
+    """Planes through the (N, k) neighbourhoods of points, at the scale that is flattest: near
+    for thin boards, wide for noise.
+
+    Returns:
+        (N, 3) points moved onto their planes, (N, 3) normals, (N,) whether they are flat, and
+        (N,) spread about them.
+    """
+    best = np.full(len(points), np.inf)
+    centers, normals, spread = points.copy(), np.zeros_like(points), np.zeros(len(points))
+    for count in NEIGHBOURS:
+        around = points[index[:, :count]]
+        mean = around.mean(axis=1)
+        centred = around - mean[:, None]
+        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+        ratio = values[:, 0] / np.maximum(values[:, 1], 1e-30)
+        better = ratio < best
+        best[better], normal = ratio[better], vectors[:, :, 0]
+        height = np.einsum("ni,ni->n", mean - points, normal)[:, None]
+        centers[better], normals[better] = (points + height * normal)[better], normal[better]
+        freedom = max(around.shape[1] - 3, 1)
+        spread[better] = np.sqrt(np.maximum(values[:, 0], 0) / freedom)[better]
+    return centers, normals, best <= PLANAR, spread
 
 
 def _discs(
