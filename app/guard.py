@@ -10,13 +10,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import io
-import ipaddress
 import json
 import logging
-import os
-import socket
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from email.utils import formatdate
@@ -32,6 +28,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from app.login import Login, login_page
+from app.network import check_address, is_loopback
 from app.page import Page
 from app.upload_guard import UploadGuard
 from model.errors import ConfigurationError
@@ -145,43 +142,6 @@ def guarded_server(
     endpoint.on_client_disconnect(uploads.forget)
     guard.ready = True
     return server
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach ``host``."""
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
-
-
-def check_address(host: str, port: int) -> None:
-    """Raise where nothing can listen at ``host`` and ``port``; viser itself would wait for ever.
-
-    Raises:
-        ConfigurationError: with what to do.
-    """
-    if not 0 <= port <= 65535:
-        raise ConfigurationError(f"--port {port} is no port; choose one from 1024 to 65535")
-    try:
-        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        for family, kind, protocol, _, address in addresses:
-            with socket.socket(family, kind, protocol) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                probe.bind(address)
-                probe.listen(1)
-    except socket.gaierror as error:
-        raise ConfigurationError(f"--host {host} can't be resolved ({error.strerror})") from error
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            text = f"port {port} is in use; choose another with --port"
-        elif error.errno == errno.EACCES:
-            text = f"port {port} needs special rights; choose one above 1023 with --port"
-        else:
-            text = f"can't listen at {host}:{port} ({os.strerror(error.errno or 0)})"
-        raise ConfigurationError(text) from error
 
 
 def _no_tunnel(*_: object, **__: object) -> None:

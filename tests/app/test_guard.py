@@ -20,8 +20,9 @@ import zstandard
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from app.guard import RouteAnswer, RouteRequest, check_address, guarded_server, is_loopback
+from app.guard import RouteAnswer, RouteRequest, guarded_server
 from app.login import ATTEMPTS, Login, new_token
+from app.network import check_address, free_port, is_loopback
 from app.upload_guard import plain_name
 from model.errors import ConfigurationError
 
@@ -555,3 +556,11 @@ def test_a_taken_port_is_named():
 def test_an_address_that_cant_work_is_named_at_once(host, port, words):
     with pytest.raises(ConfigurationError, match=words):
         check_address(host, port)
+
+
+def test_the_next_free_port_is_taken():
+    port = free_port("127.0.0.1")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", port))
+        taken.listen(1)
+        assert free_port("127.0.0.1") > port

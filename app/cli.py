@@ -1,0 +1,343 @@
+"""The command line: ``artiworld serve | segment | predict | export | evaluate | bench | doctor``.
+
+Exit codes: 0; 2 for the user's mistake, with one line on stderr that says what to do; 1 for our own
+fault, with its details in a log file. Nothing heavy is imported before a command needs it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from model.errors import ArtiworldError
+
+UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
+_DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit code."""
+    words = _joined_axes(list(sys.argv[1:] if arguments is None else arguments))
+    try:
+        args = make_parser().parse_args(words)
+    except SystemExit as done:  # --help, --version, or a mistake that was told already
+        return int(done.code or 0)
+    debug = args.debug
+    logging.basicConfig(
+        level=logging.DEBUG if debug else args.log_level,
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    if not debug:
+        warnings.simplefilter("ignore")
+    try:
+        return args.run(args) or 0
+    except ArtiworldError as error:
+        if debug:
+            traceback.print_exc()
+        _tell(error)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # the reader of our output has gone, as in "| head"
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 128 + signal.SIGPIPE
+    except Exception as error:  # the boundary of the program
+        return _our_fault(error, debug)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """All commands and options."""
+    parser = _Parser(prog="artiworld", description=_DESCRIPTION)
+    parser.add_argument("--version", action=_Version)
+    parser.add_argument("--debug", action="store_true", help="show tracebacks and debug messages")
+    commands = parser.add_subparsers(
+        title="commands", metavar="COMMAND", required=True, parser_class=_Parser
+    )
+    for name, add, run, text in (
+        ("serve", _add_serve, _serve, "open scans in the browser and articulate them"),
+        ("segment", _add_segment, _segment, "cut a scan into parts by clicks from a file"),
+        ("predict", _add_predict, _predict, "predict the joints of a folder of parts"),
+        ("export", _add_export, _export, "write an articulated object in another format"),
+        ("evaluate", _add_evaluate, _evaluate, "score a predictor on a data set"),
+        ("bench", _add_bench, _bench, "measure speed and accuracy"),
+        ("doctor", _add_doctor, _doctor, "say what is installed, usable and wrong"),
+    ):
+        command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        add(command)
+        # Also after the command; SUPPRESS keeps its default from undoing the one before it.
+        command.add_argument(
+            "--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS
+        )
+        level = logging.INFO if name == "serve" else logging.ERROR
+        command.set_defaults(run=run, log_level=level)
+    return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse with one line for a mistake instead of the whole usage."""
+
+    def __init__(self, **settings: object) -> None:
+        super().__init__(allow_abbrev=False, **settings)  # type: ignore[arg-type]
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings: list[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"artiworld {version('artiworld')}")
+        parser.exit()
+
+
+def _joined_axes(words: list[str]) -> list[str]:
+    """argparse would take the -z of ``--up-axis -z`` for an option."""
+    out: list[str] = []
+    for word in words:
+        if out and out[-1] == "--up-axis" and word in UP_AXES:
+            out[-1] = f"--up-axis={word}"
+        else:
+            out.append(word)
+    return out
+
+
+def _tell(error: BaseException) -> None:
+    print(f"artiworld: {' '.join(str(error).split())}", file=sys.stderr)
+
+
+def _our_fault(error: Exception, debug: bool) -> int:
+    if debug:
+        traceback.print_exception(error)
+        return 1
+    from app.crash_log import write_crash
+
+    where = write_crash(error)
+    kind = "" if type(error) is RuntimeError else f"{type(error).__name__}: "
+    message = " ".join(str(error).split())[:300]
+    print(f"artiworld: {kind}{message} (details: {where})", file=sys.stderr)
+    return 1
+
+
+# Options
+
+
+def _add_reading(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--up-axis", choices=UP_AXES, metavar="AXIS",
+        help=f"up axis of the files, one of {', '.join(UP_AXES)} (default: by format)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--unit-scale", type=_positive_number, default=1.0, metavar="METRES",
+        help="metres per unit of the files, 0.001 for millimetres (default: 1)",
+    )  # fmt: skip
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
+
+
+def _positive_number(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise ValueError
+    return value
+
+
+_positive_number.__name__ = "positive number"
+
+
+def _add_serve(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("paths", nargs="*", type=Path, metavar="PATH",
+        help="files or folders to open (default: the bundled examples)")  # fmt: skip
+    add("--workspace", type=Path, default=Path("workspace"), metavar="DIR",
+        help="where sessions and accepted assets are kept (default: ./workspace)")  # fmt: skip
+    add("--database", metavar="URL", help="SQLAlchemy URL (default: SQLite in the workspace)")
+    add(
+        "--host", default="127.0.0.1", help="where to listen; others than this machine need a token"
+    )
+    add(
+        "--port", type=int, help="port to listen at; 0 for any (default: 8080 or the next free one)"
+    )
+    add("--token", help=f"what visitors must know; or set {TOKEN_VARIABLE}")
+    add("--allow-origin", action="append", default=[], metavar="URL",
+        help="address under which a proxy shows the server; may be repeated")  # fmt: skip
+    add("--user", help="name written beside decisions (default: your login name)")
+    _add_reading(parser)
+    add("--max-upload-mb", type=int, default=500, metavar="MB",
+        help="largest file that a browser may send (default: 500)")  # fmt: skip
+    add("--segmenter", default="default", metavar="NAME", help="who answers clicks")
+    add("--predictor", default="geometric", metavar="NAME", help="who predicts joints")
+    add("--open", action=argparse.BooleanOptionalAction, default=False, help="open a browser")
+
+
+def _add_segment(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("scan", type=Path, metavar="SCAN", help="a mesh, a point cloud or a folder of parts")
+    add("--prompts", type=Path, required=True, metavar="FILE", help="JSON file of clicks")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for the parts")
+    add("--segmenter", default="default", metavar="NAME", help="who answers the clicks")
+    _add_reading(parser)
+    _add_json(parser)
+
+
+def _add_predict(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("folder", type=Path, metavar="DIR", help="folder with link_0, link_1, … or an object.json")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for the URDF and its meshes")
+    add("--predictor", default="geometric", metavar="NAME", help="who predicts")
+    add("--category", metavar="NAME", help="what the object is, such as cabinet")
+    add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
+    _add_reading(parser)
+    _add_json(parser)
+
+
+def _add_export(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("asset", type=Path, metavar="ASSET", help="a folder with an object.urdf, or a URDF file")
+    add("--format", required=True, metavar="NAME", help="such as urdf or mjcf")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
+    _add_json(parser)
+
+
+def _add_evaluate(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("root", type=Path, metavar="DIR", help="folder of the data set")
+    add("--data", default="partnet-mobility", metavar="NAME", help="which data set it is")
+    add("--predictor", default="geometric", metavar="NAME")
+    add("--names", action=argparse.BooleanOptionalAction, default=True,
+        help="tell the predictor part names and category")  # fmt: skip
+    add("--scan", action="store_true", help="one-sided noisy clouds, turned at random")
+    add("--yaw", action="store_true", help="turn each object at random")
+    add("--noise", type=float, default=0.003, help="of --scan, in diagonals (default: 0.003)")
+    add("--jobs", type=int, default=2, help="processes (default: 2)")
+    add("--limit", type=int, help="at most this many objects")
+    add("--seed", type=int, default=0)
+    add("--out", type=Path, metavar="DIR", help="folder for the report")
+    _add_json(parser)
+
+
+def _add_bench(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("what", choices=("ui", "segment", "predict"))
+    add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
+    add("--sets", nargs="+", metavar="NAME", help="segment: which data sets")
+    add("--segmenter", action="append", metavar="NAME", help="segment: may be repeated")
+    add("--limit", type=int, help="segment: objects of each set")
+    _add_json(parser)
+
+
+def _add_doctor(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--workspace", type=Path, default=Path("workspace"), metavar="DIR")
+    parser.add_argument("--database", metavar="URL")
+    parser.add_argument("--port", type=int, default=8080)
+    _add_json(parser)
+
+
+# Commands
+
+
+def _serve(args: argparse.Namespace) -> int:
+    from app.serve_command import run_serve
+
+    return run_serve(args)
+
+
+def _segment(args: argparse.Namespace) -> int:
+    from app import headless, printing
+
+    with printing.session(args.json) as show:
+        report = headless.segment(
+            args.scan, args.prompts, args.out, segmenter=args.segmenter,
+            reading=headless.ReadOptions(args.up_axis, args.unit_scale), progress=show.progress,
+        )  # fmt: skip
+    show.result(report, lambda: printing.parts_table(report, args.out))
+    return 0
+
+
+def _predict(args: argparse.Namespace) -> int:
+    from app import headless, printing
+
+    with printing.session(args.json) as show:
+        report = headless.predict(
+            args.folder, args.out, predictor=args.predictor, category=args.category,
+            seed=args.seed, reading=headless.ReadOptions(args.up_axis, args.unit_scale),
+            progress=show.progress,
+        )  # fmt: skip
+    show.result(report, lambda: printing.joints_table(report, args.out))
+    return 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    from app import headless, printing
+
+    with printing.session(args.json) as show:
+        report = headless.export(args.asset, args.format, args.out)
+    show.result(report, lambda: printing.files_table(report, args.out))
+    return 0
+
+
+def _evaluate(args: argparse.Namespace) -> int:
+    from app import printing
+    from model.evaluation.corruption import Corruption
+    from model.evaluation.run import EvaluationConfig, evaluate
+    from model.evaluation.table import print_report
+
+    turned = args.yaw or args.scan
+    config = EvaluationConfig(
+        args.root,
+        args.data,
+        args.predictor,
+        args.names,
+        Corruption(yaw=None if turned else 0.0, scan=args.scan, noise=args.noise),
+        args.jobs,
+        args.limit,
+        args.seed,
+        out=args.out,
+    )
+    with printing.session(args.json) as show:
+        report = evaluate(config, progress=show.progress)
+    show.result(report.to_json(), lambda: print_report(report))
+    return 0
+
+
+def _bench(args: argparse.Namespace) -> int:
+    from app import bench, printing
+
+    runs: dict[str, Callable[[], bench.Bench]] = {
+        "ui": lambda: bench.bench_ui(show.progress),
+        "segment": lambda: bench.bench_segment(
+            args.data, args.sets, args.segmenter, args.limit, show.progress
+        ),
+        "predict": lambda: bench.bench_predict(show.progress),
+    }
+    with printing.session(args.json) as show:
+        answer = runs[args.what]()
+    show.result(answer.report, answer.show)
+    return 0
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    from app import doctor, printing
+
+    with printing.session(args.json) as show:
+        checks = doctor.examine(args.workspace, args.database, args.port)
+    show.result(doctor.to_json(checks), lambda: printing.checks_table(checks))
+    return 1 if any(check.status == "wrong" for check in checks) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,256 @@
+"""``artiworld doctor``: what is installed, what can be used, and what is wrong."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any, Literal
+
+from app.network import check_address
+from model.errors import ArtiworldError
+from model.resources import static_assets
+
+Status = Literal["fine", "note", "wrong"]
+MIN_MEMORY_GB = 4.0
+MIN_DISK_GB = 2.0
+WEIGHT_SUFFIXES = (".npz", ".safetensors", ".pt")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding.
+
+    Attributes:
+        name: what was looked at.
+        status: "fine"; "note" where something optional is missing; "wrong" where ArtiWorld can't
+            work as it is.
+        found: what is there.
+        remedy: what to do, "" where nothing needs doing.
+    """
+
+    name: str
+    status: Status
+    found: str
+    remedy: str = ""
+
+
+def examine(workspace: Path, database: str | None = None, port: int = 8080) -> list[Check]:
+    """All findings, in the order of the table. Changes nothing on the machine."""
+    return [
+        _python(),
+        *_packages(),
+        *_optional(),
+        *_plugins(),
+        *_weights(),
+        _examples(),
+        _workspace(workspace),
+        _database(workspace, database),
+        _port(port),
+        _processors(),
+        _memory(),
+    ]
+
+
+def to_json(checks: list[Check]) -> dict[str, Any]:
+    """The findings, and whether any is wrong."""
+    return {
+        "ok": all(check.status != "wrong" for check in checks),
+        "checks": [asdict(check) for check in checks],
+    }
+
+
+def _python() -> Check:
+    found = f"{platform.python_version()} ({sys.executable})"
+    return Check("python", "fine", found)
+
+
+def _packages() -> Iterator[Check]:
+    try:
+        needed = requires("artiworld") or []
+        yield Check("artiworld", "fine", version("artiworld"))
+    except PackageNotFoundError:
+        yield Check("artiworld", "wrong", "not installed", "run: pip install -e . (or: make run)")
+        return
+    for line in needed:
+        if "extra ==" in line.replace('"', "").replace("'", ""):
+            continue
+        name = re.split(r"[^A-Za-z0-9_.-]", line, maxsplit=1)[0]
+        pinned = re.search(r"==\s*([\w.]+)", line)
+        try:
+            found = version(name)
+        except PackageNotFoundError:
+            yield Check(name, "wrong", "not installed", f"run: pip install '{line}'")
+            continue
+        if pinned is not None and found != pinned.group(1):
+            yield Check(name, "wrong", found, f"run: pip install '{line}'")
+        else:
+            yield Check(name, "fine", found)
+
+
+def _optional() -> Iterator[Check]:
+    yield _torch()
+    for name, use in (("mujoco", "proves exported assets"), ("playwright", "drives browser tests")):
+        try:
+            yield Check(name, "fine", version(name))
+        except PackageNotFoundError:
+            yield Check(name, "note", f"not installed ({use})", f"run: pip install {name}")
+    browser = next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
+    if browser:
+        yield Check("chromium", "fine", browser)
+    else:
+        yield Check(
+            "chromium", "note", "not found (browser tests are skipped)",
+            "run: apt-get install chromium",
+        )  # fmt: skip
+
+
+def _torch() -> Check:
+    if importlib.util.find_spec("torch") is None:
+        found = "torch is not installed; nothing here needs it but network predictors"
+        return Check("gpu", "note", found, "run: pip install 'artiworld[network]'")
+    try:
+        import torch
+
+        if torch.cuda.is_available():
+            return Check(
+                "gpu", "fine", f"torch {torch.__version__}, {torch.cuda.get_device_name()}"
+            )
+        return Check("gpu", "fine", f"torch {torch.__version__}, no GPU: networks run on the CPU")
+    except (ImportError, OSError, RuntimeError) as error:
+        remedy = "install torch again, see constraints.txt for the version"
+        return Check("gpu", "note", f"torch can't be used: {_line(error)}", remedy)
+
+
+def _plugins() -> Iterator[Check]:
+    from model.predictors import load_predictor, predictor_names
+    from model.segmentation.registry import load_segmenter, segmenter_names
+
+    for kind, names, load in (
+        ("predictor", predictor_names(), load_predictor),
+        ("segmenter", segmenter_names(), load_segmenter),
+    ):
+        for name in names:
+            try:
+                load(name)
+            except ArtiworldError as error:
+                yield Check(f"{kind} {name}", "note", "can't be used", _line(error))
+            except Exception as error:  # somebody else's plug-in may fail in any way
+                found = f"can't be loaded: {type(error).__name__}: {_line(error)}"
+                yield Check(f"{kind} {name}", "note", found, "mend or remove the plug-in")
+            else:
+                yield Check(f"{kind} {name}", "fine", "usable")
+
+
+def _weights() -> Iterator[Check]:
+    root = static_assets()
+    found = sorted(p for p in root.rglob("*") if p.suffix in WEIGHT_SUFFIXES and p.is_file())
+    for path in found:
+        size = path.stat().st_size
+        name = f"weights {path.relative_to(root)}"
+        if size == 0:
+            yield Check(name, "wrong", "empty", "get the file again (git checkout)")
+        else:
+            yield Check(name, "fine", f"{size / 1e6:.2f} MB")
+    if not found:
+        yield Check("weights", "note", f"none in {root}", "get the files again (git checkout)")
+
+
+def _examples() -> Check:
+    from model.geometry.readers import find_assets
+
+    folder = static_assets() / "examples"
+    try:
+        return Check("examples", "fine", f"{len(find_assets([folder]))} objects")
+    except ArtiworldError as error:
+        return Check("examples", "note", _line(error), "name a file: artiworld serve PATH")
+
+
+def _workspace(workspace: Path) -> Check:
+    folder = workspace.absolute()
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    if not existing.is_dir():
+        found = f"{existing} is a file"
+        return Check("workspace", "wrong", found, "choose another folder with --workspace")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        found = f"{folder} can't be written"
+        return Check("workspace", "wrong", found, "choose another folder with --workspace")
+    free = shutil.disk_usage(existing).free / 1e9
+    found = f"{folder}{'' if folder.exists() else ' (will be made)'}, {free:.0f} GB free"
+    if free < MIN_DISK_GB:
+        return Check("workspace", "wrong", found, f"free {MIN_DISK_GB:.0f} GB, or use --workspace")
+    return Check("workspace", "fine", found)
+
+
+def _database(workspace: Path, url: str | None) -> Check:
+    from sqlalchemy import create_engine, exc, inspect, text
+    from sqlalchemy.engine import make_url
+
+    from sessions.database import FORMAT, known_formats
+
+    file = workspace / "artiworld.db"
+    if url is None and not file.exists():
+        return Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
+    try:
+        # Read-only, so that looking makes no file and takes no lock.
+        at = make_url(url or f"sqlite:///file:{file.absolute()}?mode=ro&uri=true")
+        missing = url is not None and at.get_backend_name() == "sqlite"
+        if missing and not (at.database and Path(at.database).exists()):
+            return Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
+        with create_engine(at).connect() as connection:
+            if "alembic_version" not in inspect(connection).get_table_names():
+                raise LookupError("no table of versions")
+            found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+    except (exc.SQLAlchemyError, ImportError, LookupError, OSError) as error:
+        reason = _line(getattr(error, "orig", None) or error)
+        return Check("database", "wrong", reason, "check --database, or move the file away")
+    if found not in known_formats():
+        return Check(
+            "database", "wrong", f"format {found}, but this version knows up to {FORMAT}",
+            "use the newer ArtiWorld that wrote it",
+        )  # fmt: skip
+    older = "" if found == FORMAT else f", is brought to {FORMAT} at the next start"
+    return Check("database", "fine", f"format {found}{older}")
+
+
+def _port(port: int) -> Check:
+    try:
+        check_address("127.0.0.1", port)
+    except ArtiworldError as error:
+        return Check("port", "note", _line(error), "serve takes the next free one by itself")
+    return Check("port", "fine", f"{port} is free")
+
+
+def _processors() -> Check:
+    if hasattr(os, "sched_getaffinity"):
+        count = len(os.sched_getaffinity(0))
+    else:
+        count = os.cpu_count() or 1
+    if count < 2:
+        return Check("processors", "note", str(count), "the browser will wait for long work")
+    return Check("processors", "fine", str(count))
+
+
+def _memory() -> Check:
+    pages, size = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
+    total = pages * size / 1e9
+    limit = Path("/sys/fs/cgroup/memory.max")
+    if limit.exists() and (text := limit.read_text().strip()).isdigit():
+        total = min(total, int(text) / 1e9)
+    found = f"{total:.1f} GB"
+    if total < MIN_MEMORY_GB:
+        return Check("memory", "note", found, f"large scans want {MIN_MEMORY_GB:.0f} GB and more")
+    return Check("memory", "fine", found)
+
+
+def _line(error: object) -> str:
+    return " ".join(str(error).split())

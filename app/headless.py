@@ -1,0 +1,262 @@
+"""What ``artiworld segment``, ``predict`` and ``export`` do: files in, files out, no browser."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from app.prompt_file import check_prompts, read_prompts
+from model.errors import ArtiworldError, ConfigurationError, InputFileError
+from model.geometry.asset import UpAxis
+from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.kinematics.joint import Joint
+from model.progress import Progress, no_progress
+
+FORMAT = 1
+OBJECT_JSON = "object.json"
+
+
+class NothingPredicted(RuntimeError):
+    """The predictor gave no tree; ``prediction.json`` says why."""
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How files are read: see :func:`model.geometry.readers.read_asset`."""
+
+    up_axis: UpAxis | None = None
+    unit_scale: float = 1.0
+
+
+def segment(
+    scan: Path,
+    prompts: Path,
+    out: Path,
+    *,
+    segmenter: str = "default",
+    reading: ReadOptions | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Cut ``scan`` into parts by the clicks of a prompt file.
+
+    Writes ``link_<id>.obj`` (or ``.ply`` for a cloud) for each part, +z up and in metres, and
+    ``object.json``, which :func:`predict` reads.
+
+    Returns:
+        What ``object.json`` holds.
+
+    Raises:
+        ArtiworldError: naming the file and the place of the mistake.
+    """
+    from model.geometry.parts import split
+    from model.geometry.readers import read_asset
+    from model.segmentation.registry import load_segmenter
+
+    reading = reading or ReadOptions()
+    file = read_prompts(prompts)
+    check_output(out, scan, *_folder_of(scan))
+    chosen = load_segmenter(segmenter)
+    progress(0.0, f"reading {scan.name}")
+    asset = read_asset(scan, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
+    check_prompts(file, asset)
+    session = chosen.encode(asset, part_of(progress, 0.1, 0.7))
+    progress(0.7, "segmenting")
+    answer = session.segment(file.prompts)
+    parts = split(asset, answer.labels, file.names)
+    progress(0.9, f"writing {out}")
+    written = [_write_part(part, out) for part in parts]
+    found = {part.link for part in parts}
+    missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
+    report = {
+        "format": FORMAT,
+        "name": asset.name,
+        "category": file.category or asset.category,
+        "parts": written,
+        "source": {
+            "file": scan.name,
+            "sha256": asset.source.sha256 if asset.source else None,
+            "elements": asset.element_kind,
+            "count": asset.element_count,
+        },
+        "segmenter": answer.segmenter or chosen.name,
+        "seconds": round(answer.seconds, 6),
+        "problems": [
+            *asset.warnings,
+            *(f"part {i} got no {asset.element_kind}" for i in missing),
+        ],
+    }
+    write_json(out / OBJECT_JSON, report)
+    progress(1.0, "done")
+    return report
+
+
+def predict(
+    folder: Path,
+    out: Path,
+    *,
+    predictor: str = "geometric",
+    category: str | None = None,
+    seed: int = 0,
+    reading: ReadOptions | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Predict the joints of a folder of part meshes.
+
+    Writes ``object.urdf``, ``tree.json``, ``meshes/``, ``provenance.json`` and ``prediction.json``.
+
+    Returns:
+        What ``prediction.json`` holds.
+
+    Raises:
+        ArtiworldError: where the input can't be used.
+        NothingPredicted: where the predictor found no tree.
+    """
+    from model.exporters.asset_folder import write_asset
+    from model.geometry.readers import read_part_files
+    from model.predictors import load_predictor
+
+    reading = reading or ReadOptions()
+    check_output(out, folder)
+    chosen = load_predictor(predictor)
+    progress(0.0, f"reading {folder}")
+    segmented = read_part_files(folder, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
+    if category:
+        segmented = replace(segmented, category=category)
+    answer = chosen.predict(segmented, seed=seed, progress=part_of(progress, 0.1, 0.8))
+    report = prediction_json(segmented, answer)
+    if answer.tree is None:
+        write_json(out / "prediction.json", report)
+        why = "; ".join(answer.problems) or "no reason was given"
+        raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
+    progress(0.8, f"writing {out}")
+    made = ArticulatedObject(segmented.name, segmented.parts, answer.tree, segmented.category)
+    provenance = {
+        "source": str(folder),
+        "predictor": report["backend"],
+        "seed": seed,
+        "versions": versions(),
+    }
+    write_asset(made, out, provenance=provenance)
+    write_json(out / "prediction.json", report)
+    progress(1.0, "done")
+    return report
+
+
+def prediction_json(segmented: SegmentedObject, answer: Prediction) -> dict[str, Any]:
+    """``prediction.json``: lengths in metres, angles in radians, all in the object frame."""
+    joints = answer.tree.joints if answer.tree is not None else ()
+    return {
+        "format": FORMAT,
+        "name": segmented.name,
+        "category": segmented.category,
+        "backend": answer.backend,
+        "seed": answer.seed,
+        "seconds": round(answer.seconds, 6),
+        "problems": list(answer.problems),
+        "base": answer.tree.root if answer.tree is not None else None,
+        "links": list(answer.tree.links) if answer.tree is not None else [],
+        "parts": [{"link": part.link, "name": part.name} for part in segmented.parts],
+        "joints": [_joint_json(joint, answer) for joint in joints],
+        "raw_text": answer.raw_text,
+    }
+
+
+def _joint_json(joint: Joint, answer: Prediction) -> dict[str, Any]:
+    limits = [joint.lower, joint.upper] if joint.limited else None
+    mimic = None
+    if joint.mimic is not None:
+        mimic = {
+            "joint": joint.mimic.joint,
+            "multiplier": joint.mimic.multiplier,
+            "offset": joint.mimic.offset,
+        }
+    return {
+        "name": joint.name,
+        "type": joint.type,
+        "parent": joint.parent,
+        "child": joint.child,
+        "axis": list(joint.axis),
+        "origin": list(joint.origin),
+        "limits": limits,
+        "mimic": mimic,
+        "confidence": answer.confidence.get(joint.child),
+        "note": answer.notes.get(joint.child),
+    }
+
+
+def part_of(progress: Progress, start: float, end: float) -> Progress:
+    """A progress whose 0..1 is ``start``..``end`` of ``progress``."""
+
+    def scaled(fraction: float, message: str) -> None:
+        progress(start + (end - start) * fraction, message)
+
+    return scaled
+
+
+def check_output(out: Path, *inputs: Path) -> None:
+    """Refuse an output folder that can't be one, or that would overwrite what is read.
+
+    Raises:
+        ConfigurationError: with what to do.
+    """
+    if out.exists() and not out.is_dir():
+        raise ConfigurationError(f"--out {out} is a file; give a folder")
+    for source in inputs:
+        if out.resolve() == source.resolve():
+            raise ConfigurationError(f"--out {out} is where the input is; give another folder")
+    above = next((p for p in (out, *out.absolute().parents) if p.exists()), Path("/"))
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise ConfigurationError(f"--out {out} can't be written; choose a folder of your own")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` at once or not at all.
+
+    Raises:
+        InputFileError: where the folder can't be written.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+        draft.replace(path)
+    except OSError as error:
+        raise InputFileError(path, f"can't be written: {error.strerror}") from error
+
+
+def versions() -> dict[str, str]:
+    """Versions that a result depends on."""
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+
+    out = {"python": platform.python_version()}
+    for name in ("artiworld", "numpy", "scipy"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return out
+
+
+def _folder_of(scan: Path) -> Sequence[Path]:
+    return [] if scan.is_dir() else [scan.parent]
+
+
+def _write_part(part: Part, out: Path) -> dict[str, Any]:
+    from model.geometry.writers import write_cloud, write_mesh
+
+    out.mkdir(parents=True, exist_ok=True)
+    if part.mesh is not None:
+        files = write_mesh(part.mesh, out / f"{part.link}.obj")
+        count = len(part.mesh.faces)
+    elif part.cloud is not None:
+        files = write_cloud(part.cloud, out / f"{part.link}.ply")
+        count = len(part.cloud)
+    else:  # Part's constructor forbids it
+        raise ArtiworldError(f"part {part.link} has no geometry")
+    entry: dict[str, Any] = {"file": files[0].name, "count": count}
+    return entry if part.name is None else {"file": files[0].name, "name": part.name, **entry}

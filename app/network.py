@@ -1,0 +1,69 @@
+"""Addresses to listen at."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import os
+import socket
+
+from model.errors import ConfigurationError
+
+PORTS = range(8080, 8100)
+"""Tried in order where nobody asks for a port."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach ``host``."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def check_address(host: str, port: int) -> None:
+    """Raise where nothing can listen at ``host`` and ``port``; viser itself would wait for ever.
+
+    Raises:
+        ConfigurationError: with what to do.
+    """
+    if not 0 <= port <= 65535:
+        raise ConfigurationError(f"--port {port} is no port; choose one from 1024 to 65535")
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        for family, kind, protocol, _, address in addresses:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+                probe.listen(1)
+    except socket.gaierror as error:
+        raise ConfigurationError(f"--host {host} can't be resolved ({error.strerror})") from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            text = f"port {port} is in use; choose another with --port"
+        elif error.errno == errno.EACCES:
+            text = f"port {port} needs special rights; choose one above 1023 with --port"
+        else:
+            text = f"can't listen at {host}:{port} ({os.strerror(error.errno or 0)})"
+        raise ConfigurationError(text) from error
+
+
+def free_port(host: str) -> int:
+    """The first of :data:`PORTS` that is free at ``host``.
+
+    Raises:
+        ConfigurationError: where none is, or the host can't be used at all.
+    """
+    for port in PORTS:
+        try:
+            check_address(host, port)
+        except ConfigurationError as error:
+            if "in use" not in str(error):
+                raise
+        else:
+            return port
+    raise ConfigurationError(
+        f"ports {PORTS[0]} to {PORTS[-1]} are all in use; choose another with --port"
+    )

@@ -1,0 +1,95 @@
+"""``artiworld serve``: from options to a running server."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+import webbrowser
+from urllib.parse import quote
+
+from app.config import ServeConfig
+from app.login import new_token
+from app.network import check_address, free_port, is_loopback
+from model.errors import ConfigurationError, InputFileError
+
+TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
+
+
+def run_serve(args: argparse.Namespace) -> int:
+    """Check the options while nothing is running yet, then serve until interrupted."""
+    config = make_config(args)
+    from app.server import serve  # viser, only now that the options are right
+
+    if config.token is not None:
+        name = "localhost" if is_loopback(config.host) else _name_of(config.host)
+        print(
+            f"Log in at http://{name}:{config.port}/login?token={quote(config.token)}", flush=True
+        )
+    if args.open:
+        threading.Thread(target=_open_when_ready, args=(config,), daemon=True).start()
+    serve(config)
+    return 0
+
+
+def make_config(args: argparse.Namespace) -> ServeConfig:
+    """The settings of the server.
+
+    Raises:
+        ConfigurationError, InputFileError: where an option can't work.
+    """
+    for path in args.paths:
+        if not path.exists():
+            raise InputFileError(path, "no such file or folder", "check the path")
+    if args.max_upload_mb <= 0:
+        raise ConfigurationError(f"--max-upload-mb {args.max_upload_mb} must be above 0")
+    for origin in args.allow_origin:
+        if not origin.startswith(("http://", "https://")):
+            raise ConfigurationError(
+                f"--allow-origin {origin} is no address; give one like https://scans.example.org"
+            )
+    token = args.token or os.environ.get(TOKEN_VARIABLE) or None
+    if token is None and not is_loopback(args.host):
+        token = new_token()
+    port = args.port
+    if port is None:
+        port = free_port(args.host)
+    else:
+        check_address(args.host, port)
+    settings = {} if args.user is None else {"user": args.user}
+    return ServeConfig(
+        paths=tuple(args.paths),
+        workspace=args.workspace,
+        database=args.database,
+        host=args.host,
+        port=port,
+        token=token,
+        up_axis=args.up_axis,
+        unit_scale=args.unit_scale,
+        max_upload_mb=args.max_upload_mb,
+        segmenter=args.segmenter,
+        predictor=args.predictor,
+        allowed_origins=tuple(args.allow_origin),
+        **settings,
+    )
+
+
+def _name_of(host: str) -> str:
+    return socket.gethostname() if host in ("0.0.0.0", "::", "") else host
+
+
+def _open_when_ready(config: ServeConfig, seconds: float = 60.0) -> None:
+    address = f"http://localhost:{config.port}"
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            with urllib.request.urlopen(address + "/healthz", timeout=2):
+                break
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.2)
+    login = f"/login?token={quote(config.token)}" if config.token else "/"
+    webbrowser.open(address + login)
