@@ -165,6 +165,17 @@ class PartContext:
         inside = (world > base.low - slack) & (world < base.high + slack)
         return bool(inside.all(1).mean() >= 0.75)
 
+    @cached_property
+    def hand(self) -> bool:
+        """Whether it is a hand on a dial: called so, or a sliver on the face of a flat disc."""
+        if "hand" in self.words:
+            return True
+        face = self.base.roundest
+        if face is None or face.half > 0.5 * face.radius or self.shape.slenderness > 0.35:
+            return False
+        thin = self.shape.box.axes[:, self.shape.order[0]]
+        return abs(float(thin @ face.axis)) > 0.95 and self.shape.size < 1.2 * face.radius
+
     def upright(self) -> Array:
         """The part's box axis nearest to +z, pointing up."""
         axes = self.shape.box.axes

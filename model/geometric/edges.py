@@ -41,7 +41,7 @@ class EdgeWeights:
 
 WEIGHTS: dict[str, EdgeWeights] = {
     "hinge": EdgeWeights(upright=0.9, long=0.8),
-    "drop": EdgeWeights(level=0.6, bottom=1.6, margin=0.5, handle=1.5),
+    "drop": EdgeWeights(level=1.0, bottom=3.0, margin=0.3, handle=1.5),
     "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2),
     "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
 }

@@ -7,6 +7,7 @@ import numpy as np
 from model.geometric.context import Assembly, PartContext
 from model.geometric.looks import Looks, look
 from model.geometric.scene import TOUCHING
+from model.geometric.spins import blades
 from model.geometric.vocabulary import Mechanism, mechanism_of
 
 
@@ -95,7 +96,7 @@ def shape_scores(
         if level_disc and k.flat < 0.9:
             s["spin"] += 1.0
         if k.ball:
-            s["spin"] += 1.5
+            s["spin"] += 2.5
         if (
             level_disc
             and k.size > 0.3
@@ -105,6 +106,11 @@ def shape_scores(
             and k.flat < 0.3
         ):
             s["spin"] -= 1.5  # a round door
+
+    if blades(context.shape) is not None:
+        s["spin"] += 4.0
+    if context.hand:
+        s["spin"] += 3.0
 
     s["swivel"] = 0.0
     if upright_disc and k.flat < 0.35 and k.top > 0.5 and k.bottom > 0.5:
@@ -120,7 +126,10 @@ def shape_scores(
 
     top_width = 2 * min(float(x) for x in np.sort(context.base.box.half)[:2])
     cap = upright_disc and k.top < 0.3 and k.bottom > 0.4 and k.height > 0.6
-    cap = cap and disc is not None and disc.radius > 0.1 * top_width
+    cap = cap and disc is not None and disc.radius > 0.1 * top_width and k.flat > 0.085
+    aside = context.shape.center - context.base.center
+    cap = cap and float(np.linalg.norm(aside[:2])) < 0.6 * disc.radius  # type: ignore[union-attr]
+    cap = cap and float(context.base.high[2]) < float(context.shape.high[2]) + 0.02
     tall = _tallness(context)
     if cap:
         s["screw"] = max(s["screw"], 2.9 if tall > 1.1 else 1.2)
@@ -138,21 +147,27 @@ def shape_scores(
     low = 1 - _step(k.face[1] / max(context.base.size, 1e-6), 0.22, 0.1)
     front_only = is_panel * standing * wide * low * large * k.way_out
     drawer += front_only * (2.3 if context.shape.scanned else 0.9)
-    s["slide_out"] = 0.3 + drawer
+    s["slide_out"] = 0.3 + drawer - (2.0 if upright_disc else 0.0)
 
     s["temple"] = 0.2 + rod * (1.3 * k.end_contact + 0.4 * large)
     if k.twins and not context.closed:
         s["temple"] += 0.5 * rod * k.end_contact
     middling = (1 - small) * (1 - _step(k.size, 0.42, 0.1))
     s["lever"] = 0.3 + middling * (1 - is_panel) * (0.9 + 0.8 * k.end_contact)
-    s["swing"] = 0.2 + 1.6 * _bail(context, k)
+    bail, legs = _bail(context, k)
+    # A long-legged bow that stands on its parent is pulled out of it.
+    s["swing"] = 0.2 + 1.6 * bail * (1 - legs)
+    s["lift"] += 2.2 * bail * legs
     s["tilt"] = 0.3 + (1.2 * is_panel if on_stem else 0.0)
+    if context.parent != context.assembly.root and context.base.slenderness < 0.35:
+        s["tilt"] += 1.5 * (1 - small)
+        s["swivel"] -= 1.0
     s["toggle"] = 0.2
     if k.parts <= 4 and context.closed and 0.2 < k.relative < 0.75 and k.panel > 0.3:
         s["toggle"] += 1.5 * k.exposed * k.backed * (disc is None)
 
     s["pivot"] = 0.2 + 0.5 * rod * (k.parts <= 4)
-    s["slide_along"] = 0.2
+    s["slide_along"] = 0.2 + 3.0 * is_panel * standing * _passes_sibling(context)
     if pair and rod > 0.5:
         # A blade that is free on one edge turns out of its handle; one that is not slides.
         covers = context.covers
@@ -187,19 +202,53 @@ def _holds_wheel(context: PartContext, k: Looks, others: dict[int, Looks]) -> bo
     return False
 
 
-def _bail(context: PartContext, k: Looks) -> float:
-    """0..1: held at two far ends of one level axis and free in between."""
+def _passes_sibling(context: PartContext) -> bool:
+    """Whether another panel lies in a parallel plane and laps over this one at the side."""
+    shape, scene = context.shape, context.scene
+    n = shape.panel.normal
+    axes = shape.box.axes
+    thick = shape.panel.high - shape.panel.low
+    for j in scene.others(context.part):
+        other = scene.shapes[j]
+        if j in (context.parent, context.assembly.root) or other.size < 0.6 * shape.size:
+            continue
+        if abs(other.box.axes[:, other.panel.normal] @ axes[:, n]) < 0.98:
+            continue
+        step = axes.T @ (other.center - shape.center)
+        if not 0.6 * thick < abs(step[n]) < 5 * thick + 0.02:
+            continue
+        lap = [
+            shape.box.half[k] + other.box.reach(axes[:, k]) - abs(step[k])
+            for k in range(3)
+            if k != n
+        ]
+        narrow = 2 * min(float(shape.box.half[k]) for k in range(3) if k != n)
+        if 0.0 < min(lap) < 0.6 * narrow:
+            return True
+    return False
+
+
+def _bail(context: PartContext, k: Looks) -> tuple[float, float]:
+    """How much it is a bow held at two far ends of one level axis, and whether it has long legs.
+
+    Returns:
+        0..1, and 0..1: 1 where the bow stands upright on its parent and is higher than wide.
+    """
     shape = context.shape
     if k.size < 0.15:
-        return 0.0
+        return 0.0, 0.0
     contact = context.contact
-    best = 0.0
+    best, legs = 0.0, 0.0
     for axis in shape.box.axes.T:
         if abs(axis[2]) > 0.5:
             continue
         along = (contact - shape.center) @ axis / max(shape.box.reach(axis), 1e-6)
         middle = float((np.abs(along) < 0.5).mean())
         both = min(float((along > 0.6).mean()), float((along < -0.6).mean()))
-        best = max(best, 2 * both * (1 - min(1.0, 2 * middle)))
+        value = 2 * both * (1 - min(1.0, 2 * middle))
+        if value > best:
+            best = value
+            tall = shape.box.reach(context.upright()) / max(shape.box.reach(axis), 1e-6)
+            legs = _step(tall, 0.95, 0.3) * float(k.on_top > 0)
     thin_walled = 1 - _step(shape.area / max(2 * shape.size**2, 1e-9), 0.25, 0.3)
-    return float(np.clip(best, 0, 1)) * thin_walled
+    return float(np.clip(best, 0, 1)) * thin_walled, legs

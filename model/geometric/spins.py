@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
-from model.geometric.shape import Roundness, roundness
+from model.geometric.shape import Roundness, Shape, rotation, roundness
 
 Array = npt.NDArray[np.float64]
 
@@ -16,7 +16,7 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
     """About each axis along which the part may be round."""
     shape = context.shape
     wheel = bool({"wheel", "roller", "tire"} & set(context.words))
-    hand = "hand" in context.words
+    hand = context.hand
     found = []
     outwardness = dict(
         zip(map(tuple, context.directions.round(6)), context.outwardness, strict=True)
@@ -33,7 +33,8 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
             if out is not None and not wheel:
                 score += 0.4 * max(0.0, float(out))
         origin = r.center
-        if hand:
+        if hand and abs(r.axis @ shape.box.axes[:, shape.order[0]]) > 0.95:
+            score += 3.0
             origin = _hub(context, r)
         found.append(
             Hypothesis(
@@ -44,6 +45,16 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
                 note=f"turns about its symmetry axis (outline round to {100 * r.spread:.0f} %)",
             )
         )
+    poles = _poles(context) if sum(r.round for r in shape.roundnesses) >= 3 else None
+    if poles is not None:
+        found.append(
+            Hypothesis("continuous", poles, shape.center, score=4.5, note="ball held at two poles")
+        )
+    fold = blades(shape)
+    if fold is not None:
+        axis, center, count = fold
+        note = f"{count} equal blades around the axis"
+        found.append(Hypothesis("continuous", axis, center, score=4.0, note=note))
     if not found:
         thin = shape.box.axes[:, shape.order[0]]
         found.append(Hypothesis("continuous", thin, shape.center, score=0.0, note="spins"))
@@ -51,10 +62,51 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
 
 
 def _hub(context: PartContext, r: Roundness) -> Array:
-    """Where the hands of a clock meet: the contact, or the middle of the face."""
-    if context.touching:
-        return context.contact_center
+    """Where the hands of a clock meet: the middle of its round face, else of the base."""
+    face = roundness(context.base.outline, r.axis, context.base.scanned)
+    if face is not None and face.round:
+        return face.center
     return context.base.center
+
+
+def _poles(context: PartContext) -> Array | None:
+    """(3,) axis through the two places that hold a ball; None where it isn't held so."""
+    shape = context.shape
+    out = context.contact - shape.center
+    if len(out) < 6:
+        return None
+    _, _, rows = np.linalg.svd(out, full_matrices=False)
+    along = out @ rows[0]
+    reach = shape.box.half.max()
+    if min(along.max(), -along.min()) < 0.6 * reach:
+        return None
+    high, low = out[along > 0.5 * reach].mean(0), out[along < -0.5 * reach].mean(0)
+    return unit(high - low)
+
+
+def blades(shape: Shape) -> tuple[Array, Array, int] | None:
+    """Axis, centre and number of the blades of a part like a propeller; None for other parts.
+
+    The part is flat, not filled, and lies on itself after a turn by a full turn over 3, 4, 5 or 6.
+    """
+    from scipy.spatial import cKDTree
+
+    axis = shape.box.axes[:, shape.order[0]]
+    if shape.roundest is not None or shape.thinness > 0.6 or shape.slenderness < 0.75:
+        return None
+    if shape.panel.fill > 0.8:
+        return None
+    points = shape.points[:: max(1, len(shape.points) // 500)]
+    center = points.mean(0)
+    tree = cKDTree(points)
+    radius = float(np.linalg.norm(points - center, axis=1).max())
+    spacing = float(np.median(tree.query(points, k=2)[0][:, 1]))
+    for count in (3, 5, 4, 6):
+        turned = (points - center) @ rotation(axis, 2 * np.pi / count).T + center
+        off = float(np.quantile(tree.query(turned)[0], 0.9))
+        if off < 2.5 * spacing + 0.03 * radius:
+            return axis, center, count
+    return None
 
 
 def swivel_hypotheses(context: PartContext) -> list[Hypothesis]:

@@ -33,6 +33,9 @@ def root_scores(scene: Scene) -> Array:
     out += 0.5 * np.sqrt(area / max(area.max(), 1e-12))
     out += 1.0 * touching / max(1, n - 1)
     out += 0.8 * (1 - np.clip(low / height, 0, 1))
+    # What stands on the ground holds the rest; wheels do too, but they are small.
+    grounded = (low < 0.02) & (size > 0.3 * size.max())
+    out += 0.9 * grounded
     out += 1.5 * named
     for i in np.argsort(-out)[: min(3, n)]:
         out[i] += 1.2 * _encloses(scene, int(i))

@@ -233,6 +233,7 @@ CATEGORY_PARENTS: dict[str, dict[str, str]] = {
 
 _TURN_PREFIX = {"rotation", "rotating", "rotary", "revolving", "hinged", "swivel", "flip"}
 _SLIDE_PREFIX = {"translation", "translating", "sliding", "slide", "telescopic", "retractable"}
+_PRESS_PREFIX = {"press", "pressing", "push"}
 _SYNONYMS = {
     "castor": "caster",
     "tyre": "wheel",
@@ -353,6 +354,8 @@ def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | No
         mechanism = TURNING.get(mechanism, mechanism)
     if any(w in _SLIDE_PREFIX for w in found):
         mechanism = SLIDING.get(mechanism, mechanism)
+    if any(w in _PRESS_PREFIX for w in found[:-1]):
+        mechanism = "press"
     if "toggle" in found or "rocker" in found:
         mechanism = "toggle"
     return mechanism, said
