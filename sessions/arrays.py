@@ -19,7 +19,7 @@ from model.errors import StoreError
 MAGIC = b"ARTIWORLD-ARRAY 1\n"
 _MAGIC_ANY = b"ARTIWORLD-ARRAY "
 _REF = re.compile(r"[0-9a-f]{64}")
-_UNSIGNED = (np.uint8, np.uint16, np.uint32)
+_UNSIGNED = (np.uint8, np.uint16, np.uint32, np.uint64)
 
 
 class ArrayFiles:
@@ -83,7 +83,7 @@ class ArrayFiles:
             raise StoreError(f"{path}: was written by a newer version of ArtiWorld; use that one")
         try:
             array = _decode(data)
-        except (ValueError, KeyError, TypeError, zlib.error) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, zlib.error) as error:
             raise StoreError(f"{path}: is damaged; restore it from a copy") from error
         if _digest(array) != ref:
             raise StoreError(f"{path}: is damaged (wrong checksum); restore it from a copy")
@@ -139,25 +139,22 @@ def _pack(flat: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], str, int]:
     if flat.dtype.kind not in "iu" or not len(flat):
         return flat, "none", 0
     if len(flat) > 1 and bool((flat[1:] >= flat[:-1]).all()):
-        step = _narrow(flat[1:], flat[:-1], int(np.max(flat[1:] - flat[:-1])))
-        if step is not None and int(flat[-1]) - int(flat[0]) < 2**62:
-            return np.concatenate([np.zeros(1, step.dtype), step]), "difference", int(flat[0])
+        steps = flat[1:] - flat[:-1]
+        if int(steps.min()) >= 0:  # a negative one overflowed
+            steps = np.concatenate([np.zeros(1, flat.dtype), steps])
+            return _narrow(steps, int(steps.max())), "difference", int(flat[0])
     low, high = int(flat.min()), int(flat.max())
-    packed = _narrow(flat, flat.dtype.type(low), high - low)
-    return (flat, "none", 0) if packed is None else (packed, "offset", low)
+    # Wraps where the span overflows a signed type; the low bits stay right, and unpacking wraps
+    # back.
+    return _narrow(flat - flat.dtype.type(low), high - low), "offset", low
 
 
-def _narrow(
-    high: npt.NDArray[Any], low: npt.NDArray[Any] | np.generic, span: int
-) -> npt.NDArray[Any] | None:
-    """``high - low`` in the fewest bytes; None where 32 bits don't hold it."""
-    if span < 0:  # the difference itself overflowed
-        return None
+def _narrow(values: npt.NDArray[Any], highest: int) -> npt.NDArray[Any]:
+    """``values`` modulo 2^bits in the fewest bytes that hold ``highest``."""
     for dtype in _UNSIGNED:
-        if span <= np.iinfo(dtype).max:
-            # Wrapping keeps the low bits right even where a narrow signed type overflows.
-            return np.subtract(high, low, dtype=high.dtype).astype(dtype)
-    return None
+        if highest <= np.iinfo(dtype).max:
+            return values.astype(dtype)
+    raise AssertionError(f"{highest} doesn't fit 64 bits")
 
 
 def _unpack(
@@ -166,9 +163,9 @@ def _unpack(
     if packing == "none":
         return packed.astype(dtype)
     if packing == "offset":
-        return (packed.astype(np.int64) + base).astype(dtype)
+        return packed.astype(dtype) + dtype.type(base)
     if packing == "difference":
-        return (np.cumsum(packed, dtype=np.int64) + base).astype(dtype)
+        return np.cumsum(packed, dtype=dtype) + dtype.type(base)
     raise ValueError(f"unknown packing {packing!r}")
 
 

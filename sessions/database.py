@@ -87,12 +87,13 @@ class Database:
     """An engine whose errors are :class:`~model.errors.StoreError`.
 
     Args:
-        url: any SQLAlchemy URL. SQLite runs in WAL mode and syncs at each commit, so neither the
-            end of the process nor a power cut loses a commit.
+        url: any SQLAlchemy URL; :func:`sqlite_file` makes one of a path. SQLite runs in WAL mode
+            and syncs at each commit, so neither the end of the process nor a power cut loses a
+            commit.
         busy_timeout: seconds to wait for another process that is writing.
     """
 
-    def __init__(self, url: str, busy_timeout: float = 10.0) -> None:
+    def __init__(self, url: str | URL, busy_timeout: float = 10.0) -> None:
         self.url = _parse(url)
         self.name = self.url.render_as_string(hide_password=True)
         if self.url.get_backend_name() == "sqlite":
@@ -181,7 +182,12 @@ def _upgrade(connection: Connection) -> None:
     command.upgrade(config, "head")
 
 
-def _parse(url: str) -> URL:
+def sqlite_file(path: Path) -> URL:
+    """The URL of an SQLite file, whatever characters its path has."""
+    return URL.create("sqlite", database=str(path))
+
+
+def _parse(url: str | URL) -> URL:
     try:
         parsed = make_url(url)
     except exc.ArgumentError as error:

@@ -195,12 +195,14 @@ def prompts_key(document: Document) -> str:
     """Digest of the prompts and of the frame that they were given in; loads no array.
 
     Equal prompts have equal keys, as with :meth:`model.segmentation.prompts.Prompts.key`; the two
-    digests differ, as this one reads the regions' references.
+    digests differ, as this one reads the regions' references. Recorded answers carry the key, so
+    the way it is computed is part of the format.
     """
     digest = hashlib.sha256(repr((document.up_axis, document.unit_scale)).encode())
     for p in document.prompts:
         if isinstance(p, Click):
-            digest.update(repr(("c", p.position, p.part, p.positive, p.element)).encode())
+            position = tuple(map(float, p.position))
+            digest.update(repr(("c", position, p.part, p.positive, p.element)).encode())
         else:
             digest.update(repr(("r", p.part, p.positive, p.elements)).encode())
     return digest.hexdigest()[:24]

@@ -22,7 +22,7 @@ from model.errors import CommandError, StoreError
 from sessions import codec
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
-from sessions.database import Database, commands, objects, snapshots
+from sessions.database import Database, commands, objects, snapshots, sqlite_file
 from sessions.review import ReviewState, Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, replay
@@ -121,7 +121,7 @@ class Store:
                 f"{workspace}: can't be the workspace ({error.strerror or error}); "
                 "choose a folder that you may write to"
             ) from error
-        url = database_url or "sqlite:///" + str(self.workspace / "artiworld.db")
+        url = database_url or sqlite_file(self.workspace / "artiworld.db")
         self._database = Database(url, busy_timeout)
         self._arrays = ArrayFiles(self.workspace / "arrays")
 
@@ -219,12 +219,12 @@ class Store:
             ConflictError: where ``expected_seq`` isn't the last number any more.
             CommandError: where the state doesn't allow the command.
         """
-        who, at = clean_who(who), at or now()
+        who, at, written = clean_who(who), at or now(), to_json(command)
         if after is None:
             before = self.load(object_id)
             if before.seq != expected_seq:
                 raise self._conflict(object_id, expected_seq, before.seq)
-            after = apply(before, command, Context(who, at, role))
+            after = apply(before, from_json(written), Context(who, at, role))
         if after.seq == expected_seq:
             return expected_seq
         assert after.seq == expected_seq + 1, "the state belongs to another command"
@@ -234,7 +234,7 @@ class Store:
             "at": at,
             "who": who,
             "kind": kind_of(command),
-            "payload": _dumps(to_json(command)),
+            "payload": _dumps(written),
         }
         blob = _compressed(after) if after.seq % SNAPSHOT_EVERY == 0 else None
         try:
