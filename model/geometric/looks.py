@@ -22,7 +22,8 @@ class Looks:
         size: diagonal of the part's box. relative: over that of its parent.
         disc: circle that the outline makes, None where it is not round.
         flat: half thickness over radius of the disc; 0 where there is none.
-        axis_up: 0..1, how upright the disc's axis is.
+        axis_up: 0..1, how upright the disc's axis is. scanned: it is a cloud: what lies behind may
+            be missing.
         ball: round about three axes.
         height: 0 at the object's foot, 1 at its top (the part's middle). grounded: touches down.
         top, bottom, sides: how much the parent covers it from above, from below, and from the
@@ -49,6 +50,7 @@ class Looks:
     disc: Roundness | None
     flat: float
     axis_up: float
+    scanned: bool
     ball: bool
     height: float
     grounded: bool
@@ -105,6 +107,7 @@ def look(context: PartContext) -> Looks:
         disc=disc,
         flat=disc.half / max(disc.radius, 1e-6) if disc is not None else 0.0,
         axis_up=axis_up,
+        scanned=shape.scanned,
         ball=sum(r.round for r in shape.roundnesses) >= 3,
         height=float((shape.center[2] - scene.low[2]) / height),
         grounded=float(shape.low[2] - scene.low[2]) < 0.03 * height + 0.005,

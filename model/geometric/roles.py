@@ -124,8 +124,11 @@ def shape_scores(
     wheels = sum(o.disc is not None and o.axis_up < 0.35 and o.grounded for o in others.values())
     s["screw"] = s["swivel"] + 1.0 if on_stem and wheels >= 3 and k.size > 0.4 else 0.0
 
+    if k.scanned and k.grounded and small > 0 and k.height < 0.2:
+        s["spin"] += 2.6 * small  # a wheel of which a scan shows too little to be round
+
     top_width = 2 * min(float(x) for x in np.sort(context.base.box.half)[:2])
-    cap = upright_disc and k.top < 0.3 and k.bottom > 0.4 and k.height > 0.6
+    cap = upright_disc and k.top < 0.3 and (k.bottom > 0.4 or k.scanned) and k.height > 0.6
     cap = cap and disc is not None and disc.radius > 0.1 * top_width and k.flat > 0.085
     aside = context.shape.center - context.base.center
     cap = cap and float(np.linalg.norm(aside[:2])) < 0.6 * disc.radius  # type: ignore[union-attr]
@@ -145,8 +148,9 @@ def shape_scores(
     drawer = k.way_out * embedded * (0.5 + 1.5 * deep) + k.way_out * deep * large * 1.0
     wide = _step(k.face[0] / max(k.face[1], 1e-6), 1.9, 0.6)
     low = 1 - _step(k.face[1] / max(context.base.size, 1e-6), 0.22, 0.1)
-    front_only = is_panel * standing * wide * low * large * k.way_out
-    drawer += front_only * (2.3 if context.shape.scanned else 0.9)
+    front_only = is_panel * standing * wide * low * large
+    # Of a closed drawer a scan shows only the front.
+    drawer += front_only * (2.3 if k.scanned else 0.9 * k.way_out)
     s["slide_out"] = 0.3 + drawer - (2.0 if upright_disc else 0.0)
 
     s["temple"] = 0.2 + rod * (1.3 * k.end_contact + 0.4 * large)

@@ -199,21 +199,24 @@ def make_scene(segmented: SegmentedObject, seed: int = 0) -> Scene:
     share = np.sqrt(rough + 1e-12)
     counts = np.clip(SAMPLE_BUDGET * share / share.sum(), 160, 6000).astype(int)
     sampled = [part_surface(p, int(c), seed) for p, c in zip(parts, counts, strict=True)]
-    normals = np.concatenate([s[1] for s in sampled])
-    weights = np.concatenate([np.full(len(s[0]), s[3] / max(1, len(s[0]))) for s in sampled])
-    yaw = dominant_yaw(normals, weights, [s[0] for s in sampled])
+    normals = np.concatenate([s.normals for s in sampled])
+    weights = np.concatenate(
+        [np.full(len(s.points), s.area / max(1, len(s.points))) for s in sampled]
+    )
+    yaw = dominant_yaw(normals, weights, [s.points for s in sampled])
     frame = WorkingFrame(center, yaw, diagonal)
     shapes = tuple(
         Shape(
             part.link,
             part.name,
-            frame.to_working(points),
-            normal @ frame.object_from_working,
-            frame.to_working(outline),
-            area / diagonal**2,
+            frame.to_working(s.points),
+            s.normals @ frame.object_from_working,
+            frame.to_working(s.outline),
+            s.area / diagonal**2,
             part.mesh is None or not len(part.mesh.faces),
+            s.noise / diagonal,
         )
-        for part, (points, normal, outline, area) in zip(parts, sampled, strict=True)
+        for part, s in zip(parts, sampled, strict=True)
     )
     return Scene(segmented.name, segmented.category, shapes, frame)
 

@@ -78,6 +78,7 @@ class Shape:
         outline: (M, 3) points that give exact extents (mesh vertices, or the cloud).
         area: surface area in squared diagonals (of clouds: an estimate).
         scanned: the geometry is a cloud, so extents are noisy and sides may be missing.
+        noise: standard deviation of its points across the surface.
     """
 
     link: str
@@ -87,11 +88,12 @@ class Shape:
     outline: Array
     area: float
     scanned: bool
+    noise: float = 0.0
 
     @cached_property
     def box(self) -> Box:
         """Smallest of a few boxes, with a preference for the object's own directions."""
-        return fit_box(self.outline, self.scanned)
+        return fit_box(self.outline, self.scanned, self.noise)
 
     @cached_property
     def size(self) -> float:
@@ -127,12 +129,18 @@ class Shape:
     @cached_property
     def roundnesses(self) -> tuple[Roundness, ...]:
         """For each candidate axis (box axes, then principal axes), roundest first."""
-        axes = [*self.box.axes.T, *self.principal.T]
+        axes = [*self.box.axes.T]
+        if self.size > 30 * self.noise:
+            axes += [*self.principal.T]
         kept: list[Array] = []
         for a in axes:
             if all(abs(a @ b) < 0.9998 for b in kept):
                 kept.append(a)
-        out = [r for a in kept if (r := roundness(self.outline, a, self.scanned)) is not None]
+        out = [
+            r
+            for a in kept
+            if (r := roundness(self.outline, a, self.scanned, self.noise)) is not None
+        ]
         return tuple(sorted(out, key=lambda r: r.spread))
 
     @cached_property
@@ -141,7 +149,8 @@ class Shape:
 
         Where several are (a ball, a short cylinder) the one with the shorter extent wins.
         """
-        found = [r for r in self.roundnesses if r.round]
+        # What is hardly larger than the noise looks round whatever it is.
+        found = [r for r in self.roundnesses if r.round and r.radius > 6 * self.noise]
         return min(found, key=lambda r: (round(r.spread / 0.02), r.half)) if found else None
 
     @cached_property
@@ -281,11 +290,17 @@ def rotation(axis: Array, angle: float) -> Array:
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
 
 
-def fit_box(points: Array, scanned: bool) -> Box:
-    """The object's directions, unless a turned box is clearly smaller (by a tenth)."""
+def fit_box(points: Array, scanned: bool, noise: float = 0.0) -> Box:
+    """The object's directions, unless a turned box is clearly smaller.
+
+    By a tenth for meshes; by more for clouds, whose sides may be missing, and never for what is
+    hardly larger than its noise.
+    """
     points = points[:: max(1, len(points) // 3000)] if scanned else points
     best = _box_in(points, np.eye(3), scanned)
-    limit = 0.9 * best.volume
+    if scanned and float(np.sort(best.half)[1]) < 8 * noise:
+        return best
+    limit = (0.75 if scanned else 0.9) * best.volume
     coarse = points[:: max(1, len(points) // 400)]
     for k in range(3):
         turned = _turned_box(points, coarse, k, scanned)
@@ -336,8 +351,11 @@ def _turned_box(points: Array, coarse: Array, k: int, scanned: bool) -> Box:
     return _box_in(points, rotation(e, angle if k != 1 else -angle), scanned)
 
 
-def roundness(points: Array, axis: Array, scanned: bool) -> Roundness | None:
-    """Fit a circle to the convex outline of ``points`` seen along ``axis``."""
+def roundness(points: Array, axis: Array, scanned: bool, noise: float = 0.0) -> Roundness | None:
+    """Fit a circle to the convex outline of ``points`` seen along ``axis``.
+
+    What the noise alone would make of a circle is taken off the spread.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
@@ -366,7 +384,8 @@ def roundness(points: Array, axis: Array, scanned: bool) -> Roundness | None:
     low, high = _extent(along[:, None], scanned)[:, 0]
     center = middle[0] * u + middle[1] * v + axis * (low + high) / 2
     mean = float(radii.mean())
-    return Roundness(axis, center, mean, float(radii.std() / mean), float(high - low) / 2)
+    spread = np.sqrt(max(0.0, float(radii.std()) ** 2 - (1.2 * noise) ** 2))
+    return Roundness(axis, center, mean, float(spread / mean), float(high - low) / 2)
 
 
 def _resampled(polygon: Array, count: int) -> Array:

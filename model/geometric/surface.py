@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,7 +12,25 @@ from model.kinematics.articulated_object import Part
 Array = npt.NDArray[np.float64]
 
 
-def part_surface(part: Part, count: int, seed: int) -> tuple[Array, Array, Array, float]:
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """A part's surface, metres, object frame.
+
+    Attributes:
+        points: (N, 3). normals: (N, 3) unit, sign unknown.
+        outline: (M, 3) points that give the extents.
+        area: m², of clouds an estimate.
+        noise: standard deviation of the points across the surface (m); 0 for meshes.
+    """
+
+    points: Array
+    normals: Array
+    outline: Array
+    area: float
+    noise: float = 0.0
+
+
+def part_surface(part: Part, count: int, seed: int) -> Sampled:
     """Sample a part.
 
     Args:
@@ -19,8 +39,7 @@ def part_surface(part: Part, count: int, seed: int) -> tuple[Array, Array, Array
         seed: of the sampling.
 
     Returns:
-        points (N, 3), normals (N, 3) with unknown sign, outline points (M, 3) that give exact
-        extents, and the area (m²).
+        See :class:`Sampled`.
     """
     rng = np.random.default_rng(seed)
     mesh = part.mesh
@@ -29,7 +48,7 @@ def part_surface(part: Part, count: int, seed: int) -> tuple[Array, Array, Array
         total = float(area.sum())
         if total <= 0:
             points = mesh.vertices[np.unique(mesh.faces)][:count]
-            return points, np.zeros_like(points), points, 0.0
+            return Sampled(points, np.zeros_like(points), points, 0.0)
         # Stratified along the cumulated area: even cover from few points.
         at = (np.arange(count) + rng.random(count)) / count * total
         face = np.minimum(np.searchsorted(np.cumsum(area), at), len(area) - 1)
@@ -37,7 +56,7 @@ def part_surface(part: Part, count: int, seed: int) -> tuple[Array, Array, Array
         w = np.stack([1 - s, s * (1 - t), s * t], 1)
         points = np.einsum("nk,nkd->nd", w, mesh.triangles[face])
         used = mesh.vertices[np.unique(mesh.faces[area > 0])]
-        return points, mesh.face_normals[face], used, total
+        return Sampled(points, mesh.face_normals[face], used, total)
     assert part.cloud is not None
     cloud = part.cloud
     points = cloud.points.astype(np.float64)
@@ -46,23 +65,25 @@ def part_surface(part: Part, count: int, seed: int) -> tuple[Array, Array, Array
         index = np.sort(rng.choice(len(points), count, replace=False))
     kept = points[index]
     outline = points if len(points) <= 20000 else points[:: len(points) // 20000]
-    normals, spacing = cloud_normals(kept)
+    normals, spacing, noise = cloud_normals(kept)
     if cloud.normals is not None:
         normals = cloud.normals[index].astype(np.float64)
-    return kept, normals, outline, float(len(kept) * spacing**2)
+    return Sampled(kept, normals, outline, float(len(kept) * spacing**2), noise)
 
 
-def cloud_normals(points: Array, neighbours: int = 14) -> tuple[Array, float]:
-    """(N, 3) normals from the nearest neighbours' plane, and the typical point spacing."""
+def cloud_normals(points: Array, neighbours: int = 14) -> tuple[Array, float, float]:
+    """(N, 3) normals from the nearest neighbours' plane, the point spacing, and the noise."""
     from scipy.spatial import cKDTree
 
     if len(points) < 4:
-        return np.zeros_like(points), 0.0
+        return np.zeros_like(points), 0.0, 0.0
     k = min(neighbours, len(points))
     distance, index = cKDTree(points).query(points, k=k)
     local = points[index] - points[index].mean(1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
-    return vectors[:, :, 0], float(np.median(distance[:, min(2, k - 1)]))
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local) / k)
+    spacing = float(np.median(distance[:, min(2, k - 1)]))
+    noise = float(np.sqrt(max(0.0, np.median(values[:, 0]))))
+    return vectors[:, :, 0], spacing, noise
 
 
 def dominant_yaw(normals: Array, weights: Array, points: list[Array]) -> float:

@@ -102,6 +102,11 @@ def _holder(scene: Scene, root: int, i: int) -> int | None:
         return None
     best = max(near, key=lambda j: (share(j), -j))
     mine, roots = share(best), share(root)
+    if shape.scanned:
+        # What lies behind a part is missing from a scan: only a part that lies within another's
+        # outline is taken to hang on it.
+        inside = (shape.points > scene.shapes[best].low) & (shape.points < scene.shapes[best].high)
+        return best if mine > 0.5 and roots < 0.1 and inside.all(1).mean() > 0.5 else None
     return best if mine > 0.15 + 2.0 * roots else None
 
 
