@@ -21,6 +21,13 @@ TARGET_CELLS = 12_000
 _MAX_NODES = 40
 
 
+def totals(
+    index: npt.NDArray[np.integer], values: npt.NDArray, number: int
+) -> npt.NDArray[np.float64]:
+    """(number,) sums of ``values`` by ``index``."""
+    return np.asarray(np.bincount(index, values, number), np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Links:
     """Weighted undirected edges between clusters.
@@ -48,12 +55,12 @@ class Links:
         return Links(
             (key // number).astype(np.int32),
             (key % number).astype(np.int32),
-            np.bincount(back, self.strength[keep], size),
-            np.bincount(back, self.count[keep], size),
-            np.bincount(back, self.conductance[keep], size),
+            totals(back, self.strength[keep], size),
+            totals(back, self.count[keep], size),
+            totals(back, self.conductance[keep], size),
         )
 
-    def cheapest(self, cost: npt.NDArray[np.float64], number: int) -> npt.NDArray[np.int64]:
+    def cheapest(self, cost: npt.NDArray[np.floating], number: int) -> npt.NDArray[np.int64]:
         """(number,) index of each cluster's cheapest link, -1 where it has none."""
         best = np.full(number, np.inf)
         np.minimum.at(best, self.a, cost)
@@ -121,6 +128,8 @@ def build_cells(
         mean = links.strength / links.count
         joint = size[links.a] + size[links.b]
         cost = mean + 0.05 * joint + 0.1 * far
+        # Equal costs would make every cell choose its lowest neighbour and nobody a pair.
+        cost += 0.05 * np.random.default_rng(number).random(len(cost))
         cost[(joint > _MAX_NODES) | (mean > 3.0)] = np.inf
         best = links.cheapest(cost, number)
         rows = np.nonzero(best >= 0)[0]

@@ -37,7 +37,8 @@ def hand_set_strength(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float
     angle = column["angle_1"]
     concave = column["convex_1"] < 0
     crease = np.where(concave, 60.0, 3.0) * angle**2
-    return np.clip(crease + 0.15 * (10 * column["color_near"] / 4) ** 2, 0, MAX_STRENGTH)
+    color = 0.15 * (10 * column["color_near"] / 4) ** 2
+    return np.clip(crease + color, 0, MAX_STRENGTH).astype(np.float32)
 
 
 def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[np.float32]:

@@ -48,5 +48,6 @@ def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) ->
     hierarchy = build_hierarchy(cells)
     progress(0.95, "factorising")
     walk = Walk(cells)
+    nodes.elements.prepare()
     progress(1.0, "ready")
     return Encoding(nodes, graph, strength, cells, hierarchy, walk)

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from model.segmentation.graph import Graph
 from model.segmentation.nodes import Nodes
 
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 FEATURE_NAMES = (
     "length", "rough_angle",

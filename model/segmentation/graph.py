@@ -61,8 +61,8 @@ def build_graph(nodes: Nodes) -> Graph:
         empty = np.zeros((count, 0), np.int32)
         return Graph(none, none, flat[:0], np.zeros(0, bool), empty, 1e-3, up, up, flat)
     distance, near = nodes.tree.query(points, k=k + 1, workers=2)
-    near = near[:, 1:].astype(np.int32)
-    spacing = max(float(np.median(distance[:, 1 : min(5, k + 1)])), 1e-9)
+    near = np.asarray(near)[:, 1:].astype(np.int32)
+    spacing = max(float(np.median(np.asarray(distance)[:, 1 : min(5, k + 1)])), 1e-9)
     rough, variation = plane_normals(
         points, np.concatenate([np.arange(count, dtype=np.int32)[:, None], near], axis=1)
     )
@@ -122,6 +122,7 @@ def _bridges(
         group = label[chosen]
         k = min(len(chosen), 2 * _BRIDGE_SAMPLES + 2)
         distance, near = KDTree(points[chosen]).query(points[chosen], k=k, workers=2)
+        distance, near = np.asarray(distance), np.asarray(near)
         stranger = group[near] != group[:, None]
         first = stranger.argmax(1)
         rows = np.arange(len(chosen))

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import Cells, Links, groups
+from model.segmentation.cells import Cells, Links, groups, totals
 
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")
 _ROUNDS = 3
 
-Float = npt.NDArray[np.float64]
+Float = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +50,14 @@ class _Regions:
 
     def merge(self, group: npt.NDArray[np.int32], number: int) -> _Regions:
         inner = self.links.count * (group[self.links.a] == group[self.links.b])
-        lost = np.bincount(self.links.a, inner, len(self.size))
-        outline = np.bincount(group, self.perimeter - 2 * lost, number)
+        lost = totals(self.links.a, inner, len(self.size))
+        outline = totals(group, self.perimeter - 2 * lost, number)
         return _Regions(
             self.links.contract(group, number),
-            np.bincount(group, self.size, number),
+            totals(group, self.size, number),
             outline,
-            np.stack([np.bincount(group, v, number) for v in self.normal.T], axis=1),
-            np.stack([np.bincount(group, v, number) for v in self.color.T], axis=1),
+            np.stack([totals(group, v, number) for v in self.normal.T], axis=1),
+            np.stack([totals(group, v, number) for v in self.color.T], axis=1),
         )
 
 
@@ -92,7 +92,7 @@ def build_hierarchy(cells: Cells) -> Hierarchy:
     total = float(cells.size.sum())
     thresholds = 9.0 * (np.arange(1, LEVELS + 1) / LEVELS) ** 1.6
     labels, trees, heights = [], [], []
-    perimeter = np.bincount(cells.links.a, cells.links.count, len(cells)) + np.bincount(
+    perimeter = totals(cells.links.a, cells.links.count, len(cells)) + np.bincount(
         cells.links.b, cells.links.count, len(cells)
     )
     for tree in range(len(TREES)):

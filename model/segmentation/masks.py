@@ -10,13 +10,13 @@ import numpy.typing as npt
 from model.segmentation.cells import Cells
 
 Bool = npt.NDArray[np.bool_]
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 SOURCES = (
-    "contact", "absorb", "patch", "grow", "replace", "union", "cut", "walk", "mend", "keep",
+    "contact", "absorb", "patch", "sweep", "grow", "replace", "union", "cut", "walk", "mend", "keep",
 )  # fmt: skip
-"""Where a mask came from. contact, absorb, patch: one region of that merge tree; grow: the
-earlier mask and a region; replace: a region that holds all the clicks; union: a region around
+"""Where a mask came from. contact, absorb, patch: one region of that merge tree; sweep: a level
+set of a random walk with little leaking through its border; grow: the earlier mask and a region; replace: a region that holds all the clicks; union: a region around
 each click; cut: the earlier mask without a region; walk: a random walk from the clicks alone;
 mend: a walk that keeps to a mask; keep: the earlier mask and the clicked cell."""
 
@@ -98,6 +98,14 @@ class Clicked:
     before: Bool | None = None
 
 
+def _words(masks: Bool) -> npt.NDArray[np.uint64]:
+    """(C, W) the bits of all masks at each cell."""
+    number, count = masks.shape
+    padded = np.zeros((count, -(-number // 64) * 64), bool)
+    padded[:, :number] = masks.T
+    return np.packbits(padded, axis=1).view(np.uint64)
+
+
 class MaskDescriber:
     """Computes the features of many masks at once."""
 
@@ -131,6 +139,7 @@ class MaskDescriber:
         self._diagonal = max(float(np.linalg.norm(high - low)), 1e-9)
         x = (cells.center - (low + high) / 2) / self._diagonal
         self._x = x.astype(np.float32)
+        self._root = float(np.sqrt(cells.size.sum()))
         size = cells.size / cells.size.sum()
         pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
         outer = np.stack([x[:, i] * x[:, j] for i, j in pairs], axis=1)
@@ -145,7 +154,10 @@ class MaskDescriber:
         """(H, F) features, in the order of ``FEATURE_NAMES``."""
         masks = candidates.masks
         m = masks.astype(np.float32)
-        border = (masks[:, self._a] ^ masks[:, self._b]).astype(np.float32) @ self._link
+        # One bit a mask: a word or two say on which sides of all the masks a cell lies.
+        words = _words(masks)
+        crossed = words[self._a] ^ words[self._b]
+        border = self._over_links(crossed, len(masks), 7)
         sums = m @ self._cell
         inside = np.maximum(sums[:, 17:] - border, 0) / 2
         area = np.maximum(sums[:, 0], 1e-9)
@@ -159,9 +171,9 @@ class MaskDescriber:
         scale = np.sqrt(area)
         color = sums[:, 13:16] / area[:, None]
         spread = np.sqrt(np.maximum(sums[:, 16] / area - (color**2).sum(1), 0))
-        depth = self._depth(masks, clicked.last)
+        depth = self._depth(words, len(masks), clicked.last)
         first = clicked.positive[0] if clicked.positive else clicked.last
-        first_depth = depth if first == clicked.last else self._depth(masks, first)
+        first_depth = depth if first == clicked.last else self._depth(words, len(masks), first)
         off = np.linalg.norm(center - self._x[clicked.last], axis=1)
         overlap = self._overlap(m)
         order = np.argsort(np.argsort(area, kind="stable"), kind="stable")
@@ -170,7 +182,7 @@ class MaskDescriber:
         extent = np.maximum(extents[:, 2], 1e-6)
         columns = [
             np.log(area), mean_border, soft, border[:, 3] / b0, border[:, 4] / b0,
-            border[:, 5] / b0, border[:, 6] / b0, np.log(b0 / (scale * 1000) + 1e-3),
+            border[:, 5] / b0, border[:, 6] / b0, np.log(b0 / (scale * self._root) + 1e-3),
             inside[:, 1] / i0, inside[:, 4] / i0, inside[:, 3] / i0,
             extents[:, 2], extents[:, 1], extents[:, 0], extents[:, 0] / (extents[:, 1] + 1e-6),
             extents[:, 1] / extent, np.linalg.norm(sums[:, 10:13], axis=1) / area, spread,
@@ -180,7 +192,7 @@ class MaskDescriber:
             (overlap.sum(1) - 1) / count, self._second(overlap), rank / count, order / count,
             mean_border - inside[:, 1] / i0,
         ]  # fmt: skip
-        columns += self._context(candidates, clicked, m, area)
+        columns += self._context(crossed, clicked, m, area)
         columns += [
             np.full(len(m), self._has_color),
             area / np.maximum(extents.prod(1) ** (2 / 3), 1e-6).clip(1e-6),
@@ -191,6 +203,15 @@ class MaskDescriber:
             [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags], axis=1
         ).astype(np.float32)
 
+    def _over_links(self, crossed: npt.NDArray[np.uint64], number: int, columns: int) -> Float:
+        """(H, columns) sums over the links that each mask's border crosses, (M, words)."""
+        any_ = crossed[:, 0].copy()
+        for word in range(1, crossed.shape[1]):
+            any_ |= crossed[:, word]
+        touched = np.nonzero(any_)[0]
+        bits = np.unpackbits(crossed[touched].view(np.uint8), axis=1)[:, :number]
+        return bits.astype(np.float32).T @ self._link[touched, :columns]
+
     def _extents(self, second: Float, center: Float) -> Float:
         covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         covariance = covariance - center[:, :, None] * center[:, None, :]
@@ -198,12 +219,23 @@ class MaskDescriber:
             np.float32
         )
 
-    def _depth(self, masks: Bool, cell: int) -> Float:
+    def _depth(self, words: npt.NDArray[np.uint64], number: int, cell: int) -> Float:
         """(H,) distance from a cell to the nearest cell on the other side, diagonal = 1."""
         apart = np.linalg.norm(self._x - self._x[cell], axis=1)
-        other = masks != masks[:, cell : cell + 1]
-        far = np.where(other, apart[None], np.float32(2))
-        return np.minimum(far.min(1), 1)
+        order = np.argsort(apart)
+        out = np.ones(number, np.float32)
+        open_ = np.ones(number, bool)
+        begin, step = 0, 256
+        # Most borders are near: look at ever larger rings until every mask has met its own.
+        while begin < len(order) and open_.any():
+            ring = order[begin : begin + step]
+            other = np.unpackbits((words[ring] ^ words[cell]).view(np.uint8), axis=1)[:, :number]
+            first = other.argmax(0)
+            met = open_ & (other[first, np.arange(number)] > 0)
+            out[met] = apart[ring[first[met]]]
+            open_ &= ~met
+            begin, step = begin + step, step * 3
+        return np.minimum(out, 1)
 
     @staticmethod
     def _overlap(m: Float) -> Float:
@@ -224,7 +256,7 @@ class MaskDescriber:
         return np.minimum(np.log(larger / area), 3)
 
     def _context(
-        self, candidates: Candidates, clicked: Clicked, m: Float, area: Float
+        self, crossed: npt.NDArray[np.uint64], clicked: Clicked, m: Float, area: Float
     ) -> list[Float]:
         number = len(m)
         overlap = np.zeros(number, np.float32)
@@ -236,9 +268,9 @@ class MaskDescriber:
             overlap = common / np.maximum(m.sum(1) + before.sum() - common, 1)
             was = float((self._cell[:, 0] * before).sum())
             growth = np.clip(np.log(area / max(was, 1e-9)), -4, 4)
-            flipped = candidates.masks ^ clicked.before
-            edge = (flipped[:, self._a] ^ flipped[:, self._b]).astype(np.float32)
-            counted = edge @ self._link[:, :2]
+            edge = clicked.before[self._a] ^ clicked.before[self._b]
+            moved = np.where(edge[:, None], ~crossed, crossed)
+            counted = self._over_links(moved, number, 2)
             changed = counted[:, 1] / np.maximum(counted[:, 0], 1)
         return [
             np.full(number, min(len(clicked.positive), 10)),

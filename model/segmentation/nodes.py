@@ -39,7 +39,7 @@ class ElementMap:
     node_count: int
 
     @cached_property
-    def _by_node(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+    def _by_node(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
         element = np.concatenate(
             [np.arange(len(self.node_of_element), dtype=np.int32), self.vote_element]
         )
@@ -47,6 +47,10 @@ class ElementMap:
         order = np.argsort(node, kind="stable")
         start = np.searchsorted(node[order], np.arange(self.node_count + 1))
         return element[order], start
+
+    def prepare(self) -> None:
+        """Build the way from nodes to elements now, so that no click pays for it."""
+        _ = self._by_node, self._multi
 
     def elements_of(self, nodes: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """(K,) unique elements that the nodes stand for."""
@@ -56,7 +60,7 @@ class ElementMap:
         return np.unique(np.concatenate([element[start[n] : start[n + 1]] for n in nodes]))
 
     @cached_property
-    def _multi(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def _multi(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
         return np.unique(self.vote_element, return_inverse=True)
 
     def to_elements(self, labels: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
@@ -184,7 +188,7 @@ def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
     cloud, face = sample_surface(mesh, target, rng)
     face = np.asarray(face)
     parts: list[PointCloud] = [cloud]
-    faces = [face]
+    faces: list[npt.NDArray[np.integer]] = [face]
     # A button of a large object may have got no sample at all: give each shell a few.
     seen = np.bincount(shells[face], minlength=shells.max() + 1)
     poor = np.nonzero(seen[shells] < _MIN_SHELL_NODES)[0]

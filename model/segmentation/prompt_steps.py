@@ -69,7 +69,7 @@ def _nearest_element(
         assert asset.cloud is not None
         gap = asset.cloud.points[around] - at
     else:
-        from trimesh.triangles import closest_point
+        from trimesh.triangles import closest_point  # pyright: ignore[reportMissingImports]
 
         triangles = asset.mesh.triangles[around]
         gap = closest_point(triangles, np.tile(at, (len(around), 1))) - at

@@ -19,7 +19,7 @@ from model.segmentation.mlp import Mlp
 from model.segmentation.walk import Walk
 
 Bool = npt.NDArray[np.bool_]
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 _THINNING = 1.06
 _BIASES = (-0.02, -0.1, -0.25)
@@ -112,6 +112,10 @@ class PartSolver:
             [Candidates(masks, self._tree[index], self._height[index], np.array(lives, np.float32))]
         )
 
+    def first_answer(self, cell: int) -> Ranked:
+        """Hypotheses for a first click on ``cell`` with nothing else said."""
+        return self.answer(PartState(), cell, True, None)
+
     # Hypotheses ----------------------------------------------------------------------
 
     def answer(self, state: PartState, cell: int, positive: bool, blocked: Bool | None) -> Ranked:
@@ -203,12 +207,17 @@ class PartSolver:
         for tree in range(len(TREES)):
             size = 0.0
             for row in rows[self._tree[rows] == tree]:
-                regions = np.unique(own[row])
+                regions = np.array(sorted(set(own[row].tolist())))
                 now = float(self._sizes[regions + self._offset[row]].sum())
                 if now < 1.15 * size or now > 0.97 * self.cells.size.sum():
                     continue
                 size = now
-                made.append(np.isin(labels[row], regions))
+                if len(regions) == 1:
+                    made.append(labels[row] == regions[0])
+                    continue
+                chosen = np.zeros(int(labels[row].max()) + 1, bool)
+                chosen[regions] = True
+                made.append(chosen[labels[row]])
         if not made:
             return []
         made = made[-24:]
@@ -218,9 +227,10 @@ class PartSolver:
         seeds, values = _seeds(after)
         flat = np.repeat(np.array(_BIASES, np.float32)[:, None], len(self.cells), axis=1)
         free = self._walk.fields(flat, seeds, values, 0)
+        sets = _level_sets(self._walk, free[1], 3)
         before = np.where(mask, np.float32(1), np.float32(-1))[None]
         mended = [self._walk.fields(before, seeds, values, reach)[0] > 0 for reach in (1, 2)]
-        return [Candidates.of(list(free > 0), "walk"), Candidates.of(mended, "mend")]
+        return [Candidates.of(list(free > 0), "walk"), Candidates.of(mended, "mend"), *sets]
 
     def _mend(self, mask: Bool, after: PartState) -> list[Bool]:
         seeds, values = _seeds(after)
@@ -243,6 +253,11 @@ class PartSolver:
         if clicked.before is None:
             return features[:, 1] + 0.5 * features[:, 24] + 0.5 * prior
         return features[:, 1] / 9 + 0.1 * features[:, 25]
+
+
+def _level_sets(walk: Walk, field: Float, most: int) -> list[Candidates]:
+    masks = walk.sweep(field, most)
+    return [Candidates.of(list(masks), "sweep")] if len(masks) else []
 
 
 def with_click(state: PartState, cell: int, positive: bool) -> PartState:

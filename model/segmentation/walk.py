@@ -20,7 +20,7 @@ from model.segmentation.graph import adjacency
 LEAKS = (1e-4, 2e-2, 2e-1)
 _COLUMNS = 512
 
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 
 class Walk:
@@ -44,6 +44,7 @@ class Walk:
             for leak in LEAKS
         ]
         self._count = len(cells)
+        self._a, self._b, self._weight, self._size = links.a, links.b, weight, cells.size
         self._columns: OrderedDict[tuple[int, int], Float] = OrderedDict()
 
     def column(self, cell: int, reach: int) -> Float:
@@ -58,6 +59,44 @@ class Walk:
             if len(self._columns) > _COLUMNS:
                 self._columns.popitem(last=False)
         return found
+
+    def sweep(self, field: Float, most: int = 5) -> npt.NDArray[np.bool_]:
+        """Level sets of a field through whose border the walk leaks least, at several sizes.
+
+        The sweep cut of local spectral clustering (Andersen, Chung, Lang 2006), with the leak
+        relative to the root of the area, because borders of surfaces are lines.
+
+        Args:
+            field: (C,) high inside.
+            most: sets at most, the tightest first.
+
+        Returns:
+            (H, C) bool.
+        """
+        order = np.argsort(-field, kind="stable")
+        rank = np.empty(len(order), np.int64)
+        rank[order] = np.arange(len(order))
+        a, b = rank[self._a], rank[self._b]
+        number = len(order) + 1
+        through = np.bincount(np.minimum(a, b) + 1, self._weight, number) - np.bincount(
+            np.maximum(a, b) + 1, self._weight, number
+        )
+        through = np.cumsum(through)[1:-1]
+        area = np.cumsum(self._size[order])[:-1]
+        if not len(area):
+            return np.zeros((0, len(order)), bool)
+        smaller = np.minimum(area, self._size.sum() - area)
+        leak = np.maximum(through, 0) / np.sqrt(smaller) + 1e-9
+        bins = np.floor(np.log(area) / 0.3).astype(np.int64)
+        first = np.nonzero(np.r_[True, np.diff(bins) != 0])[0]
+        low = np.minimum.reduceat(leak, first)
+        number_in = np.diff(np.r_[first, len(leak)])
+        at = np.nonzero(leak == np.repeat(low, number_in))[0]
+        at = at[np.r_[True, np.diff(bins[at]) != 0]]
+        around = np.minimum(np.r_[np.inf, low[:-1]], np.r_[low[1:], np.inf])
+        good = np.nonzero(low <= 1.05 * around)[0]
+        good = good[np.argsort(low[good], kind="stable")][:most]
+        return rank[None] <= at[good][:, None]
 
     def fields(
         self, prior: Float, seeds: npt.NDArray[np.integer], values: Float, reach: int

@@ -18,7 +18,7 @@ from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
 from model.segmentation.training.fit import fit_mlp
 from model.segmentation.training.scans import random_scan
 
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def play(
     seed: int, config: ClickTraining, first: Mlp | None, later: Mlp | None
 ) -> tuple[Rows, Rows]:
     """Simulated sessions on one object; rows of first and of later clicks."""
-    data = random_scan(seed)
+    data = random_scan(seed, (25_000, 60_000)[seed % 2])
     encoding = encode(Asset("object", cloud=data.cloud), shipped_edge_model())
     solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, first, later)
     rng = np.random.default_rng([seed, 3])
@@ -183,8 +183,10 @@ def fit_scorer(rows: Rows, seed: int = 0) -> Mlp:
     weight = 1 / np.sqrt(number[rows.click])
     # Telling 0.9 from 0.95 matters as much as telling 0.2 from 0.4.
     target = rows.overlap**2
-    return fit_mlp(FEATURE_NAMES, rows.features, target, (weight / weight.mean()).astype(np.float32),
-                   hidden=(64, 32), epochs=10, seed=seed)  # fmt: skip
+    weight = (weight / weight.mean()).astype(np.float32)
+    return fit_mlp(
+        FEATURE_NAMES, rows.features, target, weight, hidden=(64, 32), epochs=10, seed=seed
+    )
 
 
 def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
@@ -200,7 +202,9 @@ def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
 def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
     """Two rounds: the second plays with the scorers of the first. Writes both networks."""
     half = config.objects // 2
-    a, b, c = (config.first_seed + n for n in (half, config.objects, config.objects + config.held_out))
+    a, b, c = (
+        config.first_seed + n for n in (half, config.objects, config.objects + config.held_out)
+    )
     first_1, later_1 = collect(range(config.first_seed, a), config, None, None)
     first, later = fit_scorer(first_1), fit_scorer(later_1)
     print("round 1", chosen_overlap(first, first_1), chosen_overlap(later, later_1), flush=True)

@@ -17,7 +17,7 @@ from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.training.fit import area_under_curve, fit_mlp
 from model.segmentation.training.scans import random_scan
 
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from model.segmentation.mlp import Mlp
 
-Float = npt.NDArray[np.float32]
+Float = npt.NDArray[np.floating]
 
 
 def fit_mlp(

@@ -83,8 +83,8 @@ def tube(path: Vector, radius: float, segments: int = 14) -> Triangles:
     tangent = np.gradient(path, axis=0)
     u = _frame(tangent[0])[:, 0]
     rings = []
-    for at, along in zip(path, tangent, strict=True):
-        along = along / max(float(np.linalg.norm(along)), 1e-12)
+    for at, step in zip(path, tangent, strict=True):
+        along = step / max(float(np.linalg.norm(step)), 1e-12)
         u = u - along * (u @ along)
         u /= np.linalg.norm(u)
         v = np.cross(along, u)

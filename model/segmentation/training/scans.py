@@ -67,7 +67,7 @@ def _sample(
     return points, face, (cross / np.maximum(area, 1e-300)[:, None])[face]
 
 
-def _visible(
+def visible_from(
     points: npt.NDArray, directions: npt.NDArray[np.float64], cell: float
 ) -> npt.NDArray[np.float64]:
     """(N,) how many of the directions see each point, by depth buffers."""
@@ -107,7 +107,7 @@ def scan(solid: Solid, count: int, mode: Mode, noise: float, seed: int) -> Label
             directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(2, up)], axis=1)
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         area = diagonal**2 / len(points)
-        seen = _visible(points, directions, 1.2 * np.sqrt(area)) > 0
+        seen = visible_from(points, directions, 1.2 * np.sqrt(area)) > 0
         if mode == "one-sided":
             facing = np.abs(normal @ directions.T).max(1)
             seen &= rng.random(len(points)) < facing

@@ -1,0 +1,282 @@
+"""``artiworld bench segment``: simulated clicks, quality and time, beside the baselines."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import resource
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from model.progress import Progress, no_progress
+from model.segmentation.bench_data import (
+    BenchObject,
+    partnet_objects,
+    procedural_objects,
+    room_objects,
+)
+from model.segmentation.prompts import Click, Prompts
+from model.segmentation.protocol import SegmentationSession
+from model.segmentation.registry import DEFAULT, load_segmenter
+from model.segmentation.simulate import deepest, next_click, next_part_click
+
+DataSet = Literal["partnet", "partnet-one-sided", "partnet-mesh", "procedural",
+                  "procedural-noisy", "procedural-one-sided", "room"]  # fmt: skip
+MARKS = (1, 3, 5, 10)
+TARGETS = (0.80, 0.85, 0.90)
+_SPEAK = 100_000
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """What to measure.
+
+    Attributes:
+        data: folder with ``partnet_mobility`` and ``scans/scannet``.
+        sets: which data sets.
+        segmenters: names in the table of segmenters.
+        limit: objects of each set, 0 for all (40 procedural ones).
+        points: of each cloud.
+        parts: asked for in each object at most.
+        least: elements that a part needs to be asked for.
+        cap: clicks at most.
+        first: where the first click goes.
+        competing: also let all parts compete, one to three clicks each.
+        json_path: where to write the report.
+    """
+
+    data: Path = Path("../shared/data")
+    sets: tuple[DataSet, ...] = ("partnet",)
+    segmenters: tuple[str, ...] = (DEFAULT,)
+    limit: int = 20
+    points: int = 100_000
+    parts: int = 8
+    least: int = 20
+    cap: int = 20
+    first: Literal["deepest", "random"] = "deepest"
+    competing: bool = True
+    json_path: Path | None = None
+
+
+@dataclass
+class BenchRow:
+    """Figures of one segmenter on one data set; ``curves`` holds the IoU after each click."""
+
+    segmenter: str
+    dataset: str
+    objects: int = 0
+    curves: list[list[float]] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    competing: list[list[float]] = field(default_factory=list)
+    encode_seconds: list[float] = field(default_factory=list)
+    click_seconds: list[float] = field(default_factory=list)
+    undo_seconds: list[float] = field(default_factory=list)
+    peak_megabytes: float = 0.0
+
+    def summary(self) -> dict[str, float]:
+        """The figures that people compare."""
+        out: dict[str, float] = {"objects": self.objects, "parts": len(self.curves)}
+        for mark in MARKS:
+            at = [c[min(mark, len(c)) - 1] for c in self.curves]
+            out[f"IoU@{mark}"] = float(np.mean(at)) if at else float("nan")
+        for target in TARGETS:
+            needed = [_clicks_to(c, target) for c in self.curves]
+            out[f"NoC@{round(100 * target)}"] = float(np.mean(needed)) if needed else float("nan")
+        drops = [b < a - 0.05 for c in self.curves for a, b in itertools.pairwise(c)]
+        out["drops %"] = 100 * float(np.mean(drops)) if drops else 0.0
+        for number in range(3):
+            done = [c[number] for c in self.competing]
+            out[f"all@{number + 1}"] = float(np.mean(done)) if done else float("nan")
+        out["encode s"] = _quantile(self.encode_seconds, 0.5)
+        out["click p50 ms"] = 1000 * _quantile(self.click_seconds, 0.5)
+        out["click p95 ms"] = 1000 * _quantile(self.click_seconds, 0.95)
+        out["undo ms"] = 1000 * _quantile(self.undo_seconds, 0.95)
+        out["peak MB"] = self.peak_megabytes
+        return out
+
+
+@dataclass
+class BenchReport:
+    """All rows of a run and its settings."""
+
+    config: BenchConfig
+    rows: list[BenchRow]
+
+    def to_json(self) -> str:
+        """Settings, summaries and curves."""
+        rows = [{**asdict(r), "summary": r.summary()} for r in self.rows]
+        config = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(self.config).items()}
+        return json.dumps({"config": config, "rows": rows}, indent=1)
+
+    def print_table(self) -> None:
+        """Print the summaries."""
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table(title="Segmentation by simulated clicks")
+        table.add_column("figure")
+        for row in self.rows:
+            table.add_column(f"{row.segmenter}\n{row.dataset}", justify="right")
+        summaries = [r.summary() for r in self.rows]
+        for name in summaries[0] if summaries else ():
+            digits = 3 if name.startswith(("IoU", "all@")) else 1
+            table.add_row(name, *(f"{s[name]:.{digits}f}" for s in summaries))
+        Console().print(table)
+
+
+def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
+    """Measure; the same settings give the same figures but for the times."""
+    rows = []
+    for name in config.segmenters:
+        segmenter = load_segmenter(name)
+        for data in config.sets:
+            row = BenchRow(name, data)
+            for number, item in enumerate(_objects(config, data)):
+                progress(number / max(config.limit or 79, 1) % 1.0, f"{name}: {item.name}")
+                begin = time.perf_counter()
+                session = segmenter.encode(item.asset)
+                row.encode_seconds.append(time.perf_counter() - begin)
+                row.objects += 1
+                _one_against_the_rest(session, item, config, row, number)
+                if config.competing and item.whole:
+                    _all_competing(session, item, row)
+            row.peak_megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            rows.append(row)
+    report = BenchReport(config, rows)
+    if config.json_path is not None:
+        config.json_path.write_text(report.to_json())
+    return report
+
+
+def _objects(config: BenchConfig, data: DataSet) -> Iterator[BenchObject]:
+    common = (config.points, config.limit, config.least, config.parts)
+    partnet = config.data / "partnet_mobility"
+    if data == "partnet":
+        return partnet_objects(partnet, "all", *common)
+    if data == "partnet-one-sided":
+        return partnet_objects(partnet, "one-sided", *common)
+    if data == "partnet-mesh":
+        return partnet_objects(partnet, "mesh", *common)
+    if data == "room":
+        return room_objects(config.data / "scans" / "scannet")
+    if data == "procedural":
+        return procedural_objects("all", *common)
+    if data == "procedural-noisy":
+        return procedural_objects("all", *common, noise=0.001)
+    return procedural_objects("one-sided", *common, noise=0.001)
+
+
+class _Pointer:
+    """Turns elements into clicks, and thins very large clouds for finding the next one."""
+
+    def __init__(self, item: BenchObject) -> None:
+        self.centers = item.asset.element_centers
+        self.weight = (
+            item.asset.mesh.face_areas
+            if item.asset.mesh is not None
+            else np.ones(len(self.centers))
+        )
+        step = max(len(self.centers) // _SPEAK, 1)
+        self.shown = np.arange(0, len(self.centers), step)
+        self.points = self.centers[self.shown]
+
+    def click(self, shown: int, part: int, positive: bool = True) -> Click:
+        element = int(self.shown[shown])
+        x, y, z = self.centers[element]
+        return Click((float(x), float(y), float(z)), part, positive, element)
+
+    def iou(self, answer: npt.NDArray[np.bool_], truth: npt.NDArray[np.bool_]) -> float:
+        """By area on meshes, by points on clouds."""
+        union = self.weight[answer | truth].sum()
+        return float(self.weight[answer & truth].sum() / max(union, 1e-12))
+
+
+def _one_against_the_rest(
+    session: SegmentationSession, item: BenchObject, config: BenchConfig, row: BenchRow, seed: int
+) -> None:
+    pointer = _Pointer(item)
+    rng = np.random.default_rng([seed, 11])
+    for part in item.parts:
+        truth = item.labels == part
+        small = truth[pointer.shown]
+        if not small.any():
+            continue
+        if config.first == "deepest":
+            start = deepest(pointer.points, small)
+        else:
+            start = int(rng.choice(np.nonzero(small)[0]))
+        clicks = [pointer.click(start, 1)]
+        curve: list[float] = []
+        while True:
+            labels = _timed(session, clicks, row.click_seconds)
+            answer = labels == 1
+            curve.append(pointer.iou(answer, truth))
+            done = curve[-1] >= TARGETS[-1] and len(curve) >= max(MARKS)
+            if done or len(curve) == config.cap:
+                break
+            found = next_click(pointer.points, small, answer[pointer.shown])
+            if found is None:
+                break
+            clicks.append(pointer.click(found[0], 1, found[1]))
+        if len(clicks) > 1:
+            _timed(session, clicks[:-1], row.undo_seconds)
+        row.curves.append(curve)
+        row.names.append(f"{item.name}/{part}")
+
+
+def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
+    """One click on each part, then on the largest error, up to three clicks a part."""
+    pointer = _Pointer(item)
+    truth = item.labels[pointer.shown]
+    parts = list(item.parts)
+    # Parts that are not asked for stand for the base: nobody clicks them.
+    truth = np.where(np.isin(truth, parts), truth, 0)
+    full = np.where(np.isin(item.labels, parts), item.labels, 0)
+    clicks = [pointer.click(deepest(pointer.points, truth == p), p) for p in parts]
+    result: list[float] = []
+    labels = item.labels
+    for number in range(len(parts), 3 * len(parts) + 1):
+        if number > len(parts):
+            found = next_part_click(pointer.points, truth, labels[pointer.shown])
+            if found is not None:
+                clicks.append(pointer.click(found[0], found[1]))
+        labels = session.segment(Prompts(tuple(clicks))).labels
+        if number % len(parts) == 0:
+            result.append(float(np.mean([pointer.iou(labels == p, full == p) for p in parts])))
+    row.competing.append(result)
+
+
+def _timed(
+    session: SegmentationSession, clicks: list[Click], seconds: list[float]
+) -> npt.NDArray[np.int16]:
+    begin = time.perf_counter()
+    labels = session.segment(Prompts(tuple(clicks))).labels
+    seconds.append(time.perf_counter() - begin)
+    return labels
+
+
+def _clicks_to(curve: list[float], target: float) -> int:
+    """Clicks until ``target``; a failure counts 20."""
+    reached = [i + 1 for i, value in enumerate(curve) if value >= target]
+    return reached[0] if reached else 20
+
+
+def _quantile(values: list[float], q: float) -> float:
+    return float(np.quantile(values, q)) if values else float("nan")
+
+
+def main() -> None:
+    """``python -m model.segmentation.bench --help``."""
+    import tyro
+
+    run(tyro.cli(BenchConfig, description=__doc__)).print_table()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Objects with known parts for ``artiworld bench segment``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import InputFileError
+from model.geometry.asset import Asset
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+
+View = Literal["all", "one-sided", "mesh"]
+
+ROOM_CLASSES = {2: "cabinet", 7: "door", 14: "refrigerator"}
+"""ScanNet's 20 classes, counted from 0, that a person would pick out of a room."""
+
+_BENCH_SEED = 900_000
+
+
+@dataclass(frozen=True, eq=False)
+class BenchObject:
+    """An asset with the true part of every element.
+
+    Attributes:
+        labels: (E,) int16; 0 is the base.
+        parts: the parts to ask for, one against the rest.
+        whole: whether the parts together cover the object, so that they can all compete.
+    """
+
+    name: str
+    dataset: str
+    asset: Asset
+    labels: npt.NDArray[np.int16]
+    parts: tuple[int, ...]
+    whole: bool = True
+
+
+def asked_parts(
+    labels: npt.NDArray[np.integer], least: int, most: int, seed: int
+) -> tuple[int, ...]:
+    """At most ``most`` of the parts that have ``least`` elements, chosen by ``seed``."""
+    ids, counts = np.unique(labels, return_counts=True)
+    ids = ids[(counts >= least) & (ids >= 0)]
+    if len(ids) > most:
+        ids = np.sort(np.random.default_rng(seed).permutation(ids)[:most])
+    return tuple(int(i) for i in ids)
+
+
+def partnet_objects(
+    root: Path, view: View, points: int, limit: int, least: int, most: int
+) -> Iterator[BenchObject]:
+    """PartNet-Mobility objects, each link a part, the tree's root the base.
+
+    ``limit`` takes every n-th object, so that all categories are there. Clouds have colours and
+    no normals.
+    """
+    from model.datasets.partnet_mobility import PartNetMobility
+
+    source = PartNetMobility(root)
+    ids = source.ids()
+    step = max(len(ids) // limit, 1) if limit else 1
+    chosen = ids[::step][: limit or None]
+    for number, object_id in enumerate(chosen):
+        truth = source.load(object_id).object
+        links = [truth.tree.root, *(p.link for p in truth.parts if p.link != truth.tree.root)]
+        by_link = {p.link: p.mesh for p in truth.parts if p.mesh is not None}
+        pieces = [(i, by_link[n]) for i, n in enumerate(links) if n in by_link]
+        if len(pieces) < 2:
+            continue
+        asset, labels = _assembled(object_id, pieces, view, points, number)
+        parts = asked_parts(labels, least, most, number)
+        yield BenchObject(object_id, f"partnet {view}", asset, labels, parts)
+
+
+def _assembled(
+    name: str, pieces: list[tuple[int, Mesh]], view: View, points: int, seed: int
+) -> tuple[Asset, npt.NDArray[np.int16]]:
+    from model.geometry.sampling import sample_surface
+
+    if view == "mesh":
+        mesh, labels = _joined(pieces)
+        return Asset(name, mesh=mesh), labels
+    rng = np.random.default_rng(seed)
+    area = np.array([float(m.face_areas.sum()) for _, m in pieces])
+    wanted = points if view == "all" else 4 * points
+    share = np.maximum((wanted * area / area.sum()).round().astype(int), 1)
+    clouds = [
+        sample_surface(m, int(n), rng)[0] if a > 0 else None
+        for (_, m), n, a in zip(pieces, share, area, strict=True)
+    ]
+    there = [(p, c) for (p, _), c in zip(pieces, clouds, strict=True) if c is not None]
+    xyz = np.concatenate([c.points for _, c in there])
+    rgb = np.concatenate([np.asarray(c.colors) for _, c in there])
+    normal = np.concatenate([np.asarray(c.normals) for _, c in there])
+    labels = np.repeat([p for p, _ in there], [len(c) for _, c in there]).astype(np.int16)
+    if view == "one-sided":
+        keep = _seen_from_the_front(xyz, normal, rng, points)
+        diagonal = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+        xyz = xyz[keep] + rng.normal(0, 0.001 * diagonal, (len(keep), 3)).astype(np.float32)
+        noisy = rgb[keep].astype(float) + rng.normal(0, 8, (len(keep), 3))
+        rgb, labels = np.clip(noisy, 0, 255).astype(np.uint8), labels[keep]
+    order = rng.permutation(len(xyz))
+    cloud = PointCloud(xyz[order].astype(np.float32), colors=rgb[order])
+    return Asset(name, cloud=cloud), labels[order]
+
+
+def _seen_from_the_front(
+    xyz: npt.NDArray[np.float32],
+    normal: npt.NDArray[np.float32],
+    rng: np.random.Generator,
+    points: int,
+) -> npt.NDArray[np.int64]:
+    """Two views from the front (-x) and above, as a person would hold the scanner."""
+    from model.segmentation.training.scans import visible_from
+
+    azimuth = np.pi + rng.uniform(-0.4, 0.4) + np.array([-0.4, 0.4])
+    directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(2, 0.5)], axis=1)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    diagonal = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+    seen = visible_from(xyz, directions, 1.2 * diagonal / np.sqrt(len(xyz))) > 0
+    seen &= rng.random(len(xyz)) < np.abs(normal @ directions.T).max(1)
+    keep = np.nonzero(seen)[0]
+    return keep if len(keep) <= points else np.sort(rng.choice(keep, points, replace=False))
+
+
+def _joined(pieces: list[tuple[int, Mesh]]) -> tuple[Mesh, npt.NDArray[np.int16]]:
+    """One mesh of all pieces; colours go to the vertices, textures are left out."""
+    vertices, faces, material, materials, labels = [], [], [], [], []
+    offset = 0
+    for part, mesh in pieces:
+        vertices.append(mesh.vertices)
+        faces.append(mesh.faces + offset)
+        material.append(mesh.face_material + len(materials))
+        materials += mesh.materials
+        labels.append(np.full(len(mesh.faces), part, np.int16))
+        offset += len(mesh.vertices)
+    whole = Mesh(
+        np.concatenate(vertices),
+        np.concatenate(faces).astype(np.int32),
+        np.concatenate(material).astype(np.int32),
+        tuple(materials),
+    )
+    return whole, np.concatenate(labels)
+
+
+def procedural_objects(
+    view: View, points: int, limit: int, least: int, most: int, noise: float = 0.0
+) -> Iterator[BenchObject]:
+    """Our own procedural objects that no network was trained on."""
+    from model.segmentation.training.scans import build, scan
+
+    mode = "one-sided" if view == "one-sided" else "outside"
+    name = f"procedural {mode}{' noisy' if noise else ''}"
+    made = 0
+    seed = _BENCH_SEED
+    while made < (limit or 40):
+        seed += 1
+        data = scan(build(seed), points, mode, noise, seed)
+        parts = asked_parts(data.labels, least, most, seed)
+        if len(parts) < 2:
+            continue
+        made += 1
+        asset = Asset(f"{data.family} {seed}", cloud=data.cloud)
+        yield BenchObject(asset.name, name, asset, data.labels, parts)
+
+
+def room_objects(folder: Path) -> Iterator[BenchObject]:
+    """The labelled ScanNet room: cabinets, doors and refrigerators, picked one by one.
+
+    Raises:
+        InputFileError: where the scan or its labels are absent.
+    """
+    from model.geometry.readers import read_asset
+
+    scan, truth = folder / "scene0011_00.ply", folder / "scene0011_00_labels.npz"
+    for path in (scan, truth):
+        if not path.is_file():
+            raise InputFileError(path, "not there", "it is needed for the room benchmark")
+    asset = read_asset(scan)
+    with np.load(truth) as data:
+        instance, kind = data["instance"].astype(np.int16), data["segment20"]
+    parts = []
+    for i in np.unique(instance[instance >= 0]):
+        members = kind[instance == i]
+        if np.bincount(members[members >= 0], minlength=20).argmax() in ROOM_CLASSES:
+            parts.append(int(i) + 1)
+    labels = (instance + 1).astype(np.int16)
+    yield BenchObject("scene0011_00", "room", asset, labels, tuple(parts), whole=False)
