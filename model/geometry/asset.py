@@ -26,12 +26,15 @@ class Source:
         sha256: of the file's bytes (of the sorted files' digests for a folder).
         up_axis: the source's up axis, turned to +z on reading.
         unit_scale: metres per source unit, applied on reading.
+        shift: (x, y, z) metres taken off on reading, after turning and scaling. Zero but for
+            surveyed scans that lie far from their origin, where float32 would be too coarse.
     """
 
     path: Path
     sha256: str
     up_axis: UpAxis = "z"
     unit_scale: float = 1.0
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

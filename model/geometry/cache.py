@@ -163,7 +163,9 @@ def _read(folder: Path, meta: dict[str, Any]) -> Asset:
     if meta["cloud"]:
         cloud = PointCloud(**{name: _load(folder / f"cloud_{name}.npy") for name in _CLOUD})  # type: ignore[arg-type]
     if meta["source"] is not None:
-        source = Source(**(meta["source"] | {"path": Path(meta["source"]["path"])}))
+        row = meta["source"]
+        shift = tuple(row["shift"])
+        source = Source(Path(row["path"]), row["sha256"], row["up_axis"], row["unit_scale"], shift)
     return Asset(
         meta["name"],
         mesh,

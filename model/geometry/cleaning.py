@@ -17,6 +17,7 @@ from model.geometry.point_cloud import PointCloud
 MIN_POINTS = 4
 """Fewest points that span a body."""
 
+_FAR = 1e4  # metres from the origin where float32 counts in millimetres
 _FARTHEST = 1e9  # metres; beyond lie damaged numbers, not objects
 
 
@@ -44,6 +45,28 @@ def cleaned(path: Path, loaded: Loaded, turn: npt.NDArray[Any], scale: float) ->
     if not np.ptp(loaded.vertices, axis=0).any():
         raise InputFileError(path, "all its points are at one place", "an object has an extent")
     return loaded
+
+
+def far_shift(loaded: Loaded) -> tuple[float, float, float]:
+    """Whole metres to take off what lies so far from its origin that float32 gets coarse.
+
+    Surveyed scans have coordinates of millions of metres, where float32 counts in steps of 0.5 m.
+    """
+    low, high = loaded.vertices.min(axis=0), loaded.vertices.max(axis=0)
+    middle = (low.astype(np.float64) + high) / 2
+    if np.linalg.norm(middle) < max(_FAR, 10.0 * float(np.linalg.norm(high - low))):
+        return (0.0, 0.0, 0.0)
+    x, y, z = np.rint(middle).tolist()
+    return (x, y, z)
+
+
+def shifted(loaded: Loaded, shift: tuple[float, float, float]) -> Loaded:
+    """Moved by minus ``shift``, with a warning that says so."""
+    if shift == (0.0, 0.0, 0.0):
+        return loaded
+    warning = "lies far from its origin: moved by ({:g}, {:g}, {:g}) m".format(*(-s for s in shift))
+    vertices = loaded.vertices.astype(np.float64) - shift
+    return replace(loaded, vertices=vertices, warnings=(*loaded.warnings, warning))
 
 
 def is_solid(loaded: Loaded) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from model.errors import ConfigurationError, GeometryError, InputFileError
 from model.geometry.asset import Asset, Source, UpAxis
-from model.geometry.cleaning import cleaned, is_solid, to_cloud, to_mesh
+from model.geometry.cleaning import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 from model.geometry.formats.gltf import read_gltf
 from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
 from model.geometry.formats.mtl import MaterialFiles
@@ -149,7 +149,9 @@ def _read_file(
 
 def _asset(path: Path, name: str, loaded: Loaded, sha256: str, up: UpAxis, scale: float) -> Asset:
     loaded = cleaned(path, loaded, turned_up(up), scale)
-    source = Source(path, sha256, up, scale)
+    shift = far_shift(loaded)
+    loaded = shifted(loaded, shift)
+    source = Source(path, sha256, up, scale, shift)
     if is_solid(loaded):
         return Asset(name, mesh=to_mesh(loaded), source=source, warnings=loaded.warnings)
     cloud = to_cloud(loaded)
@@ -176,7 +178,8 @@ def _read_mobility(
 def _read_parts(
     folder: Path, manifest: Manifest, up_axis: UpAxis | None, scale: float, max_bytes: int,
     progress: Progress,
-) -> tuple[list[Loaded], str, UpAxis]:  # fmt: skip
+) -> tuple[list[Loaded], Source]:  # fmt: skip
+    """Every part in the object's frame, and where they came from."""
     files = MaterialFiles(folder)
     out = []
     for i, entry in enumerate(manifest.entries):
@@ -187,14 +190,15 @@ def _read_parts(
     extra = [manifest.path] if manifest.path is not None else []
     digest = _digest([*(e.path for e in manifest.entries), *extra, *files.paths])
     first = up_axis or default_up_axis(manifest.entries[0].path, part_of_folder=True)
-    return out, digest, first
+    shift = far_shift(out[0])  # the same for all: they share a frame
+    return [shifted(p, shift) for p in out], Source(folder, digest, first, scale, shift)
 
 
 def _read_folder(
     folder: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
 ) -> Asset:
     manifest = find_manifest(folder, FOLDER_SUFFIXES)
-    parts, digest, up = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
+    parts, source = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
     solid = [is_solid(p) for p in parts]
     if any(solid) and not all(solid):
         cloud = manifest.entries[solid.index(False)].path
@@ -208,7 +212,7 @@ def _read_folder(
         folder.name,
         mesh=to_mesh(whole) if solid[0] else None,
         cloud=None if solid[0] else to_cloud(whole),
-        source=Source(folder, digest, up, unit_scale),
+        source=source,
         element_part=np.repeat(np.arange(len(parts), dtype=np.int32), sizes),
         part_names=tuple(e.name or e.link for e in manifest.entries),
         category=manifest.category,
@@ -234,7 +238,7 @@ def read_part_files(
     """
     folder = Path(folder)
     manifest = find_manifest(folder, FOLDER_SUFFIXES)
-    parts, _, _ = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
+    parts, _ = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
     made = [
         Part(
             e.link,

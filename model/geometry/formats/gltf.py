@@ -36,7 +36,7 @@ _UNREADABLE = {
     "KHR_draco_mesh_compression": "Draco compression",
     "EXT_meshopt_compression": "meshopt compression",
 }
-_MAX_CORNERS = 200_000_000
+_MAX_CORNERS = 60_000_000
 _MAX_NODES = 200_000
 
 

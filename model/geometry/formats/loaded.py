@@ -87,7 +87,7 @@ def join(pieces: Sequence[Loaded]) -> Loaded:
         np.concatenate([p.vertices for p in pieces]),
         np.concatenate([p.faces + o for p, o in zip(pieces, offsets[:-1], strict=True)]),
         _together(pieces, "normals", None, 3),
-        _together(pieces, "colors", WHITE, 4),
+        _colors_together(pieces),
         _together(pieces, "uv", (0.0, 0.0), 2),
         np.concatenate(face_material),
         tuple(materials),
@@ -109,6 +109,21 @@ def _together(
             for p, v in zip(pieces, values, strict=True)
         ]
     )
+
+
+def _colors_together(pieces: Sequence[Loaded]) -> Array | None:
+    """Colours of all pieces; those without take their base colours, which colours replace."""
+    if all(p.colors is None for p in pieces):
+        return None
+    return np.concatenate([p.colors if p.colors is not None else _base_colors(p) for p in pieces])
+
+
+def _base_colors(piece: Loaded) -> Array:
+    out = np.full((len(piece.vertices), 4), GREY, np.uint8)
+    if len(piece.faces) and piece.materials:
+        base = np.array([m.base_color for m in piece.materials], np.uint8)
+        out[piece.faces.reshape(-1)] = np.repeat(base[piece.face_material], 3, axis=0)
+    return out
 
 
 def with_plain_colors(loaded: Loaded) -> Loaded:

@@ -32,7 +32,7 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
 
     Columns are told by a heading line (``x,y,z,red,green,blue,nx,ny,nz``) where there is one. Else
     three are xyz; six are xyz and RGB or normals, which their values tell apart; nine are both;
-    four and seven have an intensity, which is passed over.
+    what follows is passed over. A PTS file has an intensity after xyz, which is passed over too.
 
     Raises:
         InputFileError: where a line is no row of numbers.
@@ -52,7 +52,7 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         raise InputFileError(
             path, f"has {width} columns", "a text cloud has a row x y z for each point"
         )
-    return _guess(table)
+    return _guess(table, path.suffix.lower() == ".pts")
 
 
 def _heading(text: str) -> tuple[list[str] | None, str]:
@@ -121,11 +121,13 @@ def _named(head: list[str]) -> tuple[list[int], list[int] | None, list[int] | No
     return None if xyz is None else (xyz, rgb, normals)
 
 
-def _guess(table: Array) -> Loaded:
+def _guess(table: Array, intensity: bool) -> Loaded:
     width = table.shape[1]
-    starts = {6: (3,), 7: (3, 4), 8: (3,), 9: (3, 6), 10: (3, 4, 6, 7)}.get(
+    starts = {6: (3,), 7: (3,), 8: (3,), 9: (3, 6), 10: (3, 6, 7)}.get(
         width, (3,) if width > 10 else ()
     )
+    if intensity and width >= 7:
+        starts = (4, 7) if width >= 10 else (4,)
     colors = normals = None
     for s in starts:
         block = table[:, s : s + 3]

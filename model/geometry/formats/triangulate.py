@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
+_MOST_TESTS = 150_000  # of ears in one file, some seconds; beyond, polygons stay fans
+
 
 def triangulate(
     corners: Array, sizes: Array, points: Array
@@ -34,12 +36,19 @@ def triangulate(
     step = np.arange(len(polygon)) - np.repeat(np.cumsum(fans) - fans, fans)
     first = starts[polygon]
     out = np.stack([first, first + step + 1, first + step + 2], axis=1)
-    for p in _concave(out, polygon, sizes, corners, points):
-        rows = polygon == p
+    bad = _concave(out, polygon, sizes, corners, points)
+    # The other diagonal of a concave quadrilateral is inside it.
+    four = bad[sizes[bad] == 4]
+    at, corner = np.searchsorted(polygon, four), starts[four]
+    out[at] = np.stack([corner + 1, corner + 2, corner + 3], axis=1)
+    out[at + 1] = np.stack([corner + 1, corner + 3, corner], axis=1)
+    budget = _MOST_TESTS
+    for p in bad[sizes[bad] > 4]:
         loop = starts[p] + np.arange(int(sizes[p]))
-        ears = _ear_clip(points[corners[loop]])
+        ears, budget = _ear_clip(points[corners[loop]], budget)
         if ears is not None:
-            out[rows] = loop[ears]
+            at = int(np.searchsorted(polygon, p))
+            out[at : at + len(ears)] = loop[ears]
     return out, polygon
 
 
@@ -53,12 +62,14 @@ def _concave(out: Array, polygon: Array, sizes: Array, corners: Array, points: A
     total = np.zeros((len(sizes), 3))
     np.add.at(total, polygon[many], cross)
     against = np.einsum("ij,ij->i", cross, total[polygon[many]]) < 0
-    bad = np.unique(polygon[many[against]])
-    return bad[sizes[bad] <= 2000]
+    return np.unique(polygon[many[against]])
 
 
-def _ear_clip(loop: Array) -> Array | None:
-    """(n-2, 3) triangles of one planar polygon (n, 3), or None where no ear is found."""
+def _ear_clip(loop: Array, budget: int) -> tuple[Array | None, int]:
+    """(n-2, 3) triangles of one planar polygon (n, 3), or None where no ear is found.
+
+    Stops after ``budget`` tests, and returns how many are left, so that no file takes for ever.
+    """
     p = loop.astype(np.float64) - loop.mean(axis=0)
     normal = np.cross(p, np.roll(p, -1, axis=0)).sum(axis=0)
     drop = int(np.argmax(np.abs(normal)))
@@ -68,6 +79,9 @@ def _ear_clip(loop: Array) -> Array | None:
     out = []
     while len(left) > 3:
         for i in range(len(left)):
+            if budget <= 0:
+                return None, 0
+            budget -= 1
             a, b, c = left[i - 1], left[i], left[(i + 1) % len(left)]
             if _turn(flat[a], flat[b], flat[c]) * sign <= 0:
                 continue
@@ -78,8 +92,8 @@ def _ear_clip(loop: Array) -> Array | None:
             left.pop(i)
             break
         else:
-            return None
-    return np.array([*out, tuple(left)])
+            return None, budget
+    return np.array([*out, tuple(left)]), budget
 
 
 def _turn(a: Array, b: Array, c: Array) -> float:

@@ -1,0 +1,53 @@
+"""Small objects that several tests of the geometry use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from model.geometry.mesh import Material, Mesh
+from model.geometry.point_cloud import PointCloud
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+@pytest.fixture
+def checker() -> Image.Image:
+    """Four pixels: red and green above, blue and white below."""
+    pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    return Image.fromarray(pixels)
+
+
+@pytest.fixture
+def textured(checker: Image.Image) -> Mesh:
+    """A unit cube, half of whose faces are textured and half plain orange."""
+    cube = trimesh.creation.box((1, 1, 1))
+    vertices = cube.vertices[cube.faces.reshape(-1)]
+    uv = np.tile(np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75]], np.float32), (12, 1))
+    return Mesh(
+        vertices,
+        np.arange(36, dtype=np.int32).reshape(-1, 3),
+        np.repeat(np.array([0, 1], np.int32), 6),
+        (Material("tex", (255, 255, 255, 255), checker), Material("orange", (240, 120, 30, 255))),
+        uv,
+    )
+
+
+@pytest.fixture
+def ball() -> Mesh:
+    sphere = trimesh.creation.icosphere(3)
+    return Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, np.int32))
+
+
+@pytest.fixture
+def cloud(rng: np.random.Generator) -> PointCloud:
+    """2000 coloured points with normals on a box of 1 x 0.6 x 2 m."""
+    box = trimesh.creation.box((1, 0.6, 2))
+    points, face = trimesh.sample.sample_surface(box, 2000, seed=1)
+    colors = rng.integers(0, 256, (2000, 3)).astype(np.uint8)
+    return PointCloud(np.asarray(points), box.face_normals[face], colors)
