@@ -1,0 +1,157 @@
+"""One call in another process, seen from this one."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, Literal, TypeVar
+
+from model.progress import Cancelled
+
+T = TypeVar("T")
+JobState = Literal["queued", "running", "done", "failed", "cancelled"]
+
+_log = logging.getLogger(__name__)
+
+
+class JobFailed(RuntimeError):
+    """A job that failed through our own fault: a bug, or the child process died.
+
+    Attributes:
+        details: the child's traceback, or "".
+    """
+
+    def __init__(self, message: str, details: str = "") -> None:
+        self.details = details
+        super().__init__(message)
+
+
+class Job(Generic[T]):
+    """One call in the worker. Made by :meth:`WorkerProcess.submit`; all methods are thread-safe.
+
+    Attributes:
+        name: of the function.
+        state: "queued", "running", "done", "failed" or "cancelled".
+        fraction: progress in [0, 1].
+        message: what is being done now.
+        error: why it failed: an :class:`~model.errors.ArtiworldError` or a :class:`JobFailed`.
+    """
+
+    def __init__(
+        self,
+        cancel: Callable[[Job[T]], object],
+        number: int,
+        name: str,
+        call: tuple[Callable[..., T], tuple[Any, ...], dict[str, Any]],
+        on_progress: Callable[[float, str], object] | None,
+        key: Hashable,
+    ) -> None:
+        self.name = name
+        self.state: JobState = "queued"
+        self.fraction = 0.0
+        self.message = ""
+        self.error: Exception | None = None
+        self._ask_to_stop = cancel
+        self._number = number
+        self._call: tuple[Any, ...] | None = call
+        self._on_progress = on_progress
+        self._progress_waiting = False
+        self._key = key
+        self._value: Any = None
+        self._ended = threading.Event()
+        self._callbacks: list[Callable[[Job[T]], object]] = []
+        self._lock = threading.Lock()
+        self._kill_at: float | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended: done, failed or cancelled."""
+        return self._ended.is_set()
+
+    def result(self, timeout: float | None = None) -> T:
+        """Wait for the end and return the function's value.
+
+        Raises:
+            TimeoutError: after ``timeout`` seconds.
+            Cancelled: where it was cancelled, or replaced by a newer job of its key.
+            ArtiworldError: the one that the function raised.
+            JobFailed: where it broke.
+        """
+        if not self._ended.wait(timeout):
+            raise TimeoutError(f"{self.name} is still {self.state} after {timeout} s")
+        if self.state == "cancelled":
+            raise Cancelled(self.name)
+        if self.error is not None:
+            raise self.error
+        return self._value
+
+    def cancel(self) -> None:
+        """Ask it to stop. A queued job ends now, a running one at its next progress call;
+        a child that doesn't react within a few seconds is killed. Does nothing where it has ended.
+        """
+        self._ask_to_stop(self)
+
+    def add_done_callback(self, callback: Callable[[Job[T]], object]) -> None:
+        """Call ``callback(job)`` after the end, on the callback thread."""
+        with self._lock:
+            if not self._ended.is_set():
+                self._callbacks.append(callback)
+                return
+        _callbacks.call(callback, self)
+
+    def _end(self, state: JobState, value: Any = None, error: Exception | None = None) -> None:
+        with self._lock:
+            if self._ended.is_set():
+                return
+            self.state, self._value, self.error = state, value, error
+            self._call = None
+            if state == "done":
+                self.fraction = 1.0
+            self._ended.set()
+            callbacks, self._callbacks = self._callbacks, []
+        for callback in callbacks:
+            _callbacks.call(callback, self)
+
+    def _progressed(self, fraction: float, message: str) -> None:
+        self.fraction, self.message = fraction, message
+        if self._on_progress is None or self._progress_waiting:
+            return
+        self._progress_waiting = True  # a slow callback sees the newest value, not a backlog
+
+        def tell() -> None:
+            self._progress_waiting = False
+            if self._on_progress is not None:
+                self._on_progress(self.fraction, self.message)
+
+        _callbacks.call(tell)
+
+
+class _CallbackThread:
+    """The one thread on which all callbacks of all workers run, in order."""
+
+    def __init__(self) -> None:
+        self._calls: queue.SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]]]
+        self._calls = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def call(self, callback: Callable[..., object], *args: Any) -> None:
+        with self._lock:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="job callbacks", daemon=True)
+                self._thread.start()
+        self._calls.put((callback, args))
+
+    def _run(self) -> None:
+        while True:
+            callback, args = self._calls.get()
+            try:
+                callback(*args)
+            except Exception:  # one bad callback must not silence the others
+                _log.exception("a job's callback failed")
+            del callback, args
+
+
+_callbacks = _CallbackThread()
