@@ -68,6 +68,22 @@ def read(kind: type[T], data: object, where: str = "value") -> T:
     return _read(kind, data, where)
 
 
+def read_fields(kind: type, data: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The values of some fields of the dataclass ``kind``, without making one.
+
+    Raises:
+        CodecError: naming the field and the value.
+    """
+    fields = _fields(kind)
+    unknown = sorted(set(data) - set(fields), key=str)
+    if unknown:
+        raise CodecError(
+            f"{where}: unknown field {unknown[0]!r}; a newer version of ArtiWorld may have written "
+            f"it (known: {', '.join(fields)})"
+        )
+    return {name: _read(fields[name][0], v, f"{where}.{name}") for name, v in data.items()}
+
+
 def _read(kind: Any, data: Any, where: str) -> Any:
     simple = _SIMPLE.get(kind)
     if simple is not None:
@@ -189,17 +205,10 @@ def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
 def _dataclass(kind: Any, data: Any, where: str) -> Any:
     if not isinstance(data, dict):
         raise _wrong(where, "an object", data)
-    fields = _fields(kind)
-    unknown = sorted(set(data) - set(fields), key=str)
-    if unknown:
-        raise CodecError(
-            f"{where}: unknown field {unknown[0]!r}; a newer version of ArtiWorld may have written "
-            f"it (known: {', '.join(fields)})"
-        )
-    absent = [name for name, (_, needed) in fields.items() if needed and name not in data]
+    values = read_fields(kind, data, where)
+    absent = [n for n, (_, needed) in _fields(kind).items() if needed and n not in data]
     if absent:
         raise CodecError(f"{where}: field {absent[0]!r} is missing")
-    values = {name: _read(fields[name][0], v, f"{where}.{name}") for name, v in data.items()}
     try:
         return kind(**values)
     except ArtiworldError as error:

@@ -1,13 +1,13 @@
 """Session states and kinematic values to JSON and back. Every format carries its version.
 
 The past of a session shares nearly everything with its present, so a written state holds each
-value once, and each document says only how its prompts differ from those before.
+value once, and each document says only how it differs from the one before.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from model.errors import StoreError
@@ -97,10 +97,10 @@ def state_to_json(state: SessionState) -> dict[str, Any]:
     """``state`` with its past and future as a dict."""
     shared = _Shared()
     documents: list[dict[str, Any]] = []
-    before: Sequence[Any] = ()
+    before = Document()
     for document in (*state.past, state.present, *state.future):
-        documents.append(_document(document, before, shared))
-        before = document.prompts
+        documents.append(_difference(document, before, shared))
+        before = document
     return {
         "version": VERSION,
         "seq": state.seq,
@@ -120,10 +120,10 @@ def state_from_json(data: object) -> SessionState:
     try:
         values = [_value(item, i) for i, item in enumerate(fields["values"])]
         documents: list[Document] = []
-        prompts: tuple[Any, ...] = ()
+        before = Document()
         for i, item in enumerate(fields["documents"]):
-            documents.append(_read_document(item, prompts, values, f"state.documents[{i}]"))
-            prompts = documents[-1].prompts
+            before = _changed(before, item, values, f"state.documents[{i}]")
+            documents.append(before)
         past, seq = int(fields["past"]), int(fields["seq"])
         return SessionState(
             documents[past], tuple(documents[:past]), tuple(documents[past + 1 :]), seq
@@ -181,19 +181,30 @@ class _Shared:
         return index
 
 
-def _document(document: Document, before: Sequence[Any], shared: _Shared) -> dict[str, Any]:
-    kept = 0
-    for a, b in zip(before, document.prompts, strict=False):
-        if a is not b:
-            break
-        kept += 1
-    out: dict[str, Any] = {
-        "kept": kept,
-        "prompts": [shared.ref(p) for p in document.prompts[kept:]],
-        "parts": [shared.ref(p) for p in document.parts],
-    }
-    out |= {name: shared.ref(getattr(document, name)) for name in _SHARED}
-    return out | {name: codec.write(getattr(document, name), name) for name in _PLAIN}
+def _difference(document: Document, before: Document, shared: _Shared) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    kept = _common(before.prompts, document.prompts)
+    if kept < max(len(before.prompts), len(document.prompts)):
+        out["prompts"] = [kept, [shared.ref(p) for p in document.prompts[kept:]]]
+    if document.parts is not before.parts:
+        out["parts"] = [shared.ref(p) for p in document.parts]
+    for name in _SHARED:
+        value = getattr(document, name)
+        if value is not getattr(before, name):
+            out[name] = shared.ref(value)
+    for name in _PLAIN:
+        value = getattr(document, name)
+        if value != getattr(before, name):
+            out[name] = codec.write(value, name)
+    return out
+
+
+def _common(a: tuple[Any, ...], b: tuple[Any, ...]) -> int:
+    """Length of the common beginning."""
+    shorter = min(len(a), len(b))
+    if a[:shorter] == b[:shorter]:  # the usual case, far faster than a loop
+        return shorter
+    return next(i for i in range(shorter) if a[i] != b[i])
 
 
 def _value(item: Any, index: int) -> Any:
@@ -201,16 +212,15 @@ def _value(item: Any, index: int) -> Any:
     return codec.read(_VALUES[tag], data, f"state.values[{index}]")
 
 
-def _read_document(
-    item: dict[str, Any], before: tuple[Any, ...], values: list[Any], where: str
-) -> Document:
-    fields = dict(item)
-    own: dict[str, Any] = {
-        "prompts": before[: fields.pop("kept")] + tuple(values[i] for i in fields.pop("prompts")),
-        "parts": tuple(values[i] for i in fields.pop("parts")),
-    }
+def _changed(before: Document, item: Mapping[str, Any], values: list[Any], where: str) -> Document:
+    plain = {k: v for k, v in item.items() if k not in (*_SHARED, "prompts", "parts")}
+    out = codec.read_fields(Document, plain, where)
+    if "prompts" in item:
+        kept, refs = item["prompts"]
+        out["prompts"] = before.prompts[:kept] + tuple(values[i] for i in refs)
+    if "parts" in item:
+        out["parts"] = tuple(values[i] for i in item["parts"])
     for name in _SHARED:
-        ref = fields.pop(name, None)
-        if ref is not None:
-            own[name] = values[ref]
-    return dataclasses.replace(codec.read(Document, fields, where), **own)
+        if name in item:
+            out[name] = None if item[name] is None else values[item[name]]
+    return dataclasses.replace(before, **out)

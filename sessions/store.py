@@ -6,12 +6,14 @@ snapshots save the time of a replay, and the columns of an object save the queue
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +71,10 @@ class ObjectRecord:
     assigned_to: str | None
     seq: int
     changed: bool = False
+
+
+# In the order of the record's fields.
+_COLUMNS = tuple(objects.c[f.name] for f in dataclasses.fields(ObjectRecord) if f.name != "changed")
 
 
 @dataclass(frozen=True)
@@ -157,14 +163,14 @@ class Store:
                     # Nobody decided anything about the former content, if there was any.
                     mine = objects.c.id == row.id
                     connection.execute(update(objects).where(mine).values(sha256=sha256))
-                    row = connection.execute(select(objects).where(mine)).one()
+                    row = connection.execute(select(*_COLUMNS).where(mine)).one()
                 out.append(_record(row, changed=sha256 not in (None, row.sha256)))
         return out
 
     def objects(self) -> list[ObjectRecord]:
         """All the objects in the order in which they were opened first."""
         with self._database.reading() as connection:
-            rows = connection.execute(select(objects).order_by(objects.c.id)).all()
+            rows = connection.execute(select(*_COLUMNS).order_by(objects.c.id)).all()
         return [_record(row) for row in rows]
 
     def object(self, object_id: int) -> ObjectRecord:
@@ -289,7 +295,7 @@ class Store:
         connection.execute(delete(snapshots).where(old))
 
     def _row(self, connection: Connection, object_id: int) -> Row[Any]:
-        row = connection.execute(select(objects).where(objects.c.id == object_id)).one_or_none()
+        row = connection.execute(select(*_COLUMNS).where(objects.c.id == object_id)).one_or_none()
         if row is None:
             raise StoreError(f"{self._database.name}: there is no object {object_id}")
         return row
@@ -352,7 +358,7 @@ def _by_path(connection: Connection, keys: list[str]) -> dict[str, Row[Any]]:
     out: dict[str, Row[Any]] = {}
     for start in range(0, len(keys), 500):  # databases limit the values of one statement
         chosen = objects.c.path.in_(keys[start : start + 500])
-        out |= {row.path: row for row in connection.execute(select(objects).where(chosen))}
+        out |= {row.path: row for row in connection.execute(select(*_COLUMNS).where(chosen))}
     return out
 
 
@@ -379,22 +385,14 @@ def _summary(state: SessionState, who: str, at: str) -> dict[str, Any]:
 
 
 def _record(row: Row[Any], changed: bool = False) -> ObjectRecord:
-    return ObjectRecord(
-        id=row.id,
-        path=Path(row.path),
-        name=row.name,
-        sha256=row.sha256,
-        state=row.state,
-        prompts=row.prompts,
-        parts=row.parts,
-        category=row.category,
-        who=row.who or "",
-        updated=row.updated,
-        created=row.created,
-        assigned_to=row.assigned_to,
-        seq=row.seq,
-        changed=changed,
-    )
+    values: tuple[Any, ...] = tuple(row)
+    return ObjectRecord(values[0], _path(values[1]), *values[2:], changed=changed)
+
+
+@lru_cache(maxsize=100_000)
+def _path(key: str) -> Path:
+    # Parsing ten thousand paths takes longer than reading them from the database.
+    return Path(key)
 
 
 def _dumps(data: Any) -> str:
