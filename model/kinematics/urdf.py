@@ -180,12 +180,14 @@ def _mujoco_lines(visuals: bool) -> list[str]:
 
 def _inertial_lines(inertial: Inertial, origin: npt.NDArray[np.float64]) -> list[str]:
     t = inertial.tensor
+    # Products of inertia that are rounding errors of a symmetric body.
+    t = np.where(np.abs(t) < 1e-12 * np.abs(t).max(), 0.0, t)
     return [
         "    <inertial>",
         f'      <origin xyz="{vector(inertial.center - origin)}" rpy="0 0 0"/>',
-        f'      <mass value="{number(inertial.mass)}"/>',
-        f'      <inertia ixx="{number(t[0, 0])}" ixy="{number(t[0, 1])}" ixz="{number(t[0, 2])}"'
-        f' iyy="{number(t[1, 1])}" iyz="{number(t[1, 2])}" izz="{number(t[2, 2])}"/>',
+        f'      <mass value="{inertial.mass:.9g}"/>',
+        f'      <inertia ixx="{t[0, 0]:.9g}" ixy="{t[0, 1]:.9g}" ixz="{t[0, 2]:.9g}"'
+        f' iyy="{t[1, 1]:.9g}" iyz="{t[1, 2]:.9g}" izz="{t[2, 2]:.9g}"/>',
         "    </inertial>",
     ]
 
