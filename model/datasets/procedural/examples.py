@@ -1,0 +1,255 @@
+"""The demo objects that ship in ``static_assets/examples``.
+
+Run ``python -m model.datasets.procedural.examples --out static_assets/examples``. The same seed
+gives the same files. Beside each object lie good clicks (``<name>.prompts.json``) and, in
+``truth/``, what the clicks should lead to.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.datasets.procedural.families import electronics, kitchen, seating, storage, vessels
+from model.datasets.procedural.grammar import ProceduralObject
+from model.datasets.procedural.materials import Palette, metal, plain, wood
+from model.datasets.procedural.modules import Opening
+from model.datasets.procedural.scan import ScanSettings, View, simulate_scan, visible_elements
+from model.geometry.glb import mesh_to_glb
+from model.geometry.mesh import Mesh
+from model.geometry.readers import read_asset
+from model.geometry.writers import write_cloud
+from model.kinematics.articulated_object import ArticulatedObject
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Example:
+    """One demo object: how it is made, and how it was scanned where it is a scan."""
+
+    make: Callable[[np.random.Generator], ProceduralObject]
+    scan: ScanSettings | None = None
+
+
+def cabinet(rng: np.random.Generator) -> ProceduralObject:
+    """A sideboard: two doors, three drawers between them, on tapered legs."""
+    w, h, leg = 1.28, 0.62, 0.15
+    x = w / 2
+    third = 0.21
+    cells = [storage.Cell("door", Opening(-x, -third, leg, leg + h))]
+    cuts = np.linspace(leg, leg + h, 4)
+    cells += [
+        storage.Cell("drawer", Opening(-third, third, float(a), float(b)))
+        for a, b in itertools.pairwise(cuts)
+    ]
+    left = storage.Cupboard(
+        (w, 0.44, h),
+        (*cells, storage.Cell("door", Opening(third, x, leg, leg + h))),
+        wall=0.019,
+        gap=0.003,
+        leg="taper",
+        leg_height=leg,
+        front="shaker",
+        handle="bar",
+        handle_length=0.13,
+        shelves=1,
+        overhang=0.03,
+        swing=1.92,
+    )
+    palette = Palette(
+        wood("walnut"), wood("oak"), metal("brass"), metal("steel"), plain("shadow", (52, 44, 38))
+    )
+    return storage.cupboard(left, palette, rng, mirrored=True)
+
+
+def laptop(rng: np.random.Generator) -> ProceduralObject:
+    """A laptop, opened by 110 degrees."""
+    shell = plain("alloy", (176, 179, 185))
+    return electronics.build_laptop((0.325, 0.228, 0.0145), rng, shell, open_angle=1.92, screen=1)
+
+
+def oven(rng: np.random.Generator) -> ProceduralObject:
+    """A range with six knobs."""
+    enamel = plain("enamel", (226, 226, 222))
+    palette = Palette(enamel, enamel, metal("dark"), metal("steel"), plain("panel", (70, 72, 78)))
+    spec = kitchen.OvenSpec(knobs=6, knob_style=1, burners=4, drawer=True, knob_limits=(0.0, 4.71))
+    return kitchen.build_oven(spec, palette, rng)
+
+
+def refrigerator(rng: np.random.Generator) -> ProceduralObject:
+    """French doors over a freezer drawer."""
+    steel = plain("steel_paint", (172, 178, 186))
+    palette = Palette(steel, steel, metal("dark"), metal("steel"), plain("panel", (36, 37, 40)))
+    return kitchen.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng)
+
+
+EXAMPLES: Mapping[str, Example] = {
+    "cabinet": Example(cabinet),
+    "laptop": Example(laptop),
+    "office_chair": Example(lambda rng: seating.office_chair(rng, casters=True, back=True)),
+    "kettle": Example(vessels.kettle),
+    "washing_machine": Example(kitchen.washing_machine),
+    "oven_scan": Example(
+        oven, ScanSettings((View(-0.35, 0.32, 1.9), View(0.4, 0.38, 2.0)), 220_000)
+    ),
+    "refrigerator_scan": Example(
+        refrigerator,
+        ScanSettings((View(-0.5, 0.12, 2.9), View(0.35, 0.2, 2.8)), 150_000, depth_noise=0.0007),
+    ),
+}
+"""Name -> how it is made."""
+
+
+def write_examples(out: Path, seed: int = 0) -> tuple[Path, ...]:
+    """Write all the demo objects.
+
+    Returns:
+        The objects' files (without prompts and truth).
+    """
+    (out / "truth").mkdir(parents=True, exist_ok=True)
+    written = []
+    for number, (name, example) in enumerate(EXAMPLES.items()):
+        rng = np.random.default_rng([seed, number])
+        made = example.make(rng)
+        obj = made.object
+        if example.scan is None:
+            path = out / f"{name}.glb"
+            whole, owner = joined(obj)
+            path.write_bytes(mesh_to_glb(whole, y_up=True))
+            labels = _labels_as_read(path, whole, owner)
+            views = (View(-0.6, 0.4), View(0.6, 0.4), View(-0.3, -0.25), View(0.3, 1.2))
+        else:
+            path = out / f"{name}.ply"
+            scan = simulate_scan(obj, example.scan, rng)
+            write_cloud(scan.cloud, path)
+            labels, views = scan.part, example.scan.views
+        _write_json(out / f"{name}.prompts.json", prompts(made, views))
+        _write_json(out / "truth" / f"{name}.json", truth(obj, labels))
+        written.append(path)
+    return tuple(written)
+
+
+def joined(obj: ArticulatedObject) -> tuple[Mesh, npt.NDArray[np.int32]]:
+    """All parts as one mesh, and the (F,) part index of each face."""
+    meshes = [p.mesh for p in obj.parts if p.mesh is not None]
+    vertex = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    slot = np.cumsum([0, *(len(m.materials) for m in meshes)])
+    uv = [np.zeros((len(m.vertices), 2), np.float32) if m.uv is None else m.uv for m in meshes]
+    whole = Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.faces + v for m, v in zip(meshes, vertex, strict=False)]).astype(
+            np.int32
+        ),
+        np.concatenate([m.face_material + k for m, k in zip(meshes, slot, strict=False)]).astype(
+            np.int32
+        ),
+        tuple(x for m in meshes for x in m.materials),
+        np.concatenate(uv),
+    )
+    owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
+    return whole, owner.astype(np.int32)
+
+
+def _labels_as_read(path: Path, whole: Mesh, owner: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """(E,) part of each face in the order in which a reader gives them."""
+    from scipy.spatial import cKDTree
+
+    centers = read_asset(path).element_centers
+    return owner[cKDTree(whole.triangles.mean(axis=1)).query(centers)[1]]
+
+
+def truth(obj: ArticulatedObject, labels: npt.NDArray[np.int32]) -> dict[str, object]:
+    """Joints, and the part of each element as runs of [part, length]; -1 is a stray point."""
+    starts = np.flatnonzero(np.r_[True, labels[1:] != labels[:-1]])
+    lengths = np.diff(np.r_[starts, len(labels)])
+    joints = [
+        {
+            "name": j.name,
+            "type": j.type,
+            "parent": j.parent,
+            "child": j.child,
+            "axis": _rounded(j.axis, 6),
+            "origin": _rounded(j.origin, 5),
+            "lower": None if j.lower is None else round(j.lower, 5),
+            "upper": None if j.upper is None else round(j.upper, 5),
+        }
+        for j in obj.tree.joints
+    ]
+    return {
+        "format": FORMAT,
+        "category": obj.category,
+        "links": list(obj.tree.links),
+        "parts": [{"id": i, "link": p.link, "name": p.name} for i, p in enumerate(obj.parts)],
+        "joints": joints,
+        "runs": [[int(labels[a]), int(n)] for a, n in zip(starts, lengths, strict=True)],
+    }
+
+
+def prompts(made: ProceduralObject, views: tuple[View, ...]) -> dict[str, object]:
+    """Clicks that a person would make: the middle of each part, and of its handle or rim.
+
+    Args:
+        views: from where the person looks; what can't be seen gets no click.
+    """
+    obj = made.object
+    seen = visible_elements(obj, views)
+    from scipy.spatial import cKDTree
+
+    clicks: list[dict[str, object]] = []
+    named = []
+    for number, part in enumerate(obj.parts):
+        mine = np.flatnonzero(seen.part == number)
+        if not len(mine):
+            continue
+        others = np.flatnonzero(seen.part != number)
+        piece = made.pieces[part.link][seen.face[mine]]
+        kinds = np.array(made.piece_names[part.link])[piece]
+        tree = cKDTree(seen.points[others])
+        inner = tree.query(seen.points[mine])[0]
+        for kind in _worth_clicking(kinds, 4 if number == 0 else 2):
+            rows = np.flatnonzero(kinds == kind)
+            best = mine[rows[np.argmax(inner[rows])]]
+            clicks.append(
+                {"position": _rounded(seen.points[best], 5), "part": number, "positive": True}
+            )
+        if number:
+            named.append({"id": number, "name": part.name})
+    clicks.sort(key=lambda c: c["part"] == 0)  # type: ignore[return-value]
+    return {"format": FORMAT, "category": obj.category, "parts": named, "clicks": clicks}
+
+
+def _worth_clicking(kinds: npt.NDArray[np.str_], most: int) -> list[str]:
+    """The kinds of piece that cover most of what is seen of a part."""
+    names, counts = np.unique(kinds, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return [str(names[i]) for i in order[:most] if counts[i] >= 0.02 * len(kinds)]
+
+
+def _rounded(values: npt.ArrayLike, digits: int) -> list[float]:
+    return [round(float(v), digits) + 0.0 for v in np.asarray(values)]
+
+
+def _write_json(path: Path, content: object) -> None:
+    path.write_text(json.dumps(content, separators=(",", ":")) + "\n")
+
+
+def main() -> None:
+    """Command line of this module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    for path in write_examples(arguments.out, arguments.seed):
+        print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

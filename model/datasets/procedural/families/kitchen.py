@@ -1,0 +1,751 @@
+"""Oven, Refrigerator, Microwave, Dishwasher, WashingMachine: boxes with doors, knobs and racks."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from model.datasets.procedural import modules as m
+from model.datasets.procedural import shapes as s
+from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
+from model.datasets.procedural.materials import (
+    Palette,
+    Surface,
+    appliance_palette,
+    glass,
+    metal,
+    picture,
+    plain,
+    rubber,
+)
+
+INSIDE = plain("inside", (206, 208, 210))
+
+
+def housing(
+    body: Body,
+    size: tuple[float, float, float],
+    opening: m.Opening,
+    palette: Palette,
+    bottom: float,
+    *,
+    depth: float | None = None,
+    inside: Surface = INSIDE,
+) -> None:
+    """A body whose front is closed but for one opening into a hollow of ``depth``."""
+    w, d, h = size
+    hollow = 0.86 * d if depth is None else depth
+    front, back = -d / 2, d / 2
+    x0, x1, z0, z1 = -w / 2, w / 2, bottom, bottom + h
+    blocks = (
+        ((x0, opening.x0), (z0, z1), "side_wall"),
+        ((opening.x1, x1), (z0, z1), "side_wall"),
+        ((opening.x0, opening.x1), (z0, opening.z0), "floor"),
+        ((opening.x0, opening.x1), (opening.z1, z1), "ceiling"),
+    )
+    for (a, b), (low, high), piece in blocks:
+        solid = s.box(
+            (b - a, hollow, high - low), ((a + b) / 2, front + hollow / 2, (low + high) / 2), 0.003
+        )
+        body.add(solid, palette.body, piece)
+    rear = s.box((w, d - hollow, h), (0, back - (d - hollow) / 2, (z0 + z1) / 2), 0.004)
+    body.add(rear, palette.body, "back")
+    lining = s.box(
+        (opening.width, 0.004, opening.height),
+        (opening.center[0], front + hollow - 0.002, opening.center[1]),
+    )
+    body.add(lining, inside, "lining")
+
+
+def rack(
+    body: Body,
+    width: float,
+    depth: float,
+    at: tuple[float, float, float],
+    surface: Surface,
+    bars: int = 9,
+) -> None:
+    """A wire shelf centred on ``at``."""
+    x, y, z = at
+    for side in (-1, 1):
+        rail = s.along(s.cylinder(0.004, depth, segments=8), 1).moved(
+            (x + side * (width / 2 - 0.004), y, z)
+        )
+        body.add(rail, surface, "rail")
+    for k in range(bars):
+        wire = s.along(s.cylinder(0.0025, width, segments=6), 0)
+        body.add(wire.moved((x, y - depth / 2 + depth * (k + 0.5) / bars, z)), surface, "wire")
+
+
+def basket(width: float, depth: float, height: float) -> s.Solid:
+    """A rack as a shallow tray on z = 0."""
+    return s.tray((width, depth, height), 0.005, radius=0.02)
+
+
+@dataclass(frozen=True)
+class OvenSpec:
+    """What decides how an oven looks.
+
+    Attributes:
+        size: (x, y, z) metres; knobs: number; burners: 0 for a built-in oven.
+        drawer: a warming drawer below the door; knob_limits: radians, None turns without end.
+    """
+
+    size: tuple[float, float, float] = (0.6, 0.6, 0.86)
+    knobs: int = 6
+    knob_style: int = 0
+    burners: int = 4
+    drawer: bool = True
+    display: bool = True
+    feet: float = 0.03
+    fascia: float = 0.11
+    handle: m.HandleStyle = "bar"
+    knob_limits: tuple[float, float] | None = None
+    door_open: float = 0.0
+
+
+def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> ProceduralObject:
+    """An oven, with a cooktop where it has burners."""
+    b = Builder("Oven", rng)
+    w, d, h = spec.size
+    body = b.base("oven_body")
+    bottom = spec.feet
+    low = bottom + (0.16 if spec.drawer else 0.03)
+    high = bottom + h - spec.fascia
+    wall = 0.05
+    housing(
+        body,
+        spec.size,
+        m.Opening(-w / 2 + wall, w / 2 - wall, low + 0.03, high - 0.03),
+        palette,
+        bottom,
+        inside=plain("oven_lining", (60, 62, 66)),
+    )
+    for x in (-1, 1):
+        for y in (-1, 1):
+            body.add(
+                s.cylinder(0.02, bottom + 0.01, segments=12).moved(
+                    (x * (w / 2 - 0.05), y * (d / 2 - 0.05), (bottom + 0.01) / 2)
+                ),
+                palette.dark,
+                "foot",
+            )
+    front = -d / 2
+    thick = 0.035
+    fascia = s.box(
+        (w - 0.004, thick, spec.fascia - 0.006),
+        (0, front - thick / 2, bottom + h - spec.fascia / 2),
+        0.004,
+    )
+    body.add(fascia, palette.front if rng.random() < 0.6 else palette.dark, "control_panel")
+    for k, z in enumerate((low + 0.15, low + 0.3)):
+        if z < high - 0.08:
+            rack(body, w - 2 * wall, 0.7 * d, (0, front + 0.4 * d, z), palette.metal, 9 + k)
+    door = m.door(
+        b,
+        body,
+        m.Opening(-w / 2 + 0.002, w / 2 - 0.002, low, high - 0.001),
+        front - 0.002,
+        m.DoorSpec(
+            "bottom", np.pi / 2, "window", spec.handle, 0.76 * w, 0.045, 0.5, 0.05, thick - 0.002
+        ),
+        palette,
+    )
+    if spec.drawer:
+        _warming_drawer(b, body, w, d, bottom, low, thick, palette)
+    _oven_knobs(b, body, spec, palette, front - thick, bottom + h - spec.fascia / 2)
+    if spec.burners:
+        _cooktop(body, w, d, bottom + h, spec.burners, palette)
+    return b.build({door.link: spec.door_open} if spec.door_open else None)
+
+
+def _warming_drawer(
+    b: Builder,
+    body: Body,
+    w: float,
+    d: float,
+    bottom: float,
+    low: float,
+    thick: float,
+    palette: Palette,
+) -> None:
+    front = -d / 2
+    part = b.slide("drawer", body, (0, -1, 0), 0.0, 0.3, (0, front, (bottom + low) / 2))
+    r = m.Opening(-w / 2 + 0.002, w / 2 - 0.002, bottom + 0.004, low - 0.004)
+    m.panel(part, r, front - 0.002, thick - 0.002, "plain", palette)
+    grip = m.handle("lip", 0.5 * w, 0.025)
+    m.add(
+        part,
+        m.place(grip, (0, front - thick, low - 0.03), roll=np.pi / 2),
+        palette.accent,
+        "handle",
+    )
+
+
+def _oven_knobs(
+    b: Builder, body: Body, spec: OvenSpec, palette: Palette, y: float, z: float
+) -> None:
+    w = spec.size[0]
+    middle = spec.display and spec.knobs % 2 == 0
+    xs = np.linspace(-0.42, 0.42, spec.knobs) * w if spec.knobs > 1 else np.array([0.25 * w])
+    if middle:
+        half = spec.knobs // 2
+        xs = np.concatenate([np.linspace(-0.42, -0.2, half), np.linspace(0.2, 0.42, half)]) * w
+    if spec.display and (middle or spec.knobs == 1):
+        body.add(
+            s.box((0.12, 0.006, 0.045), (0, y - 0.002, z)),
+            picture("panel", int(spec.knobs)),
+            "display",
+        )
+    spread = float(np.diff(xs).min()) if len(xs) > 1 else 0.1
+    radius = min(0.024, 0.38 * spread, 0.33 * spec.fascia)
+    mark = (
+        plain("mark", (240, 240, 240))
+        if sum(palette.accent.material.base_color[:3]) < 300
+        else palette.dark
+    )
+    for x in xs:
+        m.knob(
+            b,
+            body,
+            (float(x), y, z),
+            radius,
+            0.026,
+            palette.accent,
+            mark,
+            style=spec.knob_style,
+            limits=spec.knob_limits,
+        )
+
+
+def _cooktop(body: Body, w: float, d: float, top: float, burners: int, palette: Palette) -> None:
+    body.add(s.box((w, d, 0.012), (0, 0, top + 0.004), 0.003), palette.dark, "cooktop")
+    iron = plain("iron", (28, 28, 30))
+    rows = [(-0.24, -0.22), (0.24, -0.22), (-0.24, 0.2), (0.24, 0.2), (0.0, 0.0)][: max(burners, 1)]
+    for k, (x, y) in enumerate(rows):
+        r = 0.085 if k % 3 else 0.068
+        plate = s.lathe([(r, 0), (r, 0.01), (0.9 * r, 0.014), (0.3 * r, 0.014)], 24)
+        body.add(plate.moved((x * w, y * d, top + 0.009)), iron, "burner")
+        body.add(
+            s.ring([(1.06 * r, 0), (1.12 * r, 0), (1.12 * r, 0.004), (1.06 * r, 0.004)], 24).moved(
+                (x * w, y * d, top + 0.009)
+            ),
+            palette.metal,
+            "trim",
+        )
+
+
+def oven(rng: np.random.Generator) -> ProceduralObject:
+    """A range, or a built-in oven."""
+    stove = rng.random() < 0.6
+    size = (
+        float(rng.uniform(0.5, 0.76)),
+        float(rng.uniform(0.55, 0.65)),
+        float(rng.uniform(0.8, 0.9) if stove else rng.uniform(0.45, 0.65)),
+    )
+    knobs = int(rng.integers(1, 7))
+    limits = [None, (0.0, 4.71), (-2.4, 2.4)][rng.integers(3)]
+    spec = OvenSpec(
+        size,
+        knobs,
+        int(rng.integers(3)),
+        int(rng.integers(2, 6)) if stove else 0,
+        bool(stove and rng.random() < 0.6),
+        bool(rng.random() < 0.6),
+        float(rng.uniform(0.01, 0.06)),
+        float(rng.uniform(0.08, 0.13)),
+        ("bar", "bow", "flat")[rng.integers(3)],
+        limits,
+        float(rng.uniform(0.1, 1.3)) if rng.random() < 0.15 else 0.0,
+    )
+    return build_oven(spec, appliance_palette(rng), rng)
+
+
+def refrigerator(rng: np.random.Generator) -> ProceduralObject:
+    """One door, two over each other, side by side, or French doors over freezer drawers."""
+    layout = ("single", "freezer_top", "freezer_bottom", "side_by_side", "french")[rng.integers(5)]
+    wide = layout in ("side_by_side", "french")
+    size = (
+        float(rng.uniform(0.8, 0.95) if wide else rng.uniform(0.5, 0.7)),
+        float(rng.uniform(0.5, 0.65)),
+        float(rng.uniform(0.7, 1.2) if layout == "single" else rng.uniform(1.5, 1.95)),
+    )
+    ajar = float(rng.uniform(0.1, 1.2)) if rng.random() < 0.2 else 0.0
+    return build_refrigerator(layout, size, appliance_palette(rng), rng, ajar=ajar)
+
+
+def build_refrigerator(
+    layout: str,
+    size: tuple[float, float, float],
+    palette: Palette,
+    rng: np.random.Generator,
+    *,
+    ajar: float = 0.0,
+) -> ProceduralObject:
+    """A refrigerator of one of the layouts that :func:`refrigerator` names."""
+    b = Builder("Refrigerator", rng)
+    w, d, h = size
+    body = b.base("refrigerator_body")
+    bottom, wall, thick, gap = 0.04, 0.045, float(rng.uniform(0.045, 0.07)), 0.004
+    front = -d / 2
+    body.add(s.box((0.9 * w, 0.85 * d, bottom), (0, 0.03 * d, bottom / 2)), palette.dark, "plinth")
+    cut = {"freezer_top": 0.7, "freezer_bottom": 0.36, "french": 0.38}.get(layout, 0.0)
+    split = bottom + cut * h
+    zones = (
+        [m.Opening(-w / 2, w / 2, bottom, bottom + h)]
+        if not cut
+        else [m.Opening(-w / 2, w / 2, bottom, split), m.Opening(-w / 2, w / 2, split, bottom + h)]
+    )
+    hollow = 0.85 * d
+    for x in (-1, 1):
+        body.add(
+            s.box(
+                (wall, hollow, h), (x * (w - wall) / 2, front + hollow / 2, bottom + h / 2), 0.004
+            ),
+            palette.body,
+            "side_wall",
+        )
+    body.add(
+        s.box((w, d - hollow, h), (0, d / 2 - (d - hollow) / 2, bottom + h / 2), 0.004),
+        palette.body,
+        "back",
+    )
+    inner = w - 2 * wall
+    levels = [bottom + wall / 2, bottom + h - wall / 2] + ([split] if cut else [])
+    for z in levels:
+        body.add(s.box((inner, hollow, wall), (0, front + hollow / 2, z)), palette.body, "wall")
+    if layout == "side_by_side":
+        body.add(
+            s.box((wall, hollow, h - 2 * wall), (0, front + hollow / 2, bottom + h / 2)),
+            palette.body,
+            "divider",
+        )
+    shelf = glass((190, 214, 220), 150)
+    for zone in zones:
+        for k in range(int(zone.height // 0.3)):
+            z = zone.z0 + zone.height * (k + 1) / (zone.height // 0.3 + 1)
+            body.add(
+                s.box((inner, 0.8 * hollow, 0.008), (0, front + 0.55 * hollow, z)), shelf, "shelf"
+            )
+    style: m.HandleStyle = ("bar", "bow", "flat")[rng.integers(3)]
+    length = float(rng.uniform(0.25, 0.6))
+    side: m.Side = "left" if rng.random() < 0.5 else "right"
+    look = m.DoorSpec(
+        side, float(rng.uniform(1.6, 2.2)), "plain", style, length, 0.05, 0.5, 0.05, thick
+    )
+    moving: list[Body] = []
+
+    def close(r: m.Opening, hinge: m.Side, at: float) -> None:
+        part = m.door(
+            b,
+            body,
+            r.shrunk(gap / 2),
+            front - 0.006,
+            replace(look, hinge=hinge, handle_at=at),
+            palette,
+        )
+        seal = s.frame((r.width - 0.05, r.height - 0.05), (r.width - 0.09, r.height - 0.09), 0.005)
+        part.add(seal.moved((r.center[0], front - 0.0035, r.center[1])), rubber(), "gasket")
+        moving.append(part)
+
+    top = zones[-1]
+    if layout in ("side_by_side", "french"):
+        close(replace(top, x1=0.0), "left", 0.4)
+        close(replace(top, x0=0.0), "right", 0.4)
+    else:
+        close(top, side, 0.15 if cut else 0.6)
+    if cut and layout == "french":
+        _freezer_drawers(
+            b, body, zones[0], front, thick, inner, hollow, palette, style, int(rng.integers(1, 3))
+        )
+    elif cut:
+        close(zones[0], side, 0.85)
+    rest = {moving[-1].link: min(ajar, look.swing)} if ajar else None
+    return b.build(rest)
+
+
+def _freezer_drawers(
+    b: Builder,
+    body: Body,
+    zone: m.Opening,
+    front: float,
+    thick: float,
+    inner: float,
+    hollow: float,
+    palette: Palette,
+    style: m.HandleStyle,
+    count: int,
+) -> None:
+    cuts = np.linspace(zone.z0, zone.z1, count + 1)
+    for a, z in itertools.pairwise(cuts):
+        r = m.Opening(zone.x0, zone.x1, float(a), float(z)).shrunk(0.002)
+        cell = m.Opening(
+            -inner / 2,
+            inner / 2,
+            max(float(a), zone.z0 + 0.045) + 0.002,
+            min(float(z), zone.z1 - 0.025) - 0.002,
+        )
+        m.drawer(
+            b,
+            body,
+            r,
+            front - 0.006,
+            0.75 * hollow,
+            palette,
+            inner=cell,
+            handle_style=style,
+            thickness=thick,
+            inside=INSIDE,
+            travel=0.8,
+            handle_length=0.6,
+        )
+
+
+def microwave(rng: np.random.Generator) -> ProceduralObject:
+    """A door beside a panel of buttons or knobs, perhaps a turntable."""
+    b = Builder("Microwave", rng)
+    palette = appliance_palette(rng)
+    w, d, h = (float(v) for v in rng.uniform((0.42, 0.32, 0.24), (0.6, 0.46, 0.36)))
+    bottom, wall, thick = 0.012, 0.025, 0.028
+    panel_width = float(rng.uniform(0.18, 0.26)) * w
+    body = b.base("microwave_body")
+    split = w / 2 - panel_width
+    opening = m.Opening(-w / 2 + wall, split - wall, bottom + wall, bottom + h - wall)
+    housing(body, (w, d, h), opening, palette, bottom)
+    for x in (-1, 1):
+        for y in (-1, 1):
+            body.add(
+                s.cylinder(0.015, bottom + 0.004, segments=12).moved(
+                    (x * 0.4 * w, y * 0.38 * d, bottom / 2 + 0.002)
+                ),
+                palette.dark,
+                "foot",
+            )
+    front = -d / 2
+    fascia = m.Opening(split + 0.0015, w / 2, bottom, bottom + h)
+    body.add(
+        s.box(
+            (fascia.width, thick, fascia.height),
+            (fascia.center[0], front - thick / 2, fascia.center[1]),
+            0.003,
+        ),
+        palette.dark,
+        "control_panel",
+    )
+    face = front - thick
+    side: m.Side = "left"
+    look = m.DoorSpec(
+        side,
+        float(rng.uniform(1.5, 2.0)),
+        "window",
+        ("bar", "flat", "bow", None)[rng.integers(4)],
+        0.6 * h,
+        0.03,
+        0.5,
+        0.03,
+        thick - 0.002,
+    )
+    m.door(
+        b, body, m.Opening(-w / 2, split - 0.0015, bottom, bottom + h), front - 0.002, look, palette
+    )
+    cx = fascia.center[0]
+    body.add(
+        s.box((0.75 * panel_width, 0.004, 0.14 * h), (cx, face - 0.001, bottom + 0.87 * h)),
+        picture("panel", int(rng.integers(6))),
+        "display",
+    )
+    if rng.random() < 0.5:
+        mark = plain("mark", (240, 240, 240))
+        for z in (0.3, 0.62)[: int(rng.integers(1, 3))]:
+            m.knob(
+                b,
+                body,
+                (cx, face, bottom + z * h),
+                0.3 * panel_width,
+                0.02,
+                palette.accent,
+                mark,
+                style=int(rng.integers(3)),
+                limits=(0.0, 4.71) if rng.random() < 0.5 else None,
+            )
+    else:
+        rows, cols = int(rng.integers(3, 6)), 3
+        pitch = (0.28 * panel_width, 0.6 * h / rows)
+        for i in range(rows):
+            for j in range(cols):
+                at = (cx + (j - 1) * pitch[0], face, bottom + 0.1 * h + (i + 0.5) * pitch[1])
+                m.push_button(b, body, at, (0.8 * pitch[0], 0.7 * pitch[1], 0.004), palette.accent)
+    if rng.random() < 0.6:
+        plate = b.spin(
+            "tray", body, (0, 0, 1), (opening.center[0], front + 0.43 * d, opening.z0 + 0.012)
+        )
+        r = 0.45 * min(opening.width, 0.86 * d)
+        dish = s.lathe(
+            [(0.3 * r, 0.012), (r, 0.016), (r, 0.02), (0.95 * r, 0.019), (0.3 * r, 0.016)], 28
+        )
+        plate.add(dish.moved((opening.center[0], front + 0.43 * d, opening.z0)), glass(), "plate")
+    return b.build()
+
+
+def dishwasher(rng: np.random.Generator) -> ProceduralObject:
+    """A door that folds down, racks that slide out, buttons above."""
+    b = Builder("Dishwasher", rng)
+    palette = appliance_palette(rng)
+    w, d, h = (float(v) for v in rng.uniform((0.45, 0.52, 0.76), (0.6, 0.6, 0.84)))
+    bottom, wall, thick = 0.08, 0.03, 0.03
+    body = b.base("dishwasher_body")
+    body.add(
+        s.box((0.96 * w, 0.8 * d, bottom + 0.002), (0, 0.05 * d, bottom / 2)),
+        palette.dark,
+        "plinth",
+    )
+    built_in = rng.random() < 0.5
+    strip = 0.0 if built_in else 0.1
+    opening = m.Opening(-w / 2 + wall, w / 2 - wall, bottom + wall, bottom + h - strip - wall)
+    housing(body, (w, d, h), opening, palette, bottom)
+    front = -d / 2
+    top = bottom + h - strip
+    style: m.HandleStyle | None = ("bar", "bow", "flat", "lip")[rng.integers(4)]
+    m.door(
+        b,
+        body,
+        m.Opening(-w / 2 + 0.001, w / 2 - 0.001, bottom + 0.002, top - 0.003),
+        front - 0.002,
+        m.DoorSpec("bottom", np.pi / 2, "plain", style, 0.7 * w, 0.04, 0.5, 0.06, thick),
+        palette,
+    )
+    count = int(rng.integers(2, 7))
+    if strip:
+        body.add(
+            s.box((w, thick, strip - 0.002), (0, front - thick / 2, top + strip / 2), 0.003),
+            palette.dark,
+            "control_panel",
+        )
+        for k in range(count):
+            x = (k - (count - 1) / 2) * 0.045
+            m.push_button(
+                b,
+                body,
+                (x, front - thick, top + strip / 2),
+                (0.026, 0.016, 0.005),
+                palette.accent,
+                round_=bool(k % 2),
+            )
+        m.knob(
+            b,
+            body,
+            (0.4 * w, front - thick, top + strip / 2),
+            0.028,
+            0.022,
+            palette.accent,
+            plain("mark", (230, 230, 230)),
+            style=int(rng.integers(3)),
+        )
+    for k in range(int(rng.integers(1, 3))):
+        z = opening.z0 + (0.08 + 0.5 * k) * opening.height
+        shelf = b.slide("shelf", body, (0, -1, 0), 0.0, 0.62 * d, (0, 0, z))
+        deep = 0.76 * d
+        solid = basket(opening.width - 0.012, deep, 0.09).moved((0, front + deep / 2 + 0.012, z))
+        shelf.add(solid, metal("white"), "rack")
+    return b.build()
+
+
+def washing_machine(rng: np.random.Generator) -> ProceduralObject:
+    """A front loader: round door, drum, detergent drawer, programme knob and buttons."""
+    b = Builder("WashingMachine", rng)
+    palette = appliance_palette(rng)
+    w, d, h = (float(v) for v in rng.uniform((0.55, 0.48, 0.8), (0.65, 0.6, 0.9)))
+    bottom, strip = 0.02, 0.12
+    body = b.base("washingmachine_body")
+    radius = float(rng.uniform(0.26, 0.32)) * w
+    cz = bottom + 0.5 * (h - strip)
+    front = -d / 2
+    _round_opening(body, w, d, h, bottom, radius, cz, palette)
+    for x in (-1, 1):
+        for y in (-1, 1):
+            body.add(
+                s.cylinder(0.02, bottom + 0.004, segments=12).moved(
+                    (x * 0.42 * w, y * 0.4 * d, bottom / 2 + 0.002)
+                ),
+                palette.dark,
+                "foot",
+            )
+    _porthole(b, body, radius, front, cz, palette, rng)
+    drum = b.spin("drum", body, (0, 1, 0), (0, 0, cz))
+    r = 0.93 * radius
+    shell = s.lathe(
+        [
+            (r, 0),
+            (r, 0.6 * d),
+            (0.0, 0.6 * d),
+            (0.0, 0.59 * d),
+            (0.95 * r, 0.59 * d),
+            (0.95 * r, 0),
+        ],
+        28,
+    )
+    drum.add(
+        s.along(shell, 1).scaled((1, -1, 1)).moved((0, front + 0.05, cz)), metal("steel"), "drum"
+    )
+    for k in range(3):
+        fin = s.box((0.03, 0.45 * d, 0.16 * r), (0, front + 0.05 + 0.3 * d, 0.86 * r), 0.004)
+        drum.add(fin.turned((0, 1, 0), 2.094 * k).moved((0, 0, cz)), metal("steel"), "fin")
+    zs = bottom + h - strip / 2
+    _washing_controls(b, body, w, front, zs, strip, palette, rng)
+    return b.build()
+
+
+def _round_opening(
+    body: Body,
+    w: float,
+    d: float,
+    h: float,
+    bottom: float,
+    radius: float,
+    cz: float,
+    palette: Palette,
+) -> None:
+    """A cabinet with a round hole in its front, hollow behind it."""
+    wall, front = 0.015, -d / 2
+    angles = (np.arange(32) + 0.5) * 2 * np.pi / 32
+    unit = np.stack([np.cos(angles), np.sin(angles)], 1)
+    low, high = bottom - cz, bottom + h - cz
+    for x, z in ((w / 2, high), (-w / 2, high), (-w / 2, low), (w / 2, low)):
+        # The corners belong to the outline: the nearest direction is turned to each.
+        corner = np.array([x, z]) / np.hypot(x, z)
+        unit[np.argmax(unit @ corner)] = corner
+    # The outer rim: where the ray at each angle leaves the rectangle.
+    with np.errstate(divide="ignore"):
+        reach = np.minimum(
+            (w / 2) / np.abs(unit[:, 0]),
+            np.where(unit[:, 1] > 0, high / unit[:, 1], low / unit[:, 1]),
+        )
+    outer, inner = unit * reach[:, None], unit * radius
+    loops = [
+        s.at(outer, wall / 2),
+        s.at(outer, -wall / 2),
+        s.at(inner, -wall / 2),
+        s.at(inner, wall / 2),
+    ]
+    plate = s.along(s.loft(loops, ring=True), 1).moved((0, front + wall / 2, cz))
+    body.add(plate, palette.front, "front")
+    z = bottom + h / 2
+    for side in (-1, 1):
+        body.add(
+            s.box((wall, d - wall, h), (side * (w - wall) / 2, wall / 2, z), 0.003),
+            palette.body,
+            "side_wall",
+        )
+    body.add(s.box((w - 2 * wall, wall, h), (0, (d - wall) / 2, z)), palette.body, "back")
+    for at in (bottom + wall / 2, bottom + h - wall / 2):
+        body.add(s.box((w - 2 * wall, d - 2 * wall, wall), (0, 0, at)), palette.body, "wall")
+    body.add(
+        s.box((w + 0.004, d + 0.004, 0.02), (0, 0, bottom + h + 0.009), 0.005), palette.body, "top"
+    )
+
+
+def _porthole(
+    b: Builder,
+    body: Body,
+    radius: float,
+    front: float,
+    cz: float,
+    palette: Palette,
+    rng: np.random.Generator,
+) -> None:
+    outer, thick = 1.18 * radius, 0.04
+    side = -1 if rng.random() < 0.6 else 1
+    hinge_x = side * (outer + 0.012)
+    axis = (0, 0, -1) if side < 0 else (0, 0, 1)
+    door = b.hinge(
+        "door", body, axis, (hinge_x, front - 0.5 * thick, cz), 0.0, float(rng.uniform(1.8, 2.6))
+    )
+    rim = s.ring(
+        [
+            (0.72 * radius, 0.004),
+            (outer, 0.004),
+            (outer, 0.6 * thick),
+            (0.92 * outer, thick),
+            (0.78 * radius, 0.9 * thick),
+        ],
+        36,
+    )
+    door.add(
+        s.along(rim, 1).moved((0, front, cz)),
+        palette.accent if rng.random() < 0.5 else metal("white"),
+        "rim",
+    )
+    bowl = s.lathe(
+        [
+            (0.74 * radius, 0.012),
+            (0.74 * radius, 0.024),
+            (0.0, 0.03),
+            (0.0, 0.024),
+            (0.7 * radius, 0.012),
+        ],
+        28,
+    )
+    door.add(s.along(bowl, 1).moved((0, front, cz)), glass((90, 110, 120), 160), "glass")
+    lug = s.box((0.05, 0.02, 0.09), (side * (outer - 0.012), front - 0.5 * thick, cz), 0.004)
+    door.add(lug, palette.metal, "hinge")
+    grip = m.handle("flat", 0.09, 0.02)
+    m.add(
+        door, m.place(grip, (-side * 0.9 * outer, front - 0.8 * thick, cz)), palette.dark, "handle"
+    )
+
+
+def _washing_controls(
+    b: Builder,
+    body: Body,
+    w: float,
+    front: float,
+    z: float,
+    strip: float,
+    palette: Palette,
+    rng: np.random.Generator,
+) -> None:
+    face = front - 0.012
+    if rng.random() < 0.85:
+        r = m.Opening(-0.47 * w, -0.2 * w, z - 0.4 * strip, z + 0.38 * strip)
+        drawer = b.slide("drawer", body, (0, -1, 0), 0.0, 0.18, (r.center[0], front, r.center[1]))
+        m.panel(drawer, r, front - 0.001, 0.014, "plain", palette)
+        grip = m.handle("lip", 0.6 * r.width, 0.016)
+        m.add(
+            drawer,
+            m.place(grip, (r.center[0], front - 0.015, r.z0 + 0.02), roll=np.pi / 2),
+            palette.dark,
+            "handle",
+        )
+    body.add(
+        s.box((0.64 * w, 0.012, 0.74 * strip), (0.155 * w, front - 0.006, z), 0.003),
+        palette.dark,
+        "control_panel",
+    )
+    mark = plain("mark", (240, 240, 240))
+    m.knob(
+        b,
+        body,
+        (0.0, face, z),
+        0.03,
+        0.025,
+        metal("white"),
+        palette.dark,
+        style=int(rng.integers(3)),
+        limits=None if rng.random() < 0.7 else (-2.6, 2.6),
+    )
+    body.add(
+        s.box((0.15 * w, 0.004, 0.35 * strip), (0.17 * w, face - 0.001, z)),
+        picture("panel", int(rng.integers(5))),
+        "display",
+    )
+    for k in range(int(rng.integers(2, 6))):
+        m.push_button(
+            b,
+            body,
+            (0.29 * w + 0.034 * k - 0.02, face, z),
+            (0.018, 0.018, 0.005),
+            mark,
+            round_=True,
+        )

@@ -1,0 +1,203 @@
+"""Simulated scans: a depth camera before an object, with the faults of one.
+
+Each view casts a camera's rays, so that what is hidden stays hidden and the far side is missing.
+Depth noise grows with the square of the distance, edges smear, surfaces seen at a slant and a few
+patches return nothing, and stray points float about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.datasets.procedural.casting import Caster, Hits, camera_rays, daylight
+from model.errors import ConfigurationError
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import ArticulatedObject
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a camera stands: it looks at the object's middle.
+
+    Attributes:
+        azimuth: radians; 0 is before the front, positive to the viewer's right.
+        elevation: radians above the middle.
+        distance: metres from the middle, or None for 1.6 diagonals.
+    """
+
+    azimuth: float
+    elevation: float
+    distance: float | None = None
+
+
+@dataclass(frozen=True)
+class ScanSettings:
+    """How well the camera sees.
+
+    Attributes:
+        views: at least one.
+        points: how many points remain in all (fewer where fewer are seen).
+        depth_noise: standard deviation of the depth in metres at 1 m; grows with distance squared.
+        color_noise: standard deviation in 0..255; each view has its own exposure as well.
+        smear: share of the points at depth edges that are drawn into the gap behind them.
+        holes: patches a view where nothing returns; hole_size: their radius in diagonals.
+        outliers: share of stray points.
+        misalignment: metres and radians (standard deviation) between the views.
+        see_through: glass is not seen at all.
+    """
+
+    views: tuple[View, ...] = (View(-0.45, 0.35), View(0.5, 0.3))
+    points: int = 100_000
+    depth_noise: float = 0.0012
+    color_noise: float = 6.0
+    smear: float = 0.25
+    holes: int = 3
+    hole_size: float = 0.02
+    outliers: float = 0.002
+    misalignment: float = 0.0006
+    see_through: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise ConfigurationError("a scan needs at least one view")
+        if self.points < 1:
+            raise ConfigurationError(f"points must be 1 or more, got {self.points}")
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledScan:
+    """A scan whose points know what they are.
+
+    Attributes:
+        cloud: points and colours, object frame.
+        part: (N,) int32 index of the part in the object's order; -1 for stray points.
+    """
+
+    cloud: PointCloud
+    part: npt.NDArray[np.int32]
+
+
+def simulate_scan(
+    obj: ArticulatedObject, settings: ScanSettings, rng: np.random.Generator
+) -> LabelledScan:
+    """Scan an object in its rest pose.
+
+    Points come view by view in the camera's row order.
+    """
+    bounds = np.concatenate([p.bounds for p in obj.parts])
+    low, high = bounds.min(0), bounds.max(0)
+    diagonal = float(np.linalg.norm(high - low))
+    caster = Caster(obj, see_through=settings.see_through)
+    each = [
+        _view(caster, view, settings, (low + high) / 2, diagonal, rng) for view in settings.views
+    ]
+    points, colors, part = (np.concatenate([e[k] for e in each]) for k in range(3))
+    if len(points) > settings.points:
+        kept = np.sort(rng.choice(len(points), settings.points, replace=False))
+        points, colors, part = points[kept], colors[kept], part[kept]
+    stray = int(settings.outliers * len(points))
+    if stray:
+        spots = rng.uniform(low - 0.05 * diagonal, high + 0.05 * diagonal, (stray, 3))
+        points = np.concatenate([points, spots])
+        colors = np.concatenate([colors, rng.integers(40, 220, (stray, 3))])
+        part = np.concatenate([part, np.full(stray, -1)])
+    cloud = PointCloud(points.astype(np.float32), None, np.clip(colors, 0, 255).astype(np.uint8))
+    return LabelledScan(cloud, part.astype(np.int32))
+
+
+def _view(
+    caster: Caster,
+    view: View,
+    settings: ScanSettings,
+    middle: Array,
+    diagonal: float,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, npt.NDArray[np.int32]]:
+    # About a quarter of the picture is the object; more rays than points are cast.
+    side = int(np.sqrt(5.5 * settings.points / len(settings.views))) + 8
+    eye, directions = _camera(view, middle, diagonal, side)
+    hits = caster.cast(np.tile(eye, (len(directions), 1)), directions)
+    light = daylight(caster, hits, samples=8, reach=0.12 * diagonal)
+    sigma = settings.depth_noise * hits.distance**2
+    slant = np.abs(np.einsum("ij,ij->i", hits.normals, directions[hits.ray]))
+    depth = hits.distance + sigma * rng.standard_normal(len(sigma)) / np.clip(slant, 0.25, 1)
+    depth = _smeared(hits, depth, side, settings.smear, diagonal, rng)
+    kept = rng.random(len(depth)) < np.clip(slant / 0.3, 0.02, 1)
+    kept &= ~_holes(hits, settings, diagonal, rng)
+    points = eye + depth[:, None] * directions[hits.ray]
+    points = _misaligned(points, middle, settings.misalignment, rng)
+    exposure = rng.uniform(0.92, 1.08) * (1 + rng.normal(0, 0.015, 3))
+    colors = hits.colors * light[:, None] * exposure + rng.normal(
+        0, settings.color_noise, points.shape
+    )
+    return points[kept], colors[kept], hits.part[kept]
+
+
+def _camera(view: View, middle: Array, diagonal: float, side: int) -> tuple[Array, Array]:
+    """(3,) eye and (side², 3) rays of a square picture that holds the object."""
+    distance = 1.6 * diagonal if view.distance is None else view.distance
+    ce = np.cos(view.elevation)
+    away = np.array([np.sin(view.azimuth) * ce, -np.cos(view.azimuth) * ce, np.sin(view.elevation)])
+    eye = middle + distance * away
+    return eye, camera_rays(
+        eye, middle, side, side, 2 * float(np.arctan(0.56 * diagonal / distance))
+    )
+
+
+def _smeared(
+    hits: Hits, depth: Array, side: int, share: float, diagonal: float, rng: np.random.Generator
+) -> Array:
+    """Points beside a jump in depth, drawn part of the way into it."""
+    image = np.full(side * side, np.nan)
+    image[hits.ray] = hits.distance
+    image = image.reshape(side, side)
+    right = np.full_like(image, np.nan)
+    right[:, :-1] = image[:, 1:]
+    jump = (right - image).reshape(-1)[hits.ray]
+    edge = np.isfinite(jump) & (np.abs(jump) > 0.01 * diagonal) & (np.abs(jump) < 0.2 * diagonal)
+    edge &= rng.random(len(edge)) < share
+    out = depth.copy()
+    out[edge] += jump[edge] * rng.random(int(edge.sum())) * 0.6
+    return out
+
+
+def _holes(
+    hits: Hits, settings: ScanSettings, diagonal: float, rng: np.random.Generator
+) -> npt.NDArray[np.bool_]:
+    """Patches that return nothing, and dark surfaces that return little."""
+    out = np.zeros(len(hits.points), bool)
+    if not len(out):
+        return out
+    for center in hits.points[rng.integers(len(out), size=settings.holes)]:
+        radius = settings.hole_size * diagonal * rng.uniform(0.5, 1.5)
+        ragged = radius * (1 + 0.25 * rng.standard_normal(len(out)))
+        out |= np.linalg.norm(hits.points - center, axis=1) < ragged
+    dark = hits.colors.max(1) < 45
+    return out | (dark & (rng.random(len(out)) < 0.35))
+
+
+def _misaligned(points: Array, middle: Array, amount: float, rng: np.random.Generator) -> Array:
+    """The view's points, turned and shifted a little, as registration leaves them."""
+    axis = rng.standard_normal(3) * amount
+    shifted = points - middle
+    return middle + shifted + np.cross(axis, shifted) + rng.standard_normal(3) * amount
+
+
+def visible_elements(obj: ArticulatedObject, views: Sequence[View], *, side: int = 320) -> Hits:
+    """What cameras at ``views`` see of an object, without noise: for clicks that a person could make."""
+    bounds = np.concatenate([p.bounds for p in obj.parts])
+    low, high = bounds.min(0), bounds.max(0)
+    middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))
+    caster = Caster(obj)
+    found = []
+    for view in views:
+        eye, rays = _camera(view, middle, diagonal, side)
+        found.append(caster.cast(np.tile(eye, (len(rays), 1)), rays, colors=False))
+    names = ("ray", "part", "face", "points", "normals", "distance", "colors")
+    return Hits(*(np.concatenate([getattr(h, n) for h in found]) for n in names))
