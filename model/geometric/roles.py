@@ -85,7 +85,8 @@ def shape_scores(
 
     s["press"] = 2.2 * small + 0.15 * min(k.twins, 6) * small - 0.5 * (1 - k.exposed)
 
-    knob = (k.flat >= 0.27 or (k.size >= 0.085 and k.flat >= 0.15)) and k.size > 0.035
+    clear = disc is not None and disc.radius > 10 * context.shape.noise
+    knob = clear and (k.flat >= 0.27 or (k.size >= 0.085 and k.flat >= 0.15)) and k.size > 0.035
     s["spin"] = 0.0
     if disc is not None:
         s["spin"] += 0.6
@@ -95,7 +96,7 @@ def shape_scores(
             s["spin"] += 2.6 if k.grounded else 1.2 * (1 - _step(k.height, 0.5, 0.3))
         if level_disc and k.flat < 0.9:
             s["spin"] += 1.0
-        if k.ball:
+        if k.ball and clear:
             s["spin"] += 2.5
         if (
             level_disc
@@ -148,15 +149,20 @@ def shape_scores(
     drawer = k.way_out * embedded * (0.5 + 1.5 * deep) + k.way_out * deep * large * 1.0
     wide = _step(k.face[0] / max(k.face[1], 1e-6), 1.9, 0.6)
     low = 1 - _step(k.face[1] / max(context.base.size, 1e-6), 0.22, 0.1)
-    front_only = is_panel * standing * wide * low * large
-    # Of a closed drawer a scan shows only the front.
-    drawer += front_only * (2.3 if k.scanned else 0.9 * k.way_out)
+    if k.scanned:
+        # Of a closed drawer a scan shows only the front, and perhaps a rim.
+        flat_out = 1 - _step(k.depth / max(k.face[0], 1e-6), 1.0, 0.4)
+        drawer += 2.4 * context.closed * wide * low * large * flat_out
+    else:
+        drawer += 0.9 * k.way_out * is_panel * standing * wide * low * large
     s["slide_out"] = 0.3 + drawer - (2.0 if upright_disc else 0.0)
 
     s["temple"] = 0.2 + rod * (1.3 * k.end_contact + 0.4 * large)
     if k.twins and not context.closed:
         s["temple"] += 0.5 * rod * k.end_contact
     middling = (1 - small) * (1 - _step(k.size, 0.42, 0.1))
+    if context.closed:
+        middling *= 0.5
     s["lever"] = 0.3 + middling * (1 - is_panel) * (0.9 + 0.8 * k.end_contact)
     bail, legs = _bail(context, k)
     # A long-legged bow that stands on its parent is pulled out of it.

@@ -103,6 +103,11 @@ class Scene:
                     out[i, j] = out[j, i] = max(0.0, near - 0.5 * self.spacing(b))
         return out
 
+    @cached_property
+    def noise(self) -> float:
+        """Largest noise of the parts (diagonals); 0 for meshes."""
+        return max(s.noise for s in self.shapes)
+
     def spacing(self, i: int) -> float:
         """Typical distance between neighbouring samples of part ``i``."""
         s = self.shapes[i]
@@ -205,6 +210,9 @@ def make_scene(segmented: SegmentedObject, seed: int = 0) -> Scene:
     )
     yaw = dominant_yaw(normals, weights, [s.points for s in sampled])
     frame = WorkingFrame(center, yaw, diagonal)
+    # One scanner, one noise: parts with few points can't tell theirs.
+    each = sorted((s.noise, len(s.points)) for s in sampled if s.noise)
+    noise = each[len(each) // 2][0] if each else 0.0
     shapes = tuple(
         Shape(
             part.link,
@@ -214,7 +222,7 @@ def make_scene(segmented: SegmentedObject, seed: int = 0) -> Scene:
             frame.to_working(s.outline),
             s.area / diagonal**2,
             part.mesh is None or not len(part.mesh.faces),
-            s.noise / diagonal,
+            max(s.noise, noise) / diagonal if s.noise else 0.0,
         )
         for part, s in zip(parts, sampled, strict=True)
     )

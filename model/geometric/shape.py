@@ -130,6 +130,8 @@ class Shape:
     def roundnesses(self) -> tuple[Roundness, ...]:
         """For each candidate axis (box axes, then principal axes), roundest first."""
         axes = [*self.box.axes.T]
+        if self.scanned:
+            axes += [*np.eye(3)]
         if self.size > 30 * self.noise:
             axes += [*self.principal.T]
         kept: list[Array] = []
@@ -300,7 +302,7 @@ def fit_box(points: Array, scanned: bool, noise: float = 0.0) -> Box:
     best = _box_in(points, np.eye(3), scanned)
     if scanned and float(np.sort(best.half)[1]) < 8 * noise:
         return best
-    limit = (0.75 if scanned else 0.9) * best.volume
+    limit = (0.55 if scanned else 0.9) * best.volume
     coarse = points[:: max(1, len(points) // 400)]
     for k in range(3):
         turned = _turned_box(points, coarse, k, scanned)

@@ -118,31 +118,44 @@ def lift_hypotheses(context: PartContext) -> list[Hypothesis]:
 def press_hypotheses(context: PartContext) -> list[Hypothesis]:
     """Into the surface that the button sits on."""
     shape = context.shape
-    covers = context.covers
     found = []
-    half = shape.box.half
-    flat = 1 - half / max(float(half.max()), 1e-9)
     normals = _parent_normals(context)
-    away = context.directions @ unit(shape.center - _surface_center(context))
-    for k, direction in enumerate(context.directions):
-        score = 1.2 * covers[(k + 3) % 6] - 1.2 * covers[k] + 1.0 * flat[k % 3]
-        score += 1.2 * float(np.mean(np.abs(normals @ direction))) if len(normals) else 0.0
-        score += 0.5 * away[k]
+    choices = [(d, c) for d, c in zip(context.directions, _covered(context), strict=True)]
+    local = _surface_normal(normals)
+    if local is not None and np.abs(context.directions @ local).max() < 0.995:
+        for d in (local, -local):
+            near = int(np.argmax(context.directions @ d))
+            choices.append((d, choices[near][1]))
+    surface = unit(shape.center - _surface_center(context))
+    sides = np.abs(shape.box.axes.T @ np.stack([d for d, _ in choices]).T).T @ shape.box.half
+    flat = 1 - sides / max(float(sides.max()), 1e-9)
+    sure = 2.0 if shape.scanned else 1.2
+    for (direction, (ahead, behind)), reach, thin in zip(choices, sides, flat, strict=True):
+        score = 1.2 * behind - 1.2 * ahead + thin * (0.5 if shape.scanned else 1.0)
+        if len(normals):
+            score += sure * float(np.mean(np.abs(normals @ direction)))
+        if shape.scanned:
+            score += 1.0 * float(np.mean(np.abs(shape.normals @ direction)))
+        score += 0.5 * float(direction @ surface)
         score += 0.15 * float(direction @ context.assembly.front) + 0.1 * max(0.0, direction[2])
-        depth = 2 * shape.box.reach(direction)
-        travel = float(np.clip(0.6 * depth, 0.002, 0.02))
-        found.append(
-            Hypothesis(
-                "prismatic",
-                -direction,
-                shape.center,
-                0.0,
-                travel,
-                score,
-                "pressed into its surface",
-            )
-        )
+        travel = float(np.clip(0.6 * 2 * reach, 0.002, 0.02))
+        note = "pressed into its surface"
+        found.append(Hypothesis("prismatic", -direction, shape.center, 0.0, travel, score, note))
     return found
+
+
+def _covered(context: PartContext) -> list[tuple[float, float]]:
+    """For each of the part's directions: what is in front, and what is behind."""
+    covers = context.covers
+    return [(float(covers[k]), float(covers[(k + 3) % 6])) for k in range(6)]
+
+
+def _surface_normal(normals: Array) -> Array | None:
+    """(3,) the direction that most of the normals share; None where they don't agree."""
+    if len(normals) < 6:
+        return None
+    values, vectors = np.linalg.eigh(normals.T @ normals / len(normals))
+    return vectors[:, 2] if values[2] > 0.75 else None
 
 
 def _parent_normals(context: PartContext) -> Array:

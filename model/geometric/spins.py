@@ -26,6 +26,7 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
         # A disc turns about its short axis; a rod about its long one.
         score += 0.4 * float(np.clip(1 - r.half / max(r.radius, 1e-6), -0.3, 1))
         level = 1 - abs(float(r.axis @ UP))
+        score += _scan_bonus(shape, r.axis)
         if wheel:
             score += 1.2 * level
         for sign in (-1.0, 1.0):
@@ -45,7 +46,8 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
                 note=f"turns about its symmetry axis (outline round to {100 * r.spread:.0f} %)",
             )
         )
-    poles = _poles(context) if sum(r.round for r in shape.roundnesses) >= 3 else None
+    ball = sum(r.round for r in shape.roundnesses) >= 3 and shape.size > 25 * shape.noise
+    poles = _poles(context) if ball and not wheel else None
     if poles is not None:
         found.append(
             Hypothesis("continuous", poles, shape.center, score=4.5, note="ball held at two poles")
@@ -59,6 +61,11 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
         thin = shape.box.axes[:, shape.order[0]]
         found.append(Hypothesis("continuous", thin, shape.center, score=0.0, note="spins"))
     return found
+
+
+def _scan_bonus(shape: Shape, axis: Array) -> float:
+    """Half-seen parts tilt their own axes: scans prefer the object's directions."""
+    return 0.9 if shape.scanned and np.abs(axis).max() > 0.9995 else 0.0
 
 
 def _hub(context: PartContext, r: Roundness) -> Array:
@@ -157,7 +164,7 @@ def screw_hypotheses(context: PartContext) -> list[Hypothesis]:
     for r in shape.roundnesses:
         axis = r.axis * (1.0 if r.axis @ along >= 0 else -1.0)
         score = 2.0 * float(np.clip(1 - r.spread / 0.11, -0.5, 1)) + float(axis @ along)
-        score += 0.4 * abs(float(axis @ UP))
+        score += 0.4 * abs(float(axis @ UP)) + _scan_bonus(shape, axis)
         h = Hypothesis(
             "continuous",
             axis,
