@@ -24,34 +24,34 @@ import contextlib
 import hashlib
 import json
 import platform
-import re
 import secrets
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from model.errors import GeometryError, InputFileError
 from model.exporters.inertia import inertials_of
+from model.exporters.part_files import PartFile, write_parts
+from model.exporters.reload import AREA_TOLERANCE, reload_check
+from model.exporters.saved import (
+    FORMAT,
+    PROVENANCE,
+    TREE,
+    URDF,
+    load_object,
+    read_provenance,
+)
 from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.tree_json import tree_to_json
-from model.kinematics.urdf import read_urdf, write_urdf
+from model.kinematics.urdf import write_urdf
 from model.progress import Progress, no_progress
 
-FORMAT = 1
-URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"
-MIN_CLOUD = 4
-"""Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
-AREA_TOLERANCE = 1e-6
-"""Relative: the parts' areas must add up to the original's."""
+__all__ = ["AssetFiles", "load_object", "read_provenance", "reload_check", "write_asset"]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def write_asset(
     except OSError as error:
         raise _unwritable(folder, error) from error
     try:
-        parts = _write_parts(obj, fresh, progress)
+        parts = write_parts(obj, fresh, progress=progress)
         _write_texts(obj, fresh, parts, json.loads(text), original)
         _take_place(fresh, folder)
     except OSError as error:
@@ -115,70 +115,9 @@ def write_asset(
         folder / URDF,
         folder / TREE,
         folder / PROVENANCE,
-        {p["link"]: folder / p["mesh"] for p in parts},
-        {p["link"]: folder / p["cloud"] for p in parts if p["cloud"]},
+        {p.link: folder / p.mesh for p in parts},
+        {p.link: folder / p.cloud for p in parts if p.cloud},
     )
-
-
-def load_object(folder: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
-    """The object of an asset folder, with its category, part names and clouds.
-
-    Raises:
-        InputFileError: for a folder that isn't one, or a damaged file in it.
-    """
-    from model.geometry.readers import read_asset
-
-    folder = Path(folder)
-    kept = read_provenance(folder)["asset"]
-    obj = read_urdf(folder / URDF, progress=progress)
-    entries = {entry["link"]: entry for entry in kept.get("parts", [])}
-    parts: list[Part] = []
-    for part in obj.parts:
-        entry = entries.get(part.link, {})
-        if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
-            cloud = read_asset(folder / entry["cloud"], up_axis="z").cloud
-            part = replace(part, cloud=cloud)  # noqa: PLW2901
-        parts.append(replace(part, name=entry.get("name")))
-    return replace(obj, parts=tuple(parts), category=kept.get("category"))
-
-
-def read_provenance(folder: str | Path) -> dict[str, Any]:
-    """``provenance.json`` of an asset folder.
-
-    Raises:
-        InputFileError: where it is missing, damaged, or of a newer format.
-    """
-    path = Path(folder) / PROVENANCE
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputFileError(
-            path, error.strerror or "can't be read", "give the folder of a saved asset"
-        ) from error
-    except ValueError as error:
-        raise InputFileError(path, f"is not JSON ({error})", "save the asset again") from error
-    asset = data.get("asset") if isinstance(data, dict) else None
-    if not isinstance(asset, dict) or not isinstance(asset.get("format"), int):
-        raise InputFileError(path, "has no 'asset' entry", "save the asset again")
-    if asset["format"] > FORMAT:
-        raise InputFileError(
-            path, f"has format {asset['format']}, newer than {FORMAT}", "update ArtiWorld"
-        )
-    return data
-
-
-def file_stems(links: Sequence[str]) -> dict[str, str]:
-    """Link → a file name without suffix that every file system takes; ``link_0`` stays."""
-    out: dict[str, str] = {}
-    taken: set[str] = set()
-    for link in links:
-        base = stem = re.sub(r"[^A-Za-z0-9_-]+", "_", link).strip("_") or "part"
-        i = 2
-        while stem.lower() in taken:
-            stem, i = f"{base}_{i}", i + 1
-        taken.add(stem.lower())
-        out[link] = stem
-    return out
 
 
 def _unwritable(folder: Path, error: OSError) -> InputFileError:
@@ -216,93 +155,19 @@ def _check_sums(obj: ArticulatedObject, original: Asset | None) -> None:
             )
 
 
-def _write_parts(obj: ArticulatedObject, folder: Path, progress: Progress) -> list[dict[str, Any]]:
-    from model.geometry.writers import write_cloud, write_mesh
-
-    (folder / MESHES).mkdir()
-    stems = file_stems([p.link for p in obj.parts])
-    out: list[dict[str, Any]] = []
-    for i, part in enumerate(obj.parts):
-        progress(i / len(obj.parts), f"writing {part.link}")
-        stem = f"{MESHES}/{stems[part.link]}"
-        mesh, cloud = part.mesh, part.cloud
-        if mesh is not None and not len(mesh.faces):
-            mesh = None
-        if cloud is not None and not len(cloud):
-            cloud = None
-        if mesh is None and cloud is None:
-            raise GeometryError(
-                f"part {part.link!r} has no face and no point; give it some or remove it"
-            )
-        if cloud is not None:
-            write_cloud(cloud, folder / f"{stem}.ply")
-        shape = mesh if mesh is not None else _surface_of_cloud(cloud)  # type: ignore[arg-type]
-        write_mesh(shape, folder / f"{stem}.obj")
-        out.append(
-            {
-                "link": part.link,
-                "name": part.name,
-                "mesh": f"{stem}.obj",
-                "cloud": f"{stem}.ply" if cloud is not None else None,
-                "faces": len(shape.faces),
-                "points": 0 if cloud is None else len(cloud),
-                "area": float(shape.face_areas.sum()),
-                "flat": _is_flat(shape),
-            }
-        )
-    progress(1.0, "written")
-    return out
-
-
-def _surface_of_cloud(cloud: PointCloud) -> Mesh:
-    """A mesh for the simulator; a box for points that span no surface."""
-    from model.geometry.reconstruct import mesh_from_cloud
-
-    with contextlib.suppress(GeometryError):
-        mesh = mesh_from_cloud(cloud)
-        if len(mesh.faces):
-            return mesh
-    import trimesh
-
-    low, high = cloud.bounds
-    size = np.maximum(high - low, max(0.01 * float((high - low).max()), 1e-3))
-    box = trimesh.creation.box(extents=size)
-    box.apply_translation((low + high) / 2)
-    colors = None
-    if cloud.colors is not None:
-        mean = np.rint(cloud.colors.mean(axis=0))
-        colors = np.tile(np.array([*mean, 255], np.uint8), (len(box.vertices), 1))
-    return Mesh(np.asarray(box.vertices), np.asarray(box.faces), vertex_colors=colors)
-
-
-def _is_flat(mesh: Mesh) -> bool:
-    """Whether MuJoCo would refuse the mesh: it wants four corners and some volume."""
-    corners = np.unique(mesh.vertices[np.unique(mesh.faces)], axis=0)
-    if len(corners) < 4:
-        return True
-    area = float(mesh.face_areas.sum())
-    if area <= 0:
-        return True
-    middle = (mesh.triangles.mean(axis=1) * mesh.face_areas[:, None]).sum(axis=0) / area
-    away = mesh.triangles[:, 0] - middle
-    volume = float(np.abs(np.einsum("fi,fi->f", away, mesh.face_cross)).sum()) / 6
-    return volume < 1e-7 * area * float(np.ptp(corners, axis=0).max())
-
-
 def _write_texts(
     obj: ArticulatedObject,
     folder: Path,
-    parts: list[dict[str, Any]],
+    parts: tuple[PartFile, ...],
     provenance: dict[str, Any],
     original: Asset | None,
 ) -> None:
-    flat = any([p.pop("flat") for p in parts])  # a list: every entry loses its key
     write_urdf(
         obj,
         folder / URDF,
-        {p["link"]: [p["mesh"]] for p in parts},
+        {p.link: [p.mesh] for p in parts},
         inertials=inertials_of(obj),
-        mujoco_visuals=not flat,
+        mujoco_visuals=not any(p.flat for p in parts),
     )
     _write_json(folder / TREE, tree_to_json(obj.tree))
     files = sorted(p for p in folder.rglob("*") if p.is_file())
@@ -311,12 +176,18 @@ def _write_texts(
         "name": obj.name,
         "category": obj.category,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "parts": parts,
+        "parts": [_entry(p) for p in parts],
         "original": None if original is None else _sums(original),
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }
     _write_json(folder / PROVENANCE, provenance)
+
+
+def _entry(part: PartFile) -> dict[str, Any]:
+    out = asdict(part)
+    del out["flat"]
+    return out
 
 
 def _sums(original: Asset) -> dict[str, Any]:

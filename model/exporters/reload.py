@@ -15,19 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from model.errors import ArtiworldError
-from model.exporters.asset_folder import (
-    AREA_TOLERANCE,
-    TREE,
-    URDF,
-    load_object,
-    read_provenance,
-)
+from model.exporters.saved import TREE, URDF, load_object, read_provenance
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.tree_json import tree_json_problems
 from model.kinematics.urdf import link_origins
 
 POSE_TOLERANCE = 1e-6
 """Metres, and the entries of rotation matrices."""
+AREA_TOLERANCE = 1e-6
+"""Relative: the parts' areas must add up to the original's."""
 FILE_AREA_TOLERANCE = 1e-5
 """Relative: an OBJ keeps nine digits of each coordinate, which slivers feel."""
 

@@ -15,8 +15,13 @@ from PIL import Image
 
 from model.errors import GeometryError, InputFileError
 from model.exporters import asset_folder
-from model.exporters.asset_folder import file_stems, load_object, read_provenance, write_asset
-from model.exporters.reload import reload_check
+from model.exporters.asset_folder import (
+    load_object,
+    read_provenance,
+    reload_check,
+    write_asset,
+)
+from model.exporters.part_files import file_stems
 from model.geometry.asset import Asset
 from model.geometry.mesh import Material, Mesh
 from model.geometry.parts import split

@@ -1,0 +1,75 @@
+"""Reading a saved asset back; ``asset_folder`` writes it and tells the format."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from model.errors import InputFileError
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.urdf import read_urdf
+from model.progress import Progress, no_progress
+
+FORMAT = 1
+URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"
+MIN_CLOUD = 4
+"""Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
+
+
+def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
+    """The object of a saved asset, with its category, part names and clouds.
+
+    Args:
+        asset: the folder; or a URDF file, or a folder with an ``object.urdf`` alone, which have
+            neither category nor clouds.
+
+    Raises:
+        InputFileError: for anything else, or a damaged file in it.
+    """
+    from model.geometry.readers import read_asset
+
+    path = Path(asset)
+    if path.is_file():
+        return read_urdf(path, progress=progress)
+    if not (path / URDF).is_file():
+        raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")
+    obj = read_urdf(path / URDF, progress=progress)
+    if not (path / PROVENANCE).is_file():
+        return obj
+    kept = read_provenance(path)["asset"]
+    entries = {entry["link"]: entry for entry in kept.get("parts", [])}
+    parts: list[Part] = []
+    for part in obj.parts:
+        entry = entries.get(part.link, {})
+        cloud = None
+        if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
+            cloud = read_asset(path / entry["cloud"], up_axis="z").cloud
+        parts.append(replace(part, cloud=cloud, name=entry.get("name")))
+    return replace(obj, parts=tuple(parts), category=kept.get("category"))
+
+
+def read_provenance(folder: str | Path) -> dict[str, Any]:
+    """``provenance.json`` of an asset folder.
+
+    Raises:
+        InputFileError: where it is missing, damaged, or of a newer format.
+    """
+    path = Path(folder) / PROVENANCE
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputFileError(
+            path, error.strerror or "can't be read", "give the folder of a saved asset"
+        ) from error
+    except ValueError as error:
+        raise InputFileError(path, f"is not JSON ({error})", "save the asset again") from error
+    asset = data.get("asset") if isinstance(data, dict) else None
+    if not isinstance(asset, dict) or not isinstance(asset.get("format"), int):
+        raise InputFileError(path, "has no 'asset' entry", "save the asset again")
+    if asset["format"] > FORMAT:
+        raise InputFileError(
+            path, f"has format {asset['format']}, newer than {FORMAT}", "update ArtiWorld"
+        )
+    return data
