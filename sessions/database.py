@@ -32,6 +32,9 @@ from model.errors import StoreError
 FORMAT = "0001"
 """Newest migration; the format that this version reads and writes."""
 
+_MIGRATION_LOCK = 0x41525449
+"""Any number, the same in all processes: a server has no lock on tables that aren't there yet."""
+
 _MIGRATIONS = Path(__file__).resolve().parent / "migrations"
 
 metadata = MetaData()
@@ -136,6 +139,8 @@ class Database:
                 return
         # Checked again under the lock: another process may have been first.
         with self.writing() as connection:
+            if connection.dialect.name == "postgresql":
+                connection.execute(text(f"SELECT pg_advisory_xact_lock({_MIGRATION_LOCK})"))
             found = self._format(connection)
             if found == FORMAT:
                 return
@@ -226,7 +231,10 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 def _plain_words(error: Exception) -> str:
-    words = str(getattr(error, "orig", None) or error).splitlines()[0]
+    cause = getattr(error, "orig", None) or error
+    first = cause.args[0] if cause.args else ""
+    # Some drivers hand over the server's message as fields, M being the text.
+    words = str(first.get("M", first) if isinstance(first, dict) else cause).splitlines()[0]
     remedies = {
         "locked": "another program is writing to it and doesn't finish; close that program",
         "not a database": "is no database; move it away, or restore it from a copy",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import random
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from weakref import WeakValueDictionary
@@ -18,7 +20,8 @@ logger = logging.getLogger(__name__)
 
 Subscriber = Callable[[SessionState, Command], None]
 
-MAX_ATTEMPTS = 20
+MAX_ATTEMPTS = 40
+MAX_WAIT = 0.2  # seconds
 
 
 class LiveSession:
@@ -33,6 +36,7 @@ class LiveSession:
         self._next_key = 0
         self._queue: deque[tuple[int, SessionState, Command]] = deque()
         self._delivering = False
+        self._chance = random.Random()
 
     @property
     def state(self) -> SessionState:
@@ -106,6 +110,8 @@ class LiveSession:
             except ConflictError:
                 if attempt == MAX_ATTEMPTS - 1:
                     raise
+                # Waiting by chance keeps processes in step from losing again and again.
+                time.sleep(self._chance.uniform(0, MAX_WAIT) * attempt / MAX_ATTEMPTS)
                 self._catch_up()
                 continue
             self._advance(after, command)

@@ -148,24 +148,12 @@ class Store:
     def open_objects(self, sources: Iterable[tuple[Path, str | None, str]]) -> list[ObjectRecord]:
         """As :meth:`open_object`, for many at once in one transaction."""
         wanted = [(_key(path), sha256, name) for path, sha256, name in sources]
-        with self._database.writing() as connection:
-            known = _by_path(connection, [key for key, _, _ in wanted])
-            fresh = {key: (sha256, name) for key, sha256, name in wanted if key not in known}
-            if fresh:
-                connection.execute(
-                    insert(objects), [_new(k, sha, name) for k, (sha, name) in fresh.items()]
-                )
-                known |= _by_path(connection, list(fresh))
-            out = []
-            for key, sha256, _ in wanted:
-                row = known[key]
-                if sha256 not in (None, row.sha256) and (row.sha256 is None or row.seq == 0):
-                    # Nobody decided anything about the former content, if there was any.
-                    mine = objects.c.id == row.id
-                    connection.execute(update(objects).where(mine).values(sha256=sha256))
-                    row = connection.execute(select(*_COLUMNS).where(mine)).one()
-                out.append(_record(row, changed=sha256 not in (None, row.sha256)))
-        return out
+        try:
+            return self._open_objects(wanted)
+        except StoreError as error:
+            if not isinstance(error.__cause__, exc.IntegrityError):
+                raise
+            return self._open_objects(wanted)  # another process has just made them
 
     def objects(self) -> list[ObjectRecord]:
         """All the objects in the order in which they were opened first."""
@@ -270,6 +258,26 @@ class Store:
             StoreError: naming the file, where it is missing or damaged.
         """
         return self._arrays.get(ref)
+
+    def _open_objects(self, wanted: list[tuple[str, str | None, str]]) -> list[ObjectRecord]:
+        with self._database.writing() as connection:
+            known = _by_path(connection, [key for key, _, _ in wanted])
+            fresh = {key: (sha256, name) for key, sha256, name in wanted if key not in known}
+            if fresh:
+                connection.execute(
+                    insert(objects), [_new(k, sha, name) for k, (sha, name) in fresh.items()]
+                )
+                known |= _by_path(connection, list(fresh))
+            out = []
+            for key, sha256, _ in wanted:
+                row = known[key]
+                if sha256 not in (None, row.sha256) and (row.sha256 is None or row.seq == 0):
+                    # Nobody decided anything about the former content, if there was any.
+                    mine = objects.c.id == row.id
+                    connection.execute(update(objects).where(mine).values(sha256=sha256))
+                    row = connection.execute(select(*_COLUMNS).where(mine)).one()
+                out.append(_record(row, changed=sha256 not in (None, row.sha256)))
+        return out
 
     def _append(
         self,

@@ -175,6 +175,7 @@ def test_endless_conflicts_end(live, store, monkeypatch):
         raise ConflictError("again")
 
     monkeypatch.setattr(store, "append", conflict)
+    monkeypatch.setattr("sessions.live.MAX_WAIT", 0.0)
     with pytest.raises(ConflictError):
         live.do(click(1), "ann")
 

@@ -140,7 +140,7 @@ def begun(rest: st.SearchStrategy[list[Command]]) -> st.SearchStrategy[list[Comm
 
 
 sequences = begun(st.lists(commands, min_size=12, max_size=50))
-quick = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=35, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def contexts(index: int) -> Context:
@@ -230,7 +230,7 @@ def test_what_must_hold_of_every_document(sequence):
             assert document.segmentation_current
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(begun(st.lists(commands, min_size=40, max_size=80)))
 def test_the_store_gives_back_what_was_live(sequence):
     with TemporaryDirectory() as folder, patch("sessions.store.SNAPSHOT_EVERY", 7):

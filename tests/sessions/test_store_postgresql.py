@@ -1,0 +1,143 @@
+"""The same store on a database server. Needs PostgreSQL's programs and the driver pg8000."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from model.errors import CommandError, StoreError
+from model.segmentation.prompts import Click
+from sessions.commands import AddClick, SetCategory, Undo
+from sessions.store import ConflictError, Store
+
+ROOT = Path(__file__).resolve().parents[2]
+
+WRITER = """
+import sys
+from pathlib import Path
+from model.segmentation.prompts import Click
+from sessions.commands import AddClick
+from sessions.live import LiveSession
+from sessions.store import Store
+
+store = Store(Path(sys.argv[1]), sys.argv[2])
+live = LiveSession(store, store.open_object(Path("/scans/oven.ply"), None, "oven").id)
+for i in range(15):
+    live.do(AddClick(Click((float(i), 0.0, 0.0), 1)), sys.argv[3])
+"""
+
+
+def _programs() -> Path | None:
+    found = shutil.which("initdb")
+    places = [Path(found).parent] if found else []
+    places += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
+    return next((p for p in places if (p / "initdb").is_file() and (p / "pg_ctl").is_file()), None)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def server():
+    """URL of an empty server."""
+    pytest.importorskip("pg8000", reason="the driver pg8000 is not installed")
+    programs = _programs()
+    if programs is None:
+        pytest.skip("PostgreSQL's programs are not installed")
+    # The server refuses to run as the superuser.
+    user = None
+    if os.geteuid() == 0:
+        names = {entry.pw_name for entry in pwd.getpwall()} & {"postgres", "nobody"}
+        if not names:
+            pytest.skip("no user to run PostgreSQL as")
+        user = "postgres" if "postgres" in names else "nobody"
+    folder = Path(tempfile.mkdtemp(prefix="artiworld-pg-", dir="/tmp"))
+    if user is not None:
+        shutil.chown(folder, user)
+    data, port = folder / "data", _free_port()
+
+    def call(*command: str) -> None:
+        subprocess.run(
+            command, user=user, cwd=folder, check=True, timeout=120, stdout=subprocess.DEVNULL
+        )
+
+    call(str(programs / "initdb"), "-D", str(data), "-U", "artiworld", "-A", "trust", "-N")
+    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1"
+    control = (str(programs / "pg_ctl"), "-D", str(data), "-w")
+    call(*control, "-l", str(folder / "log"), "-o", options, "start")
+    yield f"postgresql+pg8000://artiworld@127.0.0.1:{port}"
+    call(*control, "-m", "immediate", "stop")
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def url(server, request):
+    """URL of an empty database."""
+    from sqlalchemy import create_engine, text
+
+    name = request.node.name.replace("test_", "")[:60]
+    engine = create_engine(server + "/postgres", isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(text(f'CREATE DATABASE "{name}"'))
+    engine.dispose()
+    return f"{server}/{name}"
+
+
+def click(i: int) -> AddClick:
+    return AddClick(Click((0.01 * i, 0.0, 0.0), i % 5))
+
+
+def test_the_session_is_kept(url, tmp_path, monkeypatch):
+    monkeypatch.setattr("sessions.store.SNAPSHOT_EVERY", 10)
+    store = Store(tmp_path, url)
+    object_id = store.open_object(Path("/scans/oven.ply"), None, "oven").id
+    for seq in range(35):
+        assert store.append(object_id, click(seq), "ann", seq) == seq + 1
+    seq = store.append(object_id, SetCategory("Ofen 門"), "ann", 35)
+    seq = store.append(object_id, Undo(), "ann", seq)
+    with pytest.raises(CommandError):
+        store.append(object_id, SetCategory("x" * 100), "ann", seq)
+    with pytest.raises(ConflictError):
+        store.append(object_id, click(0), "rob", 3)
+    store.close()
+    again = Store(tmp_path, url)
+    state = again.load(object_id)
+    assert len(state.present.prompts) == 35
+    assert state.redo_label == "Redo: category 'Ofen 門'"
+    assert [e.seq for e in again.history(object_id)] == list(range(1, 38))
+    assert again.objects()[0].prompts == 35
+    again.close()
+    assert not (tmp_path / "artiworld.db").exists()
+
+
+def test_processes_that_write_at_the_same_time_lose_nothing(url, tmp_path):
+    writers = [
+        subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path), url, who], cwd=ROOT)
+        for who in ("ann", "rob", "eve")
+    ]
+    assert [w.wait(timeout=120) for w in writers] == [0, 0, 0]
+    store = Store(tmp_path, url)
+    (record,) = store.objects()
+    history = store.history(record.id)
+    assert [e.seq for e in history] == list(range(1, 46))
+    assert len(store.load(record.id).present.prompts) == 45
+    store.close()
+
+
+def test_a_server_that_is_not_there_is_named_without_its_password(tmp_path):
+    pytest.importorskip("pg8000", reason="the driver pg8000 is not installed")
+    url = f"postgresql+pg8000://artiworld:secret@127.0.0.1:{_free_port()}/none"
+    with pytest.raises(StoreError, match=r"127\.0\.0\.1") as error:
+        Store(tmp_path, url)
+    assert "secret" not in str(error.value)
