@@ -18,6 +18,7 @@ from model.progress import Progress, no_progress
 
 FORMAT = 1
 OBJECT_JSON = "object.json"
+PREDICTION_JSON = "prediction.json"
 
 
 class NothingPredicted(RuntimeError):
@@ -68,6 +69,7 @@ def segment(
     answer = session.segment(file.prompts)
     parts = split(asset, answer.labels, file.names)
     progress(0.9, f"writing {out}")
+    (out / OBJECT_JSON).unlink(missing_ok=True)  # it comes last: with it the folder is whole
     written = [_write_part(part, out) for part in parts]
     found = {part.link for part in parts}
     missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
@@ -121,6 +123,7 @@ def predict(
 
     reading = reading or ReadOptions()
     check_output(out, folder)
+    _check_replaceable(out)
     chosen = load_predictor(predictor)
     progress(0.0, f"reading {folder}")
     segmented = read_part_files(folder, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
@@ -129,7 +132,7 @@ def predict(
     answer = chosen.predict(segmented, seed=seed, progress=part_of(progress, 0.1, 0.8))
     report = prediction_json(segmented, answer)
     if answer.tree is None:
-        write_json(out / "prediction.json", report)
+        write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
     progress(0.8, f"writing {out}")
@@ -140,8 +143,9 @@ def predict(
         "seed": seed,
         "versions": versions(),
     }
-    write_asset(made, out, provenance=provenance)
-    write_json(out / "prediction.json", report)
+    (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
+    write_asset(made, out.absolute(), provenance=provenance, progress=part_of(progress, 0.8, 1.0))
+    write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
     return report
 
@@ -211,6 +215,15 @@ def check_output(out: Path, *inputs: Path) -> None:
     above = next((p for p in (out, *out.absolute().parents) if p.exists()), Path("/"))
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise ConfigurationError(f"--out {out} can't be written; choose a folder of your own")
+
+
+def _check_replaceable(out: Path) -> None:
+    """Saving replaces the whole folder, so it must be new or an earlier result."""
+    if not out.is_dir():
+        return
+    held = {path.name for path in out.iterdir()}
+    if held and "provenance.json" not in held and held != {PREDICTION_JSON}:
+        raise ConfigurationError(f"--out {out} holds other files; give a new or an empty folder")
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -233,21 +233,35 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
 
 
 def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float, float]:
-    """The horizontal side to look from first: the one with the most detail.
+    """The horizontal side to look from first: broad, and with the most detail.
 
     Handles and knobs are small faces, and a one-sided scan has points where the camera stood, so
-    the side whose outer layer holds the most elements is the front. Ties go to -y, glTF's front.
+    the side whose outer layer holds the most elements is the front. Near ties go to -y, glTF's
+    front. The sides are those of the tightest upright box.
     """
-    low, high = points.min(0), points.max(0)
-    size = np.maximum(high - low, 1e-9)
+    flat = np.asarray(points, np.float64)[:: max(1, len(points) // 20_000), :2]
     best, score = (0.0, -1.0, 0.0), 0.0
-    for axis, sign in ((1, -1), (0, 1), (0, -1), (1, 1)):
-        from_face = (high[axis] - points[:, axis]) if sign > 0 else (points[:, axis] - low[axis])
-        share = float(np.mean(from_face < 0.15 * size[axis]))
-        if share > score * 1.15:
-            direction = [0.0, 0.0, 0.0]
-            direction[axis] = float(sign)
-            best, score = (direction[0], direction[1], direction[2]), share
+    turn = _box_yaw(flat)
+    for quarter in np.array([-0.5, 0.0, 1.0, 0.5]) * np.pi:
+        direction = np.array([np.cos(turn + quarter), np.sin(turn + quarter)])
+        along, across = flat @ direction, flat @ np.array([-direction[1], direction[0]])
+        low, high = np.percentile(along, (1, 99))  # a scan's outliers don't count
+        broad = float(np.ptp(np.percentile(across, (1, 99))))
+        share = float(np.mean(high - along < 0.15 * max(high - low, 1e-9))) * broad
+        if share > score * 1.4:
+            best, score = (float(direction[0]), float(direction[1]), 0.0), share
+    return best
+
+
+def _box_yaw(flat: npt.NDArray[np.float64]) -> float:
+    """Angle in (-π/4, π/4] of the smallest upright box around (N, 2) points; 0 on near ties."""
+    best, least = 0.0, np.inf
+    for yaw in np.radians([0, *range(-44, 46, 2)]):
+        turned = flat @ np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        low, high = np.percentile(turned, (1, 99), axis=0)
+        area = float(np.prod(high - low + 1e-9))
+        if area < least * 0.8:
+            best, least = float(yaw), area
     return best
 
 
@@ -488,7 +502,8 @@ def save_asset_folder(
     Raises:
         ArtiworldError: where what was written doesn't load as it should.
     """
-    from model.exporters.asset_folder import reload_check, write_asset
+    from model.exporters.asset_folder import write_asset
+    from model.exporters.reload import reload_check
 
     progress(0.1, "Cutting out the parts")
     asset = _asset(source.folder)

@@ -149,6 +149,8 @@ class ClientApp:
 
     def close(self) -> None:
         """The tab is gone."""
+        if self._closed:
+            return
         self._closed = True
         self.animation.stop()
         self._unwatch()

@@ -72,6 +72,7 @@ class SceneView:
         self._asset = asset
         scene, diagonal = self._scene, asset.diagonal
         scene.configure_default_lights(cast_shadow=False)
+        scene.set_background_image(_backdrop(), format="png")
         low, high = asset.bounds
         span = float(max(high[0] - low[0], high[1] - low[1], 0.2 * diagonal))
         cell = 10.0 ** np.floor(np.log10(span)) / 2
@@ -82,8 +83,8 @@ class SceneView:
             position=(*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal),
             cell_size=float(cell),
             section_size=float(2 * cell),
-            cell_color=(226, 229, 233),
-            section_color=(203, 208, 214),
+            cell_color=(205, 210, 216),
+            section_color=(184, 190, 198),
             infinite_grid=True,
             fade_distance=8 * span,
         )
@@ -359,6 +360,13 @@ class SceneView:
             self.touch.remove()
             self.touch = None
         return self.touch
+
+
+def _backdrop() -> npt.NDArray[np.uint8]:
+    """A soft vertical gradient, so that white scans stand out."""
+    t = np.linspace(0.0, 1.0, 128)[:, None, None]
+    top, bottom = np.array([222.0, 228.0, 236.0]), np.array([243.0, 244.0, 246.0])
+    return np.repeat(top + t * (bottom - top), 4, axis=1).astype(np.uint8)
 
 
 def axis_length(payloads: Sequence[PartPayload] | None, joint: Joint, diagonal: float) -> float:
