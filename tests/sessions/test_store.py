@@ -266,13 +266,14 @@ def test_a_workspace_that_can_not_be_is_named(tmp_path):
         Store(Path("/proc/artiworld"))
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
 def test_a_read_only_workspace_is_named(store):
     object_id = opened(store)
     store.close()
     for path in [*store.workspace.glob("*"), store.workspace]:
         path.chmod(0o555)
     try:
+        if os.access(store.workspace, os.W_OK):
+            pytest.skip("the superuser may write everywhere")
         with pytest.raises(StoreError, match="can't be"):
             Store(store.workspace).append(object_id, click(1), "ann", 0)
     finally:
