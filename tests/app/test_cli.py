@@ -1,0 +1,357 @@
+"""The command line, as a person or a script uses it."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+
+from app.cli import main
+from model.errors import KinematicsError
+from tests.app.run_cli import (
+    BASE_CLICK,
+    DOOR_CLICK,
+    HANDLE_CLICK,
+    artiworld,
+    assert_users_mistake,
+    cupboard,
+    write_prompts,
+)
+
+HEAVY = ("torch", "viser", "open3d", "scipy", "mujoco", "sqlalchemy", "trimesh", "numpy", "rich")
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory) -> Path:
+    """A cupboard as one mesh, +z up, metres."""
+    path = tmp_path_factory.mktemp("scan") / "cupboard.ply"
+    trimesh.util.concatenate(cupboard()).export(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def segmented(scan, tmp_path_factory) -> tuple[Path, dict]:
+    folder = tmp_path_factory.mktemp("segmented")
+    prompts = write_prompts(
+        folder / "prompts.json",
+        {
+            "format": 1,
+            "category": "cupboard",
+            "parts": [{"id": 1, "name": "door"}],
+            "clicks": [DOOR_CLICK, HANDLE_CLICK, BASE_CLICK],
+        },
+    )
+    done = artiworld("segment", scan, "--prompts", prompts, "--out", folder / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    return folder / "out", json.loads(done.stdout)
+
+
+@pytest.fixture
+def parts(tmp_path) -> Path:
+    """The cupboard as two files."""
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    for i, mesh in enumerate(cupboard()):
+        mesh.export(folder / f"link_{i}.obj")
+    return folder
+
+
+# Help, and what it costs
+
+
+@pytest.mark.parametrize("words", [["--help"], ["serve", "--help"], ["predict", "--help"]])
+def test_help_imports_nothing_heavy(words):
+    code = (
+        "import sys\nfrom app.cli import main\n"
+        f"assert main({words!r}) == 0\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == "[]"
+    assert "usage: artiworld" in done.stdout
+
+
+def test_help_is_quick():
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = artiworld("--help")
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.5
+    for command in ("serve", "segment", "predict", "export", "evaluate", "bench", "doctor"):
+        assert f"\n    {command} " in done.stdout
+
+
+def test_every_option_is_explained(capsys):
+    for command in ("serve", "segment", "predict", "export", "evaluate", "bench", "doctor"):
+        assert main([command, "--help"]) == 0
+        text = capsys.readouterr().out
+        assert text.startswith(f"usage: artiworld {command}")
+
+
+def test_version():
+    done = artiworld("--version")
+    assert done.returncode == 0 and done.stdout.startswith("artiworld ")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "COMMAND"),
+        (["segmnt"], "segment"),
+        (["segment"], "--prompts"),
+        (["segment", "a.ply", "--prompts", "p", "--out", "o", "--up-axis", "w"], "--up-axis"),
+        (
+            ["segment", "a.ply", "--prompts", "p", "--out", "o", "--unit-scale", "-1"],
+            "--unit-scale",
+        ),
+        (
+            ["segment", "a.ply", "--prompts", "p", "--out", "o", "--unit-scale", "nan"],
+            "--unit-scale",
+        ),
+        (["predict", "x", "--out", "y", "--seed", "one"], "--seed"),
+        (["predict", "x", "--out", "y", "--pred", "geometric"], "--pred"),
+    ],
+)
+def test_wrong_usage_is_one_line(words, told, capsys):
+    assert main(words) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and told in lines[0] and "--help" in lines[0]
+
+
+# segment
+
+
+def test_segment_writes_every_face_into_exactly_one_part(scan, segmented):
+    folder, report = segmented
+    whole = trimesh.load(scan, process=False)
+    files = [part["file"] for part in report["parts"]]
+    assert files == ["link_0.obj", "link_1.obj"]
+    pieces = [trimesh.load(folder / f, process=False) for f in files]
+    assert sum(len(p.faces) for p in pieces) == len(whole.faces)
+    assert math.isclose(sum(p.area for p in pieces), whole.area, rel_tol=1e-6)
+    assert report["parts"][1]["name"] == "door"
+    door = pieces[1].bounds
+    np.testing.assert_allclose(door, [[0.0, -0.05, 0.0], [0.6, -0.002, 0.8]], atol=1e-6)
+
+
+def test_segment_says_what_it_did(segmented):
+    folder, report = segmented
+    assert json.loads((folder / "object.json").read_text()) == report
+    assert report["format"] == 1 and report["category"] == "cupboard"
+    assert report["source"]["count"] == sum(part["count"] for part in report["parts"])
+    assert len(report["source"]["sha256"]) == 64
+    assert report["segmenter"] and report["problems"] == []
+
+
+def test_predict_takes_what_segment_wrote(segmented, tmp_path):
+    folder, _ = segmented
+    out = tmp_path / "asset"
+    done = artiworld("predict", folder, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "revolute" in done.stdout and "door" in done.stdout
+    prediction = json.loads((out / "prediction.json").read_text())
+    (joint,) = prediction["joints"]
+    assert (joint["type"], joint["parent"], joint["child"]) == ("revolute", "link_0", "link_1")
+    np.testing.assert_allclose(np.abs(joint["axis"]), [0, 0, 1], atol=1e-6)
+    assert abs(joint["origin"][0]) < 0.03 and abs(joint["origin"][1]) < 0.05
+    assert prediction["category"] == "cupboard"
+
+
+def test_segment_of_a_cloud_gives_clouds(tmp_path):
+    points = np.concatenate([trimesh.sample.sample_surface(m, 4000, seed=1)[0] for m in cupboard()])
+    trimesh.PointCloud(points).export(tmp_path / "scan.ply")
+    prompts = write_prompts(
+        tmp_path / "p.json", [DOOR_CLICK, {"point": [0.3, 0.5, 0.4], "part": 1, "label": 0}]
+    )
+    out = tmp_path / "out"
+    done = artiworld("segment", tmp_path / "scan.ply", "--prompts", prompts, "--out", out)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((out / "object.json").read_text())
+    assert [p["file"] for p in report["parts"]] == ["link_0.ply", "link_1.ply"]
+    assert sum(p["count"] for p in report["parts"]) == 8000
+    assert len(trimesh.load(out / "link_1.ply").vertices) == report["parts"][1]["count"]
+
+
+def test_regions_count_exactly(scan, tmp_path):
+    prompts = write_prompts(tmp_path / "p.json", {"regions": [{"part": 3, "elements": [5, 6, 7]}]})
+    out = tmp_path / "out"
+    done = artiworld(
+        "segment", scan, "--prompts", prompts, "--out", out, "--json", "--segmenter", "nearest"
+    )
+    assert done.returncode == 0, done.stderr
+    assert {p["file"]: p["count"] for p in json.loads(done.stdout)["parts"]}["link_3.obj"] == 3
+
+
+def test_up_axis_and_unit_turn_the_frame_of_the_clicks(tmp_path):
+    meshes = cupboard()
+    turn = trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0))  # +z up to +y up
+    whole = trimesh.util.concatenate(meshes)
+    whole.apply_transform(turn)
+    whole.apply_scale(1000.0)
+    whole.export(tmp_path / "millimetres.stl")
+    prompts = write_prompts(tmp_path / "p.json", [DOOR_CLICK, HANDLE_CLICK, BASE_CLICK])
+    out = tmp_path / "out"
+    words = ("segment", tmp_path / "millimetres.stl", "--prompts", prompts, "--out", out)
+    turned = (*words, "--unit-scale", "0.001")
+    assert_users_mistake(artiworld(*turned), "p.json", "clicks[0].position", "away")
+    done = artiworld(*turned, "--up-axis", "y")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_allclose(
+        trimesh.load(out / "link_1.obj").bounds, [[0, -0.05, 0], [0.6, -0.002, 0.8]], atol=1e-5
+    )
+
+
+def test_minus_axis_needs_no_equals_sign(scan, tmp_path):
+    prompts = write_prompts(tmp_path / "p.json", [DOOR_CLICK])
+    done = artiworld(
+        "segment", scan, "--prompts", prompts, "--out", tmp_path / "o", "--up-axis", "-z"
+    )
+    assert_users_mistake(done, "clicks[0].position")
+
+
+def test_segment_never_overwrites_its_input(scan, tmp_path):
+    prompts = write_prompts(tmp_path / "p.json", [DOOR_CLICK])
+    done = artiworld("segment", scan, "--prompts", prompts, "--out", scan.parent)
+    assert_users_mistake(done, "--out", str(scan.parent))
+    done = artiworld("segment", scan, "--prompts", prompts, "--out", prompts)
+    assert_users_mistake(done, "--out", "is a file")
+
+
+# predict
+
+
+def test_predict_writes_a_urdf_that_other_readers_open(parts, tmp_path):
+    out = tmp_path / "asset"
+    done = artiworld("predict", parts, "--out", out, "--json", "--category", "cupboard")
+    assert done.returncode == 0, done.stderr
+    prediction = json.loads(done.stdout)
+    assert prediction == json.loads((out / "prediction.json").read_text())
+    robot = yourdfpy.URDF.load(str(out / "object.urdf"))
+    assert set(robot.link_map) == set(prediction["links"]) >= {"link_0", "link_1"}
+    assert robot.base_link == prediction["base"] == "link_0"
+    (moving,) = [j for j in robot.joint_map.values() if j.type != "fixed"]
+    (said,) = [j for j in prediction["joints"] if j["type"] != "fixed"]
+    assert (moving.name, moving.type) == (said["name"], said["type"]) == (said["name"], "revolute")
+    assert [moving.limit.lower, moving.limit.upper] == pytest.approx(said["limits"], abs=1e-6)
+    assert 0.0 <= said["confidence"] <= 1.0
+    for name in ("tree.json", "provenance.json", "meshes"):
+        assert (out / name).exists()
+    for key in ("backend", "seconds", "problems", "seed"):
+        assert key in prediction
+    assert prediction["category"] == "cupboard"
+
+
+def test_predict_is_repeatable_and_replaces_its_own_result(parts, tmp_path):
+    out = tmp_path / "asset"
+    texts = []
+    for _ in range(2):
+        assert artiworld("predict", parts, "--out", out, "--seed", "3").returncode == 0
+        texts.append((out / "object.urdf").read_bytes())
+    assert texts[0] == texts[1]
+
+
+def test_object_json_names_files_names_and_category(parts, tmp_path):
+    (parts / "link_0.obj").rename(parts / "body.obj")
+    (parts / "link_1.obj").rename(parts / "front.obj")
+    (parts / "object.json").write_text(
+        json.dumps(
+            {
+                "category": "oven",
+                "parts": [{"file": "front.obj", "name": "door"}, {"file": "body.obj"}],
+            }
+        )
+    )
+    done = artiworld("predict", parts, "--out", tmp_path / "o", "--json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["category"] == "oven"
+    assert {p["link"]: p["name"] for p in answer["parts"]} == {"front": "door", "body": None}
+    assert answer["base"] == "body"
+
+
+def test_predict_keeps_other_peoples_files(parts, tmp_path):
+    out = tmp_path / "full"
+    out.mkdir()
+    (out / "thesis.tex").write_text("x")
+    assert_users_mistake(artiworld("predict", parts, "--out", out), "full", "other files")
+    assert [p.name for p in out.iterdir()] == ["thesis.tex"]
+    assert_users_mistake(artiworld("predict", parts, "--out", parts), "--out")
+
+
+def test_unknown_names_tell_the_known_ones(parts, scan, tmp_path):
+    done = artiworld("predict", parts, "--out", tmp_path / "o", "--predictor", "magic")
+    assert_users_mistake(done, "magic", "geometric")
+    prompts = write_prompts(tmp_path / "p.json", [DOOR_CLICK])
+    done = artiworld(
+        "segment", scan, "--prompts", prompts, "--out", tmp_path / "o", "--segmenter", "magic"
+    )
+    assert_users_mistake(done, "magic", "default")
+
+
+# Our own faults
+
+
+def test_our_fault_is_code_1_with_details_in_a_file(monkeypatch, tmp_path, capsys):
+    def broken(*_, **__):
+        raise ZeroDivisionError("deep inside")
+
+    monkeypatch.setattr("app.headless.predict", broken)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["artiworld", "serve", "--token", "secret", "--database=pw"])
+    assert main(["predict", "x", "--out", "y"]) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and "deep inside" in lines[0]
+    (log,) = (tmp_path / "artiworld").iterdir()
+    assert str(log) in lines[0]
+    text = log.read_text()
+    assert "ZeroDivisionError" in text and "in broken" in text
+    assert "secret" not in text and "pw" not in text
+
+
+def test_debug_shows_the_traceback(monkeypatch, capsys):
+    def broken(*_, **__):
+        raise ZeroDivisionError("deep inside")
+
+    monkeypatch.setattr("app.headless.predict", broken)
+    for words in (["--debug", "predict"], ["predict", "--debug"]):
+        assert main([*words, "x", "--out", "y"]) == 1
+        assert "in broken" in capsys.readouterr().err
+
+
+def test_several_problems_are_still_one_line(monkeypatch, capsys):
+    def broken(*_, **__):
+        raise KinematicsError(["first\nproblem", "second"])
+
+    monkeypatch.setattr("app.headless.predict", broken)
+    assert main(["predict", "x", "--out", "y"]) == 2
+    assert capsys.readouterr().err == "artiworld: first problem; second\n"
+
+
+def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, capsys):
+    from model.kinematics.articulated_object import Prediction
+
+    class Silent:
+        name = "silent"
+
+        def predict(self, segmented, **_):
+            return Prediction(None, ("the model said nothing",), backend="silent 1")
+
+    monkeypatch.setattr("model.predictors.load_predictor", lambda name: Silent())
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    out = tmp_path / "out"
+    for _ in range(2):
+        assert main(["predict", str(parts), "--out", str(out)]) == 1
+        assert "the model said nothing" in capsys.readouterr().err
+    kept = json.loads((out / "prediction.json").read_text())
+    assert kept["joints"] == [] and kept["problems"] == ["the model said nothing"]
+    monkeypatch.undo()
+    assert main(["predict", str(parts), "--out", str(out)]) == 0
