@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from model.geometry.formats.srgb import to_linear
 from model.geometry.formats.textures import encode
 from model.geometry.mesh import Material, Mesh
 from model.geometry.shading import corner_normals
@@ -86,7 +87,7 @@ class _Builder:
     def material(self, material: Material, colored: bool, max_texture: int | None) -> None:
         color = np.array(material.base_color, np.float64) / 255.0
         alpha = float(color[3])
-        factor = [1.0, 1.0, 1.0, alpha] if colored else [*_linear(color[:3]).tolist(), alpha]
+        factor = [1.0, 1.0, 1.0, alpha] if colored else [*to_linear(color[:3]).tolist(), alpha]
         surface: dict[str, Any] = {
             "baseColorFactor": [round(float(c), 6) for c in factor],
             "metallicFactor": 0.0,
@@ -159,7 +160,7 @@ class _Builder:
             out["TEXCOORD_0"] = self.accessor(st, "VEC2", 5126)
         if mesh.vertex_colors is not None:
             rgba = mesh.vertex_colors[vertex] / 255.0
-            rgba[:, :3] = _linear(rgba[:, :3])
+            rgba[:, :3] = to_linear(rgba[:, :3])
             short = np.rint(rgba * 65535).astype("<u2")
             out["COLOR_0"] = self.accessor(short, "VEC4", 5123, normalized=True)
         return out
@@ -181,11 +182,6 @@ def _turned(vectors: Array, y_up: bool) -> Array:
     if not y_up:
         return vectors
     return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
-
-
-def _linear(srgb: Array) -> Array:
-    """sRGB in 0..1 to linear (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def _has_holes(image: Image.Image) -> bool:

@@ -24,6 +24,7 @@ from model.geometry.formats.loaded import (
     with_plain_colors,
 )
 from model.geometry.formats.references import ReferenceRefused, resolve
+from model.geometry.formats.srgb import to_srgb
 from model.geometry.formats.textures import TextureError, decode
 from model.geometry.mesh import Material
 
@@ -183,7 +184,7 @@ class _Gltf:
         colors = uv = None
         if "COLOR_0" in attributes:
             linear = self._accessor(attributes["COLOR_0"])
-            colors = _srgb(linear)
+            colors = to_srgb(linear)
         material_index = primitive.get("material")
         material = self._material(material_index)
         name = f"TEXCOORD_{self._uv_sets.get(material_index, 0)}"
@@ -321,7 +322,7 @@ class _Gltf:
                     rgba = np.ones(4)
                 if entry.get("alphaMode", "OPAQUE") == "OPAQUE":
                     rgba[3] = 1.0
-                color = tuple(int(c) for c in _srgb(rgba[None])[0])
+                color = tuple(int(c) for c in to_srgb(rgba[None])[0])
                 made = Material(str(entry.get("name") or f"material_{index}"), color, texture)  # type: ignore[arg-type]
             self._materials[index] = made
         return self._materials[index]
@@ -379,18 +380,6 @@ def _faces(order: Array, mode: int) -> Array:
     if mode == 6 and len(order) >= 3:
         return np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], axis=1)
     return np.zeros((0, 3), np.int64)
-
-
-def _srgb(linear: Array) -> npt.NDArray[np.uint8]:
-    """Linear RGB(A) as (N, 4) uint8 sRGB (IEC 61966-2-1); alpha stays linear."""
-    v = linear.astype(np.float64)
-    if linear.dtype.kind in "iu":
-        v = v / np.iinfo(linear.dtype).max
-    v = np.clip(np.nan_to_num(v), 0.0, 1.0)
-    rgb = v[:, :3]
-    rgb = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * rgb ** (1 / 2.4) - 0.055)
-    alpha = v[:, 3:] if v.shape[1] == 4 else np.ones((len(v), 1))
-    return np.rint(255 * np.column_stack([rgb, alpha])).astype(np.uint8)
 
 
 def _matrix(node: Json) -> Array:
