@@ -151,13 +151,22 @@ def vector(values: npt.ArrayLike) -> str:
     return " ".join(number(v) for v in np.asarray(values, dtype=np.float64))
 
 
-def _quoted(name: str) -> str:
+def xml_name(name: str) -> str:
+    """``name``, if XML can hold it.
+
+    Raises:
+        ArtiworldError: for control characters and the like.
+    """
     for char in name:
         if ord(char) < 32 or 0xD800 <= ord(char) <= 0xDFFF or ord(char) in (0xFFFE, 0xFFFF):
             raise ArtiworldError(
                 f"the name {name!r} has a character that XML can't hold ({char!r}); rename it"
             )
-    return quoteattr(name)
+    return name
+
+
+def _quoted(name: str) -> str:
+    return quoteattr(xml_name(name))
 
 
 def _check_links(tree: KinematicTree, named: Mapping[str, object]) -> None:

@@ -1,0 +1,173 @@
+"""MJCF for MuJoCo, with textures; MuJoCo's own URDF reader drops them.
+
+One body a link, its frame as in the URDF (see ``model.kinematics.urdf``), so link poses agree.
+Each material of a part is a geom of its own, as MuJoCo has one material a geom. Geoms are for
+looking at only: they don't collide.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
+
+import numpy as np
+
+from model.exporters.inertia import inertials_of
+from model.exporters.part_files import file_stems, part_mesh
+from model.exporters.saved import MESHES
+from model.geometry.formats.textures import encode
+from model.geometry.mesh import Material, Mesh
+from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf import Inertial, link_origins, vector, xml_name
+from model.progress import Progress, no_progress
+
+FILE = "object.xml"
+DAMPING = 0.1
+"""N s/m or N m s/rad, so that nothing swings for ever."""
+VISUAL_GROUP = 2
+"""MuJoCo's habit for geoms that are only seen."""
+
+
+class MjcfExporter:
+    """``object.xml`` and ``meshes/`` with one OBJ a material and PNG textures."""
+
+    name = "mjcf"
+    description = "MuJoCo's XML with textured meshes"
+
+    def export(
+        self, obj: ArticulatedObject, folder: Path, *, progress: Progress = no_progress
+    ) -> tuple[Path, ...]:
+        """See :class:`~model.exporters.protocol.Exporter`."""
+        return _Writer(obj, folder).write(progress)
+
+
+class _Writer:
+    def __init__(self, obj: ArticulatedObject, folder: Path) -> None:
+        self.obj, self.folder = obj, folder
+        self.origins = link_origins(obj.tree)
+        self.root = ET.Element("mujoco", model=xml_name(obj.name))
+        ET.SubElement(
+            self.root, "compiler", angle="radian", meshdir=MESHES, texturedir=MESHES,
+            autolimits="true",
+        )  # fmt: skip
+        self.assets = ET.SubElement(self.root, "asset")
+        self.textures: set[str] = set()
+        self.files: list[Path] = []
+
+    def write(self, progress: Progress) -> tuple[Path, ...]:
+        (self.folder / MESHES).mkdir(exist_ok=True)
+        world = ET.SubElement(self.root, "worldbody")
+        tree, inertials = self.obj.tree, inertials_of(self.obj)
+        parts = {p.link: p for p in self.obj.parts}
+        stems = file_stems(list(parts))
+        bodies = {tree.root: ET.SubElement(world, "body", name=xml_name(tree.root))}
+        for i, link in enumerate(tree.order):
+            progress(i / len(tree.order), f"writing {link}")
+            body = bodies.get(link)
+            if body is None:
+                joint = tree.joint_of[link]
+                body = bodies[link] = self._body(bodies[joint.parent], joint)
+            if link in inertials:
+                self._inertial(body, inertials[link], link)
+            if link in parts:
+                self._geoms(body, part_mesh(parts[link]), link, stems[link])
+        self._mimics(tree)
+        path = self.folder / FILE
+        ET.indent(self.root)
+        path.write_bytes(ET.tostring(self.root, encoding="utf-8") + b"\n")
+        progress(1.0, "written")
+        return (path, *self.files)
+
+    def _body(self, parent: ET.Element, joint: Joint) -> ET.Element:
+        offset = self.origins[joint.child] - self.origins[joint.parent]
+        body = ET.SubElement(parent, "body", name=xml_name(joint.child), pos=vector(offset))
+        if joint.moves:
+            kind = "hinge" if joint.rotates else "slide"
+            made = ET.SubElement(
+                body, "joint", name=xml_name(joint.name), type=kind, axis=vector(joint.axis),
+                damping=str(DAMPING),
+            )  # fmt: skip
+            if joint.limited and joint.lower != joint.upper:
+                made.set("range", vector((joint.lower or 0.0, joint.upper or 0.0)))
+        return body
+
+    def _inertial(self, body: ET.Element, inertial: Inertial, link: str) -> None:
+        t = inertial.tensor
+        six = (t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2])
+        ET.SubElement(
+            body, "inertial", pos=vector(inertial.center - self.origins[link]),
+            mass=f"{inertial.mass:.9g}", fullinertia=" ".join(f"{v:.9g}" for v in six),
+        )  # fmt: skip
+
+    def _geoms(self, body: ET.Element, mesh: Mesh, link: str, stem: str) -> None:
+        from model.geometry.writers import write_mesh
+
+        for number, index in enumerate(np.unique(mesh.face_material)):
+            piece = mesh.take_faces(mesh.face_material == index)
+            name = f"{stem}_{number}"
+            material = self._material(piece, name)
+            path = self.folder / MESHES / f"{name}.obj"
+            write_mesh(_plain(piece), path)
+            path.with_suffix(".mtl").unlink()  # MuJoCo has the material from here
+            self.files.append(path)
+            # Mass comes from <inertial>; as shells flat meshes are accepted too.
+            ET.SubElement(self.assets, "mesh", name=name, file=path.name, inertia="shell")
+            ET.SubElement(
+                body, "geom", type="mesh", mesh=name, material=material,
+                pos=vector(-self.origins[link]), contype="0", conaffinity="0",
+                group=str(VISUAL_GROUP),
+            )  # fmt: skip
+
+    def _material(self, piece: Mesh, name: str) -> str:
+        look = piece.materials[0]
+        color = np.asarray(look.base_color) / 255.0
+        if piece.vertex_colors is not None:  # MuJoCo has none; their mean is nearest
+            color = piece.vertex_colors.mean(axis=0) / 255.0
+        made = ET.SubElement(self.assets, "material", name=name, specular="0.2", shininess="0.2")
+        if look.texture is not None and piece.uv is not None:
+            made.set("texture", self._texture(look))
+            color = np.array([1.0, 1.0, 1.0, color[3]])
+        made.set("rgba", " ".join(f"{v:.4g}" for v in color))
+        return name
+
+    def _texture(self, look: Material) -> str:
+        assert look.texture is not None
+        # Parts that were cut from one mesh have equal textures, not the same ones.
+        digest = hashlib.sha256(encode(look.texture)[0]).hexdigest()[:12]
+        name = f"texture_{digest}"
+        if name not in self.textures:
+            self.textures.add(name)
+            path = self.folder / MESHES / f"{name}.png"
+            look.texture.convert("RGB").save(path)
+            self.files.append(path)
+            ET.SubElement(self.assets, "texture", name=name, type="2d", file=path.name)
+        return name
+
+    def _mimics(self, tree: KinematicTree) -> None:
+        followers = [j for j in tree.joints if j.moves and j.mimic is not None]
+        if not followers:
+            return
+        equality = ET.SubElement(self.root, "equality")
+        for joint in followers:
+            assert joint.mimic is not None
+            terms = [joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0]
+            ET.SubElement(
+                equality, "joint", joint1=joint.name, joint2=joint.mimic.joint,
+                polycoef=vector(terms),
+            )  # fmt: skip
+
+
+def _plain(piece: Mesh) -> Mesh:
+    """The shape and its texture coordinates alone, with the four corners that MuJoCo asks for."""
+    bare = replace(piece, materials=(Material(),), vertex_colors=None,
+                   face_material=np.zeros(len(piece.faces), np.int32))  # fmt: skip
+    short = max(0, 4 - len(bare.vertices))
+    if not short:
+        return bare
+    again = [*range(len(bare.vertices)), *[0] * short]
+    uv = None if bare.uv is None else bare.uv[again]
+    return replace(bare, vertices=bare.vertices[again], uv=uv)

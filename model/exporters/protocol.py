@@ -1,0 +1,37 @@
+"""The port that every export format fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from model.kinematics.articulated_object import ArticulatedObject
+from model.progress import Progress, no_progress
+
+
+@runtime_checkable
+class Exporter(Protocol):
+    """An articulated object in, files in one folder out.
+
+    Attributes:
+        name: what ``--format`` takes.
+        description: one line for people.
+    """
+
+    name: str
+    description: str
+
+    def export(
+        self, obj: ArticulatedObject, folder: Path, *, progress: Progress = no_progress
+    ) -> tuple[Path, ...]:
+        """Write ``obj`` into ``folder``, which exists.
+
+        Files of the same names are replaced. References between the files are relative.
+
+        Returns:
+            The files, the one to open first.
+
+        Raises:
+            ArtiworldError: where the object can't be written in this format.
+        """
+        ...

@@ -1,0 +1,99 @@
+"""All export formats in one table: built-ins and plug-ins load the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from model.errors import ConfigurationError, InputFileError
+from model.exporters.protocol import Exporter
+from model.exporters.saved import load_object
+from model.progress import Progress, no_progress
+
+ENTRY_POINTS = "artiworld.exporters"
+"""Entry-point group of plug-ins; each names a callable without arguments that gives an Exporter."""
+
+
+def _urdf() -> Exporter:
+    from model.exporters.urdf import UrdfExporter
+
+    return UrdfExporter()
+
+
+def _mjcf() -> Exporter:
+    from model.exporters.mjcf import MjcfExporter
+
+    return MjcfExporter()
+
+
+def _glb() -> Exporter:
+    from model.exporters.glb import GlbExporter
+
+    return GlbExporter()
+
+
+BUILT_IN: dict[str, Callable[[], Exporter]] = {"urdf": _urdf, "mjcf": _mjcf, "glb": _glb}
+
+
+def _table() -> dict[str, Callable[[], Exporter]]:
+    table = dict(BUILT_IN)
+    for point in entry_points(group=ENTRY_POINTS):
+        # A plug-in may not take a built-in's name.
+        table.setdefault(point.name, lambda point=point: point.load()())
+    return table
+
+
+def exporter_names() -> tuple[str, ...]:
+    """Names that :func:`load_exporter` takes, built-ins first."""
+    return tuple(_table())
+
+
+def load_exporter(name: str) -> Exporter:
+    """The exporter called ``name``.
+
+    Raises:
+        ConfigurationError: where there is none, naming those that are there, or where a plug-in
+            can't be loaded or is no exporter.
+    """
+    table = _table()
+    if name not in table:
+        raise ConfigurationError(f"no export format {name!r}; there are {', '.join(table)}")
+    try:
+        made = table[name]()
+    except ImportError as error:
+        raise ConfigurationError(f"the export format {name!r} can't be loaded: {error}") from error
+    if not isinstance(made, Exporter):
+        raise ConfigurationError(
+            f"the plug-in {name!r} is no exporter: it needs name, description and export"
+        )
+    return made
+
+
+def export(
+    asset: str | Path, format: str, out: str | Path, *, progress: Progress = no_progress
+) -> tuple[Path, ...]:
+    """Write a saved asset in another format.
+
+    Args:
+        asset: the asset's folder, or a URDF file.
+        format: one of :func:`exporter_names`.
+        out: folder for the files, created where needed.
+        progress: told of each part.
+
+    Returns:
+        The files, the one to open first.
+
+    Raises:
+        ConfigurationError: for an unknown format.
+        InputFileError: where the asset can't be read or the folder not written.
+    """
+    exporter, out = load_exporter(format), Path(out)
+    obj = load_object(asset)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        return exporter.export(obj, out, progress=progress)
+    except OSError as error:
+        raise InputFileError(
+            out, f"can't be written ({error.strerror or error})", "check space and permissions"
+        ) from error

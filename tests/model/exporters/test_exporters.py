@@ -1,0 +1,306 @@
+"""One contract for all export formats, and what each format must keep."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from model.errors import ConfigurationError, InputFileError
+from model.exporters import registry
+from model.exporters.asset_folder import write_asset
+from model.exporters.protocol import Exporter
+from model.exporters.registry import export, exporter_names, load_exporter
+from model.exporters.reload import mujoco_problems, object_from_links
+from model.geometry.mesh import Material, Mesh
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint, Mimic
+from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf import read_urdf
+
+TREE = KinematicTree(
+    ("link_0", "door", "link_2", "helper", "link_3", "link_4"),
+    (
+        Joint("hinge", "revolute", "link_0", "door", (0, 0.6, 0.8), (0.5, 0.1, 0.2), -0.2, 2.5),
+        Joint("turn <&>", "continuous", "door", "link_2", (0, 1, 0), (0.3, 0.2, 0.1)),
+        Joint("slide", "prismatic", "link_0", "helper", (1, 0, 0), (1, 0, 0), 0, 0.3),
+        Joint(
+            "follow", "revolute", "helper", "link_3", (0, 0, 1), (0, 1, 0), -1, 1,
+            Mimic("hinge", -0.5, 0.1),
+        ),
+        Joint("fix", "fixed", "link_3", "link_4"),
+    ),
+)  # fmt: skip
+
+
+def box_mesh(shift: float, *materials: Material, uv: bool = False) -> Mesh:
+    box = trimesh.creation.box((0.2, 0.3, 0.4)).apply_translation([shift, 0, 0])
+    which = np.arange(len(box.faces), dtype=np.int32) % max(len(materials), 1)
+    return Mesh(
+        np.asarray(box.vertices),
+        np.asarray(box.faces),
+        which,
+        materials or (Material(),),
+        np.asarray(box.vertices[:, :2], np.float32) if uv else None,
+    )
+
+
+def make_object() -> ArticulatedObject:
+    """Textures, several materials, vertex colours, a cloud, a flat mesh."""
+    rng = np.random.default_rng(0)
+    picture = Image.fromarray(rng.integers(0, 255, (4, 4, 3), dtype=np.uint8))
+    colored = box_mesh(0.9)
+    colors = np.tile(np.array([250, 10, 20, 255], np.uint8), (len(colored.vertices), 1))
+    red, pictured = Material("red", (255, 0, 0, 255)), Material("pic", texture=picture)
+    parts = (
+        Part("link_0", box_mesh(0, red, pictured, uv=True)),
+        Part("door", box_mesh(0.5, pictured, uv=True), name="door"),
+        Part("link_2", cloud=PointCloud(rng.random((200, 3), np.float32) * 0.1)),
+        Part("link_3", Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))),
+        Part("link_4", Mesh(colored.vertices, colored.faces, vertex_colors=colors)),
+    )  # fmt: skip
+    return ArticulatedObject("my <object>", parts, TREE, category="Cabinet")
+
+
+@pytest.fixture(scope="module")
+def obj() -> ArticulatedObject:
+    return make_object()
+
+
+@pytest.fixture(scope="module")
+def asset(obj, tmp_path_factory) -> Path:
+    return write_asset(obj, tmp_path_factory.mktemp("assets") / "a", provenance={}).folder
+
+
+@pytest.fixture(scope="module")
+def exported(asset, tmp_path_factory):
+    """Format → files, each exported once."""
+    return {n: export(asset, n, tmp_path_factory.mktemp("out") / n) for n in exporter_names()}
+
+
+def test_the_built_in_formats_are_there():
+    assert exporter_names()[:3] == ("urdf", "mjcf", "glb")
+
+
+@pytest.mark.parametrize("name", registry.BUILT_IN)
+class TestContract:
+    def test_it_is_an_exporter(self, name):
+        made = load_exporter(name)
+        assert isinstance(made, Exporter) and made.name == name
+        assert made.description and "\n" not in made.description
+
+    def test_it_says_what_it_wrote(self, exported, name):
+        files = exported[name]
+        folder = files[0].parent
+        assert folder.name == name
+        assert len(files) == len(set(files))
+        assert all(p.is_file() and p.stat().st_size and p.is_relative_to(folder) for p in files)
+
+    def test_the_folder_can_be_moved(self, exported, name):
+        """No file names a place outside of the folder."""
+        folder = exported[name][0].parent
+        for path in folder.rglob("*"):
+            data = path.read_bytes() if path.is_file() else b""
+            assert str(folder).encode() not in data and b"../" not in data
+
+    def test_it_can_be_written_again(self, asset, tmp_path, name):
+        first = {p: p.read_bytes() for p in export(asset, name, tmp_path / "again")}
+        assert {p: p.read_bytes() for p in export(asset, name, tmp_path / "again")} == first
+
+    def test_a_folder_that_cannot_be_written_is_named(self, asset, tmp_path, name):
+        (tmp_path / "file").write_text("")
+        with pytest.raises(InputFileError, match="file"):
+            export(asset, name, tmp_path / "file" / "out")
+
+    def test_progress_ends_at_one(self, obj, tmp_path, name):
+        seen: list[float] = []
+        load_exporter(name).export(obj, tmp_path, progress=lambda f, m: seen.append(f))
+        assert seen == sorted(seen) and seen[-1] == 1.0
+
+
+def settings(obj) -> list[dict[str, float]]:
+    rng = np.random.default_rng(0)
+    free = [j.name for j in obj.tree.joints if j.moves and j.mimic is None]
+    return [{n: float(rng.uniform(-2, 2)) for n in free} for _ in range(5)]
+
+
+def test_urdf_reads_back(exported, obj):
+    path = exported["urdf"][0]
+    back = read_urdf(path)
+    assert {p.link for p in back.parts} == {p.link for p in obj.parts}
+    for q in settings(obj):
+        for link, pose in obj.pose(q).items():
+            np.testing.assert_allclose(back.pose(q)[link], pose, atol=1e-9)
+    assert mujoco_problems(path, obj, settings(obj)) == []
+
+
+def test_mjcf_moves_the_same(exported, obj):
+    assert mujoco_problems(exported["mjcf"][0], obj, settings(obj)) == []
+
+
+def test_mjcf_shows_the_parts_where_they_are_with_their_textures(exported, obj):
+    model = mujoco.MjModel.from_xml_path(str(exported["mjcf"][0]))
+    data = mujoco.MjData(model)
+    q = {"hinge": 0.8, "slide": 0.2}
+    for name, value in obj.tree.joint_values(q).items():
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_kinematics(model, data)
+    posed = obj.pose(q)
+    corners: dict[str, list[np.ndarray]] = {}
+    for i in range(model.ngeom):
+        mesh = model.geom_dataid[i]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        local = model.mesh_vert[start : start + count]
+        here = local @ data.geom_xmat[i].reshape(3, 3).T + data.geom_xpos[i]
+        corners.setdefault(model.body(model.geom_bodyid[i]).name, []).append(here)
+    for part in obj.parts:
+        if part.mesh is None:
+            continue
+        mine = trimesh.transform_points(part.mesh.vertices, posed[part.link])
+        theirs = np.concatenate(corners[part.link])
+        np.testing.assert_allclose(theirs.min(0), mine.min(0), atol=1e-5)
+        np.testing.assert_allclose(theirs.max(0), mine.max(0), atol=1e-5)
+    assert model.ntex == 1  # shared by the two parts
+    textured = [i for i in range(model.nmat) if (model.mat_texid[i] >= 0).any()]
+    assert len(textured) == 2
+    assert model.neq == 1 and (model.mesh_texcoordadr[:3] >= 0).all()
+    red = model.mat("link_4_0").rgba
+    np.testing.assert_allclose(red, np.array([250, 10, 20, 255]) / 255, atol=1e-3)
+
+
+def test_mjcf_joint_kinds_and_ranges(exported):
+    root = ET.parse(exported["mjcf"][0]).getroot()
+    joints = {j.get("name"): (j.get("type"), j.get("range")) for j in root.iter("joint")}
+    assert joints["hinge"] == ("hinge", "-0.2 2.5")
+    assert joints["turn <&>"] == ("hinge", None)
+    assert joints["slide"] == ("slide", "0 0.3")
+
+
+def glb_tree(path: Path) -> tuple[dict, bytes]:
+    data = path.read_bytes()
+    assert data[:4] == b"glTF" and struct.unpack_from("<I", data, 8)[0] == len(data)
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def glb_array(tree: dict, binary: bytes, index: int) -> np.ndarray:
+    entry = tree["accessors"][index]
+    view = tree["bufferViews"][entry["bufferView"]]
+    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[entry["type"]]
+    start = view["byteOffset"]
+    flat = np.frombuffer(binary[start : start + view["byteLength"]], "<f4")
+    return flat.reshape(entry["count"], width)
+
+
+def glb_worlds(tree: dict, changed: dict[int, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Node name → (4, 4) with some nodes' translation or rotation replaced."""
+    out: dict[str, np.ndarray] = {}
+
+    def walk(index: int, above: np.ndarray) -> None:
+        node = {**tree["nodes"][index], **changed.get(index, {})}
+        local = np.eye(4)
+        local[:3, :3] = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
+        local[:3, 3] = node.get("translation", [0, 0, 0])
+        out[node["name"]] = above @ local
+        for child in node.get("children", []):
+            walk(child, out[node["name"]])
+
+    walk(tree["scenes"][0]["nodes"][0], np.eye(4))
+    return out
+
+
+def test_glb_animations_are_the_joints(exported, obj):
+    tree, binary = glb_tree(exported["glb"][0])
+    names = [a["name"] for a in tree["animations"]]
+    assert names == ["all joints", "hinge", "turn <&>", "slide"]
+    up = np.eye(4)
+    up[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    hinge = tree["animations"][1]
+    assert len(hinge["channels"]) == 2  # its follower moves along
+    times = glb_array(tree, binary, hinge["samplers"][0]["input"])[:, 0]
+    assert times[0] == 0 and (np.diff(times) > 0).all()
+    expected_q = {0: 0.0, 8: 2.5, 16: -0.2, 24: 0.0}
+    for key, q in expected_q.items():
+        changed: dict[int, dict[str, np.ndarray]] = {}
+        for channel in hinge["channels"]:
+            sampler = hinge["samplers"][channel["sampler"]]
+            value = glb_array(tree, binary, sampler["output"])[key]
+            changed[channel["target"]["node"]] = {channel["target"]["path"]: value}
+        worlds = glb_worlds(tree, changed)
+        for link, pose in object_from_links(obj, {"hinge": q}).items():
+            np.testing.assert_allclose(worlds[link], up @ pose, atol=1e-6)
+
+
+def test_glb_holds_a_shared_texture_once(exported):
+    tree, _ = glb_tree(exported["glb"][0])
+    assert len(tree["images"]) == 2  # one a part
+    assert len({image["bufferView"] for image in tree["images"]}) == 1
+
+
+def test_glb_keyframes_never_turn_the_long_way(exported):
+    tree, binary = glb_tree(exported["glb"][0])
+    for animation in tree["animations"]:
+        for channel in animation["channels"]:
+            if channel["target"]["path"] == "rotation":
+                keys = glb_array(tree, binary, animation["samplers"][channel["sampler"]]["output"])
+                steps = np.abs((keys[1:] * keys[:-1]).sum(1))
+                assert steps.min() > np.cos(np.pi / 4)  # less than a quarter turn a step
+
+
+def test_glb_opens_in_trimesh_with_everything_in_place(exported, obj):
+    scene = trimesh.load_scene(exported["glb"][0])
+    at_rest = np.stack([p.bounds for p in obj.parts if p.mesh is not None])
+    low, high = at_rest[:, 0].min(0), at_rest[:, 1].max(0)
+    expected = np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]])
+    # The follower's offset moves link_3 and link_4 at rest already in simulators, not in the file.
+    np.testing.assert_allclose(scene.bounds, expected, atol=1e-5)
+    materials = {
+        getattr(g.visual.material, "name", None)
+        for g in scene.geometry.values()
+        if hasattr(g.visual, "material")
+    }
+    assert {"red", "pic"} <= materials
+
+
+def test_a_bare_urdf_can_be_exported(exported, tmp_path, obj):
+    files = export(exported["urdf"][0], "mjcf", tmp_path / "m")
+    assert mujoco_problems(files[0], obj, settings(obj)) == []
+
+
+def test_unknown_formats_name_the_known_ones(asset, tmp_path):
+    with pytest.raises(ConfigurationError, match=r"'usdz'.*urdf, mjcf, glb"):
+        export(asset, "usdz", tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+
+
+def test_what_is_no_asset_is_refused(tmp_path):
+    with pytest.raises(InputFileError, match=re.escape("object.urdf")):
+        export(tmp_path, "urdf", tmp_path / "x")
+
+
+def test_a_plug_in_that_is_no_exporter_is_named(monkeypatch):
+    monkeypatch.setitem(registry.BUILT_IN, "odd", object)
+    with pytest.raises(ConfigurationError, match="'odd' is no exporter"):
+        load_exporter("odd")
+
+
+@pytest.mark.parametrize("name", ["7167", "100234"])
+@pytest.mark.parametrize("format", registry.BUILT_IN)
+def test_real_objects_can_be_exported(shared_data, tmp_path, name, format):
+    path = shared_data / "partnet_mobility" / name / "mobility.urdf"
+    files = export(path, format, tmp_path / "out")
+    obj = read_urdf(path)
+    if format != "glb":
+        assert mujoco_problems(files[0], obj, settings(obj)[:2]) == []
+    else:
+        assert len(trimesh.load_scene(files[0]).geometry) >= len(obj.parts)
