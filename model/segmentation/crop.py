@@ -34,8 +34,9 @@ def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool
 def floor_and_walls(asset: Asset, share: float = 0.05, thickness: float = 0.01) -> Bool:
     """(E,) elements on the floor, the ceiling and upright walls.
 
-    A plane counts as one of them where it holds ``share`` of the elements and nearly everything
-    else lies on one side of it.
+    A plane counts as one of them where it holds ``share`` of the elements, nearly everything
+    else lies on one side of it, and it reaches out farther than the rest: the sides of a lone
+    box are no walls.
 
     Args:
         share: of all elements.
@@ -93,10 +94,27 @@ def _border_plane(
         support = int(near.sum())
         if support <= best:
             continue
-        outside = min(int((height > band).sum()), int((height < -band).sum()))
-        if outside < 0.02 * len(pool):
+        all_heights = points @ normal - a @ normal
+        outside = min(int((all_heights > band).sum()), int((all_heights < -band).sum()))
+        if outside < 0.02 * len(points) and _reaches_out(points[pool], near, normal):
             best, answer = support, (normal, float((points[pool[near]] @ normal).mean()))
     return answer
+
+
+def _reaches_out(
+    points: npt.NDArray[np.float64], near: Bool, normal: npt.NDArray[np.float64]
+) -> bool:
+    """Whether the plane's points span 1.2 times what the rest spans, along one of its axes."""
+    if near.all():
+        return True
+    side = np.cross(normal, [0.0, 0.0, 1.0]) if abs(normal[2]) < 0.5 else np.array([1.0, 0, 0])
+    for axis in (side / np.linalg.norm(side), np.cross(normal, side)):
+        along = points @ axis
+        low, high = np.percentile(along[near], [2, 98])
+        rest_low, rest_high = np.percentile(along[~near], [2, 98])
+        if high - low > 1.2 * (rest_high - rest_low):
+            return True
+    return False
 
 
 def crop(asset: Asset, keep: Bool) -> Asset:

@@ -152,14 +152,25 @@ class DefaultSession:
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
             found = self.solver.answer(own, cell, step.positive, blocked)
-            parts[step.part] = replace(with_click(own, cell, step.positive), mask=found.best)
+            parts[step.part] = replace(
+                with_click(own, cell, step.positive),
+                mask=self.solver.tidy(found.best, own, cell) & ~blocked,
+            )
             ranked[step.part] = found
         if step.positive:
             taken = parts[step.part].mask
             assert taken is not None
             for q, other in others.items():
+                assert other.mask is not None
                 yielded = with_click(other, cell, False)
-                parts[q] = replace(yielded, mask=other.mask & ~taken)  # type: ignore[operator]
+                if other.mask[cell]:
+                    # The click says that this part was too large: ask again what it is.
+                    rest = _union([s.mask for r, s in parts.items() if r != q], len(taken))
+                    found = self.solver.answer(other, cell, False, rest)
+                    ranked[q] = found
+                    parts[q] = replace(yielded, mask=found.best & ~rest)
+                else:
+                    parts[q] = replace(yielded, mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
 
     def _foreign(self, state: _State, part: int) -> tuple[int, ...]:
@@ -242,6 +253,14 @@ def _released(steps: tuple[Step, ...], labels: npt.NDArray[np.int16]) -> dict[in
                 free = (labels == step.part) == later.positive
             if free is not None:
                 out[index] = out[index] | free if index in out else free
+    return out
+
+
+def _union(masks: list[Bool | None], count: int) -> Bool:
+    out = np.zeros(count, bool)
+    for mask in masks:
+        if mask is not None:
+            out |= mask
     return out
 
 

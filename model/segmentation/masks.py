@@ -13,12 +13,14 @@ Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
 
 SOURCES = (
-    "contact", "absorb", "patch", "sweep", "grow", "replace", "union", "cut", "walk", "mend", "keep",
+    "contact", "absorb", "patch", "sweep",
+    "grow", "replace", "union", "cut", "walk", "mend", "keep",
 )  # fmt: skip
 """Where a mask came from. contact, absorb, patch: one region of that merge tree; sweep: a level
-set of a random walk with little leaking through its border; grow: the earlier mask and a region; replace: a region that holds all the clicks; union: a region around
-each click; cut: the earlier mask without a region; walk: a random walk from the clicks alone;
-mend: a walk that keeps to a mask; keep: the earlier mask and the clicked cell."""
+set of a random walk with little leaking through its border; grow: the earlier mask and a region;
+replace: a region that holds all the clicks; union: a region around each click; cut: the earlier
+mask without a region; walk: a random walk from the clicks alone; mend: a walk that keeps to a
+mask; keep: the earlier mask and the clicked cell."""
 
 FEATURE_NAMES = (
     "log_size", "border", "border_soft_min", "border_weak", "border_strong", "border_color",

@@ -21,6 +21,8 @@ TARGET_NODES = 100_000
 """Nodes per asset: 6 mm spacing on a 1 m cabinet, and a graph that answers within a click."""
 
 _MIN_SHELL_NODES = 12
+_NODES_PER_FACE = 12
+_LEAST_MESH_NODES = 30_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,9 @@ class Nodes:
 def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
     """Sample ``asset`` into about ``target`` nodes; deterministic."""
     if asset.mesh is not None and len(asset.mesh.faces):
-        return _mesh_nodes(asset.mesh, target)
+        # A mesh's answer is per face: more than a dozen nodes a face would only cost time.
+        enough = max(_NODES_PER_FACE * len(asset.mesh.faces), _LEAST_MESH_NODES)
+        return _mesh_nodes(asset.mesh, min(target, enough))
     assert asset.cloud is not None
     return _cloud_nodes(asset.cloud, target)
 

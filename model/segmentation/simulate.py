@@ -17,6 +17,12 @@ Bool = npt.NDArray[np.bool_]
 _QUERIES = 4000
 
 
+def iou(answer: Bool, truth: Bool) -> float:
+    """Intersection over union of two masks; 1 where both are empty."""
+    union = int((answer | truth).sum())
+    return float((answer & truth).sum() / union) if union else 1.0
+
+
 def deepest(points: npt.NDArray[np.floating], region: Bool) -> int:
     """The point of ``region`` that is farthest from any point outside it.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import Cells
+from model.segmentation.cells import Cells, groups
 from model.segmentation.hierarchy import TREES, Hierarchy
 from model.segmentation.masks import (
     Candidates,
@@ -116,6 +116,20 @@ class PartSolver:
         """Hypotheses for a first click on ``cell`` with nothing else said."""
         return self.answer(PartState(), cell, True, None)
 
+    def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
+        """``mask`` without crumbs and pinholes that no click asked for.
+
+        A piece of the mask (or of the rest) goes to the other side where it has less than a
+        thousandth of all nodes and a fiftieth of the mask, and holds no click.
+        """
+        links, size = self.cells.links, self.cells.size
+        same = mask[links.a] == mask[links.b]
+        number, piece = groups(len(mask), links.a[same], links.b[same])
+        held = np.bincount(piece, size, number)
+        small = held < min(0.001 * size.sum(), 0.02 * size[mask].sum())
+        small[piece[[cell, *state.positive, *state.negative]]] = False
+        return mask ^ small[piece]
+
     # Hypotheses ----------------------------------------------------------------------
 
     def answer(self, state: PartState, cell: int, positive: bool, blocked: Bool | None) -> Ranked:
@@ -196,6 +210,8 @@ class PartSolver:
 
     def _unions(self, positives: list[int], negatives: list[int]) -> list[Candidates]:
         """At each level the regions of all positive clicks together, where no negative is in."""
+        if not positives:
+            return []
         labels = self._labels
         own = labels[:, positives]
         if negatives:

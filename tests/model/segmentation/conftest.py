@@ -11,6 +11,7 @@ import pytest
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
+from model.segmentation.training.primitives import block
 
 
 @dataclass(frozen=True)
@@ -19,17 +20,6 @@ class Labelled:
 
     asset: Asset
     labels: npt.NDArray[np.int16]
-
-
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> npt.NDArray:
-    """(12, 3, 3) triangles of an axis-aligned box, outward."""
-    x0, y0, z0 = low
-    x1, y1, z1 = high
-    v = np.array(
-        [[x, y, z] for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)], dtype=np.float64
-    )
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return np.array([v[[q[0], q[i], q[i + 1]]] for q in quads for i in (1, 2)])
 
 
 CABINET = (
@@ -55,7 +45,7 @@ def subdivide(triangles: npt.NDArray, times: int) -> npt.NDArray:
 
 def cabinet_mesh(times: int = 3) -> Labelled:
     """The cabinet as one mesh without any part information."""
-    triangles = [subdivide(box(low, high), times) for _, low, high, _ in CABINET]
+    triangles = [subdivide(block(low, high), times) for _, low, high, _ in CABINET]
     labels = np.repeat([p for p, *_ in CABINET], [len(t) for t in triangles]).astype(np.int16)
     vertices = np.concatenate(triangles).reshape(-1, 3)
     faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
@@ -66,7 +56,7 @@ def cabinet_cloud(count: int = 20_000, seed: int = 0, noise: float = 0.0) -> Lab
     """The cabinet's outside sampled as a coloured cloud."""
     rng = np.random.default_rng(seed)
     points, labels, colors = [], [], []
-    triangles = np.concatenate([box(low, high) for _, low, high, _ in CABINET])
+    triangles = np.concatenate([block(low, high) for _, low, high, _ in CABINET])
     part = np.repeat(np.arange(len(CABINET)), 12)
     area = np.linalg.norm(
         np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
@@ -108,6 +98,7 @@ def mesh_cabinet() -> Labelled:
     return cabinet_mesh()
 
 
-def iou(answer: npt.NDArray, truth: npt.NDArray) -> float:
-    """Intersection over union of two masks."""
-    return float((answer & truth).sum() / max((answer | truth).sum(), 1))
+@pytest.fixture(scope="session")
+def make_cabinet_cloud():
+    """:func:`cabinet_cloud`, for tests that need another size or noise."""
+    return cabinet_cloud

@@ -1,0 +1,112 @@
+"""Quality and behaviour of the default segmenter on a cabinet with known parts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model.segmentation.default import DefaultSegmenter
+from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.simulate import deepest, iou, next_click, next_part_click
+
+
+@pytest.fixture(scope="module")
+def session(cloud_cabinet):
+    return DefaultSegmenter().encode(cloud_cabinet.asset)
+
+
+def click_at(labelled, element: int, part: int, positive: bool = True) -> Click:
+    x, y, z = labelled.asset.element_centers[element]
+    return Click((float(x), float(y), float(z)), part, positive, int(element))
+
+
+def test_a_few_clicks_take_a_door(session, cloud_cabinet):
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    clicks = [click_at(cloud_cabinet, deepest(points, truth), 1)]
+    for _ in range(4):
+        answer = session.segment(Prompts(tuple(clicks))).labels == 1
+        found = next_click(points, truth, answer)
+        if found is None:
+            break
+        clicks.append(click_at(cloud_cabinet, found[0], 1, found[1]))
+    assert iou(session.segment(Prompts(tuple(clicks))).labels == 1, truth) > 0.85
+
+
+def test_competing_parts_with_two_clicks_each(session, cloud_cabinet):
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels
+    clicks = [click_at(cloud_cabinet, deepest(points, truth == p), p) for p in (0, 1, 2)]
+    for _ in range(3):
+        labels = session.segment(Prompts(tuple(clicks))).labels
+        found = next_part_click(points, truth, labels)
+        assert found is not None
+        clicks.append(click_at(cloud_cabinet, found[0], found[1]))
+    labels = session.segment(Prompts(tuple(clicks))).labels
+    assert np.mean([iou(labels == p, truth == p) for p in (0, 1, 2)]) > 0.85
+
+
+def test_a_click_that_agrees_changes_nothing(session, cloud_cabinet):
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    first = click_at(cloud_cabinet, deepest(points, truth), 1)
+    before = session.segment(Prompts((first,))).labels
+    inside = np.nonzero(before == 1)[0]
+    again = click_at(cloud_cabinet, int(inside[len(inside) // 3]), 1)
+    assert np.array_equal(session.segment(Prompts((first, again))).labels, before)
+
+
+def test_a_click_inside_a_region_takes_a_part_of_it(session, cloud_cabinet):
+    everything = Region(1, np.arange(len(cloud_cabinet.labels)))
+    knob = np.nonzero(
+        (cloud_cabinet.labels == 2) & (cloud_cabinet.asset.element_centers[:, 1] < -0.03)
+    )[0]
+    labels = session.segment(Prompts((everything, click_at(cloud_cabinet, int(knob[0]), 2)))).labels
+    assert labels[knob[0]] == 2
+    assert set(np.unique(labels)) == {1, 2}
+
+
+def test_candidates_differ_from_each_other_and_the_answer(session, cloud_cabinet):
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    prompts = Prompts((click_at(cloud_cabinet, deepest(points, truth), 1),))
+    masks = [session.segment(prompts).labels == 1, *session.candidates(prompts, 1)]
+    assert len(masks) >= 3
+    for i, first in enumerate(masks):
+        for second in masks[:i]:
+            assert iou(first, second) < 0.95
+
+
+def test_many_more_points_than_nodes(make_cabinet_cloud):
+    labelled = make_cabinet_cloud(110_000, noise=0.0005)
+    session = DefaultSegmenter().encode(labelled.asset)
+    assert len(session.encoding.nodes) <= 105_000
+    points, truth = labelled.asset.element_centers, labelled.labels == 2
+    labels = session.segment(Prompts((click_at(labelled, deepest(points, truth), 2),))).labels
+    assert labels.shape == (110_000,) and (labels == 2).any()
+
+
+def test_the_mesh_is_cut_along_its_edges(mesh_cabinet):
+    session = DefaultSegmenter().encode(mesh_cabinet.asset)
+    centers, truth = mesh_cabinet.asset.element_centers, mesh_cabinet.labels
+    clicks = [click_at(mesh_cabinet, deepest(centers, truth == p), p) for p in (1, 2)]
+    for _ in range(2):
+        labels = session.segment(Prompts(tuple(clicks))).labels
+        found = next_part_click(centers, truth, labels)
+        if found is None:
+            break
+        clicks.append(click_at(mesh_cabinet, found[0], found[1]))
+    labels = session.segment(Prompts(tuple(clicks))).labels
+    area = mesh_cabinet.asset.mesh.face_areas
+    assert area[labels == truth].sum() > 0.95 * area.sum()
+
+
+def test_progress_rises_and_can_cancel(cloud_cabinet):
+    from model.progress import Cancelled
+
+    seen: list[float] = []
+    DefaultSegmenter().encode(cloud_cabinet.asset, lambda f, _: seen.append(f))
+    assert seen == sorted(seen) and seen[-1] == 1.0
+
+    def stop(fraction: float, message: str) -> None:
+        if fraction > 0.3:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        DefaultSegmenter().encode(cloud_cabinet.asset, stop)

@@ -1,0 +1,169 @@
+"""Masks by other means than clicks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model.errors import GeometryError, PromptError
+from model.geometry.asset import Asset
+from model.geometry.point_cloud import PointCloud
+from model.segmentation.crop import crop, floor_and_walls, outliers
+from model.segmentation.default import DefaultSegmenter
+from model.segmentation.simulate import iou
+from model.segmentation.tools import (
+    connected,
+    grow,
+    hover,
+    mirrored,
+    pieces,
+    propose,
+    same_shape,
+    straight_cut,
+    without_leftovers,
+)
+from model.segmentation.training.primitives import block
+
+
+@pytest.fixture(scope="module")
+def session(cloud_cabinet):
+    return DefaultSegmenter().encode(cloud_cabinet.asset)
+
+
+def sampled(boxes, count: int, seed: int = 0):
+    """Points on the boxes' surfaces, by area, and the box of each."""
+    rng = np.random.default_rng(seed)
+    t = np.concatenate([block(low, high) for low, high in boxes])
+    which = np.repeat(np.arange(len(boxes)), 12)
+    area = np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1)
+    face = rng.choice(len(t), count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    points = t[face, 0] + u * (t[face, 1] - t[face, 0]) + v * (t[face, 2] - t[face, 0])
+    return points, which[face]
+
+
+@pytest.fixture(scope="module")
+def keypad():
+    """A slab with six equal buttons and a long one, all standing proud."""
+    boxes = [((0, 0, 0), (0.4, 0.3, 0.03))]
+    for i in range(3):
+        for j in range(2):
+            x, y = 0.06 + 0.11 * i, 0.05 + 0.1 * j
+            boxes.append(((x, y, 0.031), (x + 0.05, y + 0.05, 0.06)))
+    boxes.append(((0.05, 0.24, 0.031), (0.35, 0.28, 0.06)))
+    points, label = sampled(boxes, 30_000)
+    asset = Asset("keypad", cloud=PointCloud(points))
+    return DefaultSegmenter().encode(asset), label
+
+
+def test_hover_is_what_a_first_click_takes(session, cloud_cabinet):
+    from model.segmentation.prompts import Click, Prompts
+
+    element = int(np.nonzero(cloud_cabinet.labels == 1)[0][40])
+    position = cloud_cabinet.asset.element_centers[element]
+    clicked = session.segment(Prompts((Click(tuple(map(float, position)), 1, True, element),)))
+    assert np.array_equal(hover(session, position, element), clicked.labels == 1)
+
+
+def test_connected_stops_at_the_gap():
+    points, label = sampled([((0, 0, 0), (1, 1, 1)), ((1.2, 0, 0), (2, 1, 1))], 20_000)
+    session = DefaultSegmenter().encode(Asset("two", cloud=PointCloud(points)))
+    mask = connected(session, (0.5, 0.5, 1.0))
+    assert iou(mask, label == 0) > 0.999
+    both = pieces(session, np.ones(len(points), bool))
+    assert sorted(m.sum() for m in both) == sorted(np.bincount(label))
+
+
+def test_connected_on_a_mesh_is_the_shell(mesh_cabinet):
+    session = DefaultSegmenter().encode(mesh_cabinet.asset)
+    mask = connected(session, (0.42, -0.06, 0.37))
+    knob = np.zeros(len(mask), bool)
+    knob[-2 * 12 * 64 : -12 * 64] = True
+    assert np.array_equal(mask, knob)
+
+
+def test_grow_and_shrink(session, cloud_cabinet):
+    door = cloud_cabinet.labels == 1
+    larger = grow(session, door, 2)
+    smaller = grow(session, door, -2)
+    assert (larger & door).sum() == door.sum() and larger.sum() > door.sum()
+    assert not (smaller & ~door).any() and smaller.sum() < door.sum()
+    assert np.array_equal(grow(session, door, 0), door)
+
+
+def test_straight_cut_by_two_and_three_clicks(session, cloud_cabinet):
+    top = cloud_cabinet.asset.element_centers[:, 2] > 0.79
+    centers = cloud_cabinet.asset.element_centers
+    first, second = straight_cut(session, top, [(0.3, 0.1, 0.8), (0.3, 0.4, 0.8)])
+    assert np.array_equal(first | second, top) and not (first & second).any()
+    assert centers[first, 0].max() < 0.301 and centers[second, 0].min() > 0.299
+    everything = np.ones(len(centers), bool)
+    low, high = straight_cut(session, everything, [(0, 0, 0.2), (1, 0, 0.2), (0, 0.5, 0.2)])
+    assert centers[low, 2].max() <= 0.2 <= centers[high, 2].min()
+    with pytest.raises(PromptError, match="two or three"):
+        straight_cut(session, top, [(0, 0, 0)])
+    with pytest.raises(PromptError, match="line"):
+        straight_cut(session, top, [(0, 0, 0), (0, 0, 0)])
+
+
+def test_mirrored_door_is_the_other_door(session, cloud_cabinet):
+    other = mirrored(session, cloud_cabinet.labels == 1, axis=0)
+    assert iou(other, cloud_cabinet.labels == 2) > 0.85
+
+
+def test_same_shape_finds_the_other_buttons(keypad):
+    session, label = keypad
+    found = same_shape(session, label == 1)
+    hits = {b for b in range(2, 7) if any(iou(m, label == b) > 0.7 for m in found)}
+    assert hits == {2, 3, 4, 5, 6}
+    assert not any(iou(m, label == 7) > 0.5 for m in found)
+
+
+def test_propose_finds_parts_without_any_click(keypad):
+    session, label = keypad
+    answer = propose(session, least=0.3)
+    assert answer.labels.shape == label.shape and answer.labels.min() >= 0
+    found = [
+        max(iou(answer.labels == p, label == b) for p in answer.parts) > 0.7 for b in range(1, 8)
+    ]
+    assert sum(found) >= 5
+
+
+def test_leftovers_go_to_their_neighbours(session, cloud_cabinet):
+    labels = cloud_cabinet.labels.copy()
+    points = cloud_cabinet.asset.element_centers
+    crumb = np.linalg.norm(points - (0.25, -0.02, 0.6), axis=1) < 0.02
+    labels[crumb] = 5
+    labels[np.linalg.norm(points - (0.5, 0.5, 0.4), axis=1) < 0.02] = -1
+    clean = without_leftovers(session, labels)
+    assert (clean >= 0).all()
+    assert (clean[crumb] == 5).all(), "the only piece of a part is never a crumb"
+    labels[crumb] = 2
+    clean = without_leftovers(session, labels)
+    assert (clean[crumb] == 1).all()
+
+
+def test_a_mask_of_the_wrong_length_is_refused(session):
+    with pytest.raises(PromptError, match="shape"):
+        grow(session, np.ones(3, bool))
+
+
+def test_floor_walls_and_outliers_leave_the_object():
+    rng = np.random.default_rng(1)
+    floor = np.c_[rng.uniform(-2, 2, (8000, 2)), rng.normal(0, 0.003, 8000)]
+    wall = np.c_[rng.uniform(-2, 2, 5000), np.full(5000, 2.0), rng.uniform(0, 2, 5000)]
+    thing, _ = sampled([((-0.4, -0.4, 0.15), (0.4, 0.4, 1.0))], 8000)
+    stray = rng.uniform((-1.5, -1.5, 2.5), (1.5, 1.5, 5.5), (20, 3))
+    points = np.concatenate([floor, wall, thing, stray])
+    kind = np.repeat([0, 1, 2, 3], [8000, 5000, 8000, 20])
+    asset = Asset("room", cloud=PointCloud(points))
+    far = outliers(asset)
+    assert far[kind == 3].all() and far[kind != 3].mean() < 0.01
+    inside = crop(asset, ~far)
+    border = floor_and_walls(inside)
+    kept = kind[~far][~border]
+    assert (kept == 2).mean() > 0.98 and (kept == 2).sum() > 0.95 * 8000
+    with pytest.raises(GeometryError, match="room"):
+        crop(asset, np.zeros(len(points), bool))
