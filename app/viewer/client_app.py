@@ -398,6 +398,16 @@ class ClientApp:
         """Replace the chosen joint."""
         self.do(cmd.SetJoint(joint))
 
+    @property
+    def drawn(self) -> bool:
+        """Whether the open object's picture was sent."""
+        return self.object is not None and self._drawn_asset is self.object.asset is not None
+
+    @property
+    def shows_labels(self) -> bool:
+        """Whether the newest labels were sent."""
+        return self.object is not None and self.scene.labels is self.object.labels
+
     # --- motion
 
     def set_q(self, name: str, value: float) -> None:

@@ -130,12 +130,15 @@ class SceneView:
     def show_labels(self, labels: npt.NDArray[np.int16] | None, hidden: frozenset[int]) -> None:
         """Tint the parts. Sends only the parts that changed."""
         asset = self._asset
-        if asset is None or (self._same(labels) and hidden == self._hidden):
+        if asset is None:
             return
-        before, self._labels = self._labels, labels
-        self._hidden = hidden
+        if self._same(labels) and hidden == self._hidden:
+            self._labels = labels
+            return
+        before, self._hidden = self._labels, hidden
         if asset.display_points is not None:
             self._tint_cloud(asset, labels, hidden)
+            self._labels = labels
             return
         now = set() if labels is None else {int(i) for i in np.unique(labels)}
         with self._client.atomic():
@@ -150,6 +153,12 @@ class SceneView:
                     self._tint_mesh(part, labels)
                 if part in self._tints:
                     self._tints[part].visible = part not in hidden and not self._moving
+        self._labels = labels
+
+    @property
+    def labels(self) -> npt.NDArray[np.int16] | None:
+        """The labels that were drawn last."""
+        return self._labels
 
     def _same(self, labels: npt.NDArray[np.int16] | None) -> bool:
         if labels is None or self._labels is None:
@@ -171,20 +180,20 @@ class SceneView:
     def _tint_mesh(self, part: int, labels: npt.NDArray[np.int16] | None) -> None:
         asset = self._asset
         assert asset is not None and asset.display_faces is not None
-        old = self._tints.pop(part, None)
-        if old is not None:
-            old.remove()
-        if labels is None or part == 0:
+        faces = None if labels is None or part == 0 else asset.display_faces[labels == part]
+        if faces is None or not len(faces):
+            if part in self._tints:
+                self._tints.pop(part).remove()
             return
-        faces = asset.display_faces[labels == part]
-        if not len(faces):
+        if part in self._tints:
+            # The vertices are there already: only the faces are sent.
+            self._tints[part].faces = faces.astype(np.uint32)
             return
-        used, inverse = np.unique(faces, return_inverse=True)
         assert self._offset is not None
         self._tints[part] = self._scene.add_mesh_simple(
             f"/tint/{part}",
-            self._offset[used],
-            inverse.reshape(-1, 3).astype(np.uint32),
+            self._offset,
+            faces.astype(np.uint32),
             color=palette.part_color(part),
             opacity=TINT_OPACITY,
             side="double",
@@ -291,6 +300,12 @@ class SceneView:
                 frame = handles["frame"]
                 frame.wxyz = vtf.SO3.from_matrix(transform[:3, :3]).wxyz
                 frame.position = transform[:3, 3]
+
+    def pretend_parts(self, parts: Iterable[int]) -> None:
+        """Frames without geometry, to measure how fast poses are sent."""
+        self._parts = {
+            k: {"frame": self._scene.add_frame(f"/part/{k}", show_axes=False)} for k in parts
+        }
 
     # --- axes and contacts
 

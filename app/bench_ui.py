@@ -1,0 +1,342 @@
+"""``artiworld bench ui``: what a person waits for, measured on the server with a pretended browser.
+
+The browser is a websocket client that speaks viser's protocol, takes in every byte and draws
+nothing: the figures are the server's own. Each is printed beside a baseline of the same run: what
+it costs to send the whole object again, which is what a viewer without differences does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import tempfile
+import threading
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.config import ServeConfig
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+WAIT_SECONDS = 300.0
+HEARTBEAT = 0.002
+
+
+@dataclass(frozen=True)
+class BenchUiConfig:
+    """Settings of ``artiworld bench ui``.
+
+    Attributes:
+        points: sizes of the clouds.
+        faces: size of the mesh; 0 leaves it out.
+        clicks: clicks on each object.
+        segmenter: who answers them.
+        json: write the figures to this file too.
+    """
+
+    points: tuple[int, ...] = (100_000, 1_000_000)
+    faces: int = 1_000_000
+    clicks: int = 40
+    segmenter: str = "default"
+    json: Path | None = None
+
+
+@dataclass
+class UiFigures:
+    """What was measured on one object; times in milliseconds."""
+
+    name: str
+    elements: int
+    open_ms: float = 0.0
+    encode_ms: float = 0.0
+    click_p50_ms: float = 0.0
+    click_p95_ms: float = 0.0
+    bytes_a_click: int = 0
+    whole_bytes: int = 0
+    whole_ms: float = 0.0
+    loop_held_ms: float = 0.0
+    ticks_a_second: float = 0.0
+    extra: dict[str, float] = field(default_factory=dict)
+
+
+class PretendedBrowser:
+    """A client that takes in everything and draws nothing."""
+
+    def __init__(self, url: str) -> None:
+        import msgspec.msgpack
+        import viser
+        from websockets.sync.client import connect
+
+        self.received = 0
+        self.last = 0.0
+        self._socket = connect(
+            url.replace("http", "ws", 1),
+            subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
+            max_size=None,
+            compression=None,
+        )
+        camera = {
+            "type": "ViewerCameraMessage",
+            "wxyz": (1.0, 0.0, 0.0, 0.0),
+            "position": (0.0, -3.0, 1.0),
+            "fov": 0.7,
+            "near": 0.01,
+            "far": 100.0,
+            "image_height": 800,
+            "image_width": 1200,
+            "look_at": (0.0, 0.0, 0.0),
+            "up_direction": (0.0, 0.0, 1.0),
+        }
+        self._socket.send(msgspec.msgpack.encode(camera))
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        try:
+            for message in self._socket:
+                self.received += len(message)
+                self.last = time.perf_counter()
+        except ConnectionClosed:
+            return
+
+    def quiet(self, seconds: float = 0.25) -> int:
+        """Wait until nothing has come for a while; all the bytes so far."""
+        while time.perf_counter() - self.last < seconds:
+            time.sleep(0.01)
+        return self.received
+
+    def close(self) -> None:
+        """End the connection."""
+        self._socket.close()
+
+
+class LoopWatch:
+    """How long the server's event loop is held by one callback, in seconds."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.worst = 0.0
+        self._loop = loop
+        self._on = True
+        loop.call_soon_threadsafe(self._beat, None)
+
+    def _beat(self, due: float | None) -> None:
+        now = self._loop.time()
+        if due is not None:
+            self.worst = max(self.worst, now - due)
+        if self._on:
+            self._loop.call_later(HEARTBEAT, self._beat, now + HEARTBEAT)
+
+    def stop(self) -> None:
+        """No more beats."""
+        self._on = False
+
+
+def run(config: BenchUiConfig) -> list[UiFigures]:
+    """Measure, print the table, and return the figures."""
+    figures = []
+    with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
+        root = Path(folder)
+        for path in _objects(config, root):
+            figures.append(_measure(path, root / f"workspace-{path.stem}", config))
+    _print(figures)
+    if config.json is not None:
+        config.json.write_text(json.dumps([asdict(f) for f in figures], indent=2))
+    return figures
+
+
+def _objects(config: BenchUiConfig, root: Path) -> list[Path]:
+    from model.geometry.writers import write_cloud, write_mesh
+
+    rng = np.random.default_rng(0)
+    out = []
+    for count in config.points:
+        path = root / f"cloud_{count}.ply"
+        write_cloud(_cabinet_cloud(count, rng), path)
+        out.append(path)
+    if config.faces:
+        path = root / f"mesh_{config.faces}.ply"
+        write_mesh(_cabinet_mesh(config.faces), path)
+        out.append(path)
+    return out
+
+
+def _panels() -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+    """Boxes of a cabinet with three drawers: (centre, size)."""
+    boxes = [((0.0, 0.0, 0.45), (0.8, 0.5, 0.9))]
+    boxes += [((0.0, -0.262, 0.15 + 0.3 * k), (0.78, 0.02, 0.28)) for k in range(3)]
+    return [(np.array(c), np.array(s)) for c, s in boxes]
+
+
+def _cabinet_cloud(count: int, rng: np.random.Generator) -> Any:
+    from model.geometry.point_cloud import PointCloud
+
+    points, shares = [], np.array([0.55, 0.15, 0.15, 0.15])
+    for (center, size), share in zip(_panels(), shares, strict=True):
+        n = int(count * share)
+        p = rng.uniform(-0.5, 0.5, (n, 3))
+        side = rng.integers(0, 3, n)
+        p[np.arange(n), side] = np.where(rng.random(n) < 0.5, -0.5, 0.5)
+        points.append(center + p * size)
+    cloud = np.concatenate(points) + rng.normal(0, 0.0007, (sum(map(len, points)), 3))
+    shade = (150 + 40 * np.sin(9 * cloud[:, [0]]) + rng.normal(0, 6, (len(cloud), 3))).clip(0, 255)
+    return PointCloud(cloud.astype(np.float32), None, shade.astype(np.uint8))
+
+
+def _cabinet_mesh(faces: int) -> Any:
+    from model.geometry.mesh import Mesh
+
+    vertices, triangles, start = [], [], 0
+    cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))
+    line = np.linspace(-0.5, 0.5, cells + 1)
+    u, v = (g.ravel() for g in np.meshgrid(line, line, indexing="ij"))
+    index = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    quads = np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
+    for center, size in _panels():
+        for axis in range(3):
+            for sign in (-0.5, 0.5):
+                p = np.empty((len(u), 3))
+                p[:, axis], p[:, (axis + 1) % 3], p[:, (axis + 2) % 3] = sign, u, v
+                vertices.append(center + p * size)
+                triangles.append((quads if sign > 0 else quads[:, ::-1]) + start)
+                start += len(p)
+    return Mesh(np.concatenate(vertices), np.concatenate(triangles).astype(np.int32))
+
+
+def _wait(condition: Any, what: str) -> None:
+    end = time.perf_counter() + WAIT_SECONDS
+    while not condition():
+        if time.perf_counter() > end:
+            raise TimeoutError(f"waited {WAIT_SECONDS:.0f} s in vain for: {what}")
+        time.sleep(0.0005)
+
+
+def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
+    from app.server import Server
+
+    server = Server(
+        ServeConfig(
+            paths=(path,), workspace=workspace, port=0, user="bench", segmenter=config.segmenter
+        )
+    )
+    try:
+        start = time.perf_counter()
+        server.bench.object(server.bench.records()[0].id)
+        browser = PretendedBrowser(server.url)
+        _wait(lambda: server.apps, "the tab")
+        app = next(iter(server.apps.values()))
+        _wait(lambda: app.object is not None and app.object.asset is not None, "the object")
+        _wait(lambda: app.drawn, "the picture")
+        drawn = time.perf_counter()
+        asset = app.object.asset
+        figures = UiFigures(path.stem, asset.element_count, 1000 * (drawn - start))
+        _wait(lambda: not app.object.busy, "the segmenter")
+        figures.encode_ms = 1000 * (time.perf_counter() - drawn)
+        browser.quiet()
+        watch = LoopWatch(server.viser.get_event_loop())
+        _click(app, browser, figures, config.clicks)
+        figures.loop_held_ms = 1000 * watch.worst
+        watch.stop()
+        _baseline(app, browser, figures)
+        figures.ticks_a_second = _ticks(app)
+        browser.close()
+        return figures
+    finally:
+        server.close()
+
+
+def _click(app: Any, browser: PretendedBrowser, figures: UiFigures, clicks: int) -> None:
+    """Clicks on random visible places of three drawers, each for its own part."""
+    rng = np.random.default_rng(1)
+    asset, taken, sent = app.object.asset, [], []
+    low = asset.bounds[0]
+    for k in range(clicks):
+        app.part = 1 + k % 3
+        target = np.array([rng.uniform(-0.3, 0.3), low[1], 0.15 + 0.3 * (k % 3)])
+        target[2] += rng.uniform(-0.1, 0.1)
+        origin = np.array([target[0] + 0.3, low[1] - 2.0, target[2] + 0.3])
+        direction = (target - origin) / np.linalg.norm(target - origin)
+        before, count = browser.quiet(0.3), len(app.object.document.prompts)
+        start = time.perf_counter()
+        ray = tuple(map(float, origin)), tuple(map(float, direction))
+        app.act(lambda ray=ray: app.click(*ray, True))
+        _wait(lambda count=count: len(app.object.document.prompts) > count, "the prompt")
+        _wait(lambda: app.object.document.segmentation_current and app.shows_labels, "the labels")
+        taken.append(time.perf_counter() - start)
+        sent.append(browser.quiet(0.3) - before)
+    figures.click_p50_ms, figures.click_p95_ms = (
+        1000 * float(v) for v in np.percentile(taken, (50, 95))
+    )
+    figures.bytes_a_click = int(np.percentile(sent, 95))
+
+
+def _baseline(app: Any, browser: PretendedBrowser, figures: UiFigures) -> None:
+    """Send the whole object again, as a viewer without differences does at each click."""
+    asset = app.object.asset
+    before, start = browser.quiet(), time.perf_counter()
+    app.scene.show_asset(asset)
+    figures.whole_bytes = browser.quiet() - before
+    figures.whole_ms = 1000 * (browser.last - start)
+
+
+def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
+    """Poses sent a second for an object of ``links`` moving parts."""
+    joints = tuple(
+        Joint(f"j{k}", "revolute", f"link_{k}", f"link_{k + 1}", (0, 0, 1), (0, 0, 0), -1.0, 1.0)
+        for k in range(links)
+    )
+    tree = KinematicTree(tuple(f"link_{k}" for k in range(links + 1)), joints)
+    app.scene.pretend_parts(range(links + 1))
+    start = time.perf_counter()
+    for tick in range(ticks):
+        app.scene.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
+    return ticks / (time.perf_counter() - start)
+
+
+def _print(figures: list[UiFigures]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="The browser's waits, server side (× against sending the whole object)")
+    for name in (
+        "object",
+        "elements",
+        "open to picture",
+        "then encode",
+        "click p50",
+        "click p95",
+        "bytes a click",
+        "whole object",
+        "bytes ratio",
+        "loop held",
+        "40-joint ticks/s",
+    ):
+        table.add_column(name, justify="right" if name != "object" else "left")
+    for f in figures:
+        table.add_row(
+            f.name,
+            f"{f.elements:,}",
+            f"{f.open_ms:.0f} ms",
+            f"{f.encode_ms:.0f} ms",
+            f"{f.click_p50_ms:.0f} ms",
+            f"{f.click_p95_ms:.0f} ms",
+            f"{f.bytes_a_click / 1e6:.3f} MB",
+            f"{f.whole_bytes / 1e6:.1f} MB, {f.whole_ms:.0f} ms",
+            f"1 / {f.whole_bytes / max(f.bytes_a_click, 1):.1f}",
+            f"{f.loop_held_ms:.0f} ms",
+            f"{f.ticks_a_second:.0f}",
+        )
+    Console(width=180).print(table)
+
+
+if __name__ == "__main__":
+    run(BenchUiConfig())
