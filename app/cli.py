@@ -20,7 +20,6 @@ from typing import NoReturn
 from model.errors import ArtiworldError
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
-TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
 _DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."
 
 
@@ -32,12 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as done:  # --help, --version, or a mistake that was told already
         return int(done.code or 0)
     debug = args.debug
-    logging.basicConfig(
-        level=logging.DEBUG if debug else args.log_level,
-        format="%(levelname)s %(name)s: %(message)s",
-    )
-    if not debug:
-        warnings.simplefilter("ignore")
+    _set_up_logging(args.log_level, debug)
     try:
         return args.run(args) or 0
     except ArtiworldError as error:
@@ -52,6 +46,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGPIPE
     except Exception as error:  # the boundary of the program
         return _our_fault(error, debug)
+
+
+def _set_up_logging(level: int, debug: bool) -> None:
+    """Our own messages from ``level`` on; libraries' only where they are grave."""
+    logging.basicConfig(
+        level=logging.DEBUG if debug else max(level, logging.WARNING),
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    if debug:
+        return
+    warnings.simplefilter("ignore")
+    for package in ("app", "model", "sessions", "artiworld"):
+        logging.getLogger(package).setLevel(level)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -172,7 +179,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     add(
         "--port", type=int, help="port to listen at; 0 for any (default: 8080 or the next free one)"
     )
-    add("--token", help=f"what visitors must know; or set {TOKEN_VARIABLE}")
+    add("--token", help="what visitors must know; or set ARTIWORLD_TOKEN")
     add("--allow-origin", action="append", default=[], metavar="URL",
         help="address under which a proxy shows the server; may be repeated")  # fmt: skip
     add("--user", help="name written beside decisions (default: your login name)")
@@ -208,7 +215,7 @@ def _add_predict(parser: argparse.ArgumentParser) -> None:
 def _add_export(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("asset", type=Path, metavar="ASSET", help="a folder with an object.urdf, or a URDF file")
-    add("--format", required=True, metavar="NAME", help="such as urdf or mjcf")
+    add("--format", required=True, metavar="NAME", help="such as urdf, mjcf or glb")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
     _add_json(parser)
 
@@ -285,7 +292,7 @@ def _export(args: argparse.Namespace) -> int:
     from app import headless, printing
 
     with printing.session(args.json) as show:
-        report = headless.export(args.asset, args.format, args.out)
+        report = headless.export(args.asset, args.format, args.out, progress=show.progress)
     show.result(report, lambda: printing.files_table(report, args.out))
     return 0
 

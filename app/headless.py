@@ -150,6 +150,32 @@ def predict(
     return report
 
 
+def export(
+    asset: Path, format_name: str, out: Path, *, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Write a saved asset in another format.
+
+    Returns:
+        The format and the files, the one to open first.
+
+    Raises:
+        ArtiworldError: for an unknown format, or an asset that can't be read.
+    """
+    from model.exporters.registry import export as write
+    from model.exporters.registry import load_exporter
+
+    check_output(out, asset, *_folder_of(asset))
+    load_exporter(format_name)
+    files = write(asset, format_name, out, progress=progress)
+    return {
+        "format": format_name,
+        "asset": str(asset),
+        "files": [
+            {"file": os.path.relpath(file, out), "bytes": file.stat().st_size} for file in files
+        ],
+    }
+
+
 def prediction_json(segmented: SegmentedObject, answer: Prediction) -> dict[str, Any]:
     """``prediction.json``: lengths in metres, angles in radians, all in the object frame."""
     joints = answer.tree.joints if answer.tree is not None else ()

@@ -123,12 +123,12 @@ def files_table(report: dict[str, Any], out: Path) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(f"{report['name']} as {report['format']}"))
+    table = Table(title=Text(f"{report['asset']} as {report['format']}"))
     table.add_column("file")
     table.add_column("bytes", justify="right")
     for file in report["files"]:
         table.add_row(file["file"], f"{file['bytes']:,}")
-    _print(table, report["problems"], out)
+    _print(table, [], out)
 
 
 def checks_table(checks: list[Check]) -> None:

@@ -12,12 +12,10 @@ import urllib.request
 import webbrowser
 from urllib.parse import quote
 
-from app.config import ServeConfig
-from app.login import new_token
+from app.config import TOKEN_VARIABLE, ServeConfig
+from app.login import Login, new_token
 from app.network import check_address, free_port, is_loopback
 from model.errors import ConfigurationError, InputFileError
-
-TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
 
 
 def run_serve(args: argparse.Namespace) -> int:
@@ -55,6 +53,8 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
     token = args.token or os.environ.get(TOKEN_VARIABLE) or None
     if token is None and not is_loopback(args.host):
         token = new_token()
+    Login(token)  # refuses one that is too short
+    _check_names(args)
     port = args.port
     if port is None:
         port = free_port(args.host)
@@ -76,6 +76,18 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
         allowed_origins=tuple(args.allow_origin),
         **settings,
     )
+
+
+def _check_names(args: argparse.Namespace) -> None:
+    from model.predictors import predictor_names
+    from model.segmentation.registry import segmenter_names
+
+    for option, name, known in (
+        ("--predictor", args.predictor, predictor_names()),
+        ("--segmenter", args.segmenter, segmenter_names()),
+    ):
+        if name not in known:
+            raise ConfigurationError(f"{option} {name} is unknown; there are {', '.join(known)}")
 
 
 def _name_of(host: str) -> str:

@@ -297,6 +297,44 @@ def test_unknown_names_tell_the_known_ones(parts, scan, tmp_path):
     assert_users_mistake(done, "magic", "default")
 
 
+# export
+
+
+@pytest.fixture(scope="module")
+def asset(segmented, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("asset") / "out"
+    assert main(["predict", str(segmented[0]), "--out", str(out)]) == 0
+    return out
+
+
+@pytest.mark.parametrize("form", ["urdf", "mjcf", "glb"])
+def test_export_writes_files_that_other_programs_open(asset, form, tmp_path, capfd):
+    words = ["export", str(asset), "--format", form, "--out", str(tmp_path / "out"), "--json"]
+    assert main(words) == 0
+    report = json.loads(capfd.readouterr().out)
+    assert report["format"] == form
+    first = tmp_path / "out" / report["files"][0]["file"]
+    assert first.stat().st_size == report["files"][0]["bytes"] > 0
+    if form == "urdf":
+        assert len(yourdfpy.URDF.load(str(first)).actuated_joints) == 1
+    elif form == "mjcf":
+        mujoco = pytest.importorskip("mujoco")
+        assert mujoco.MjModel.from_xml_path(str(first)).njnt == 1
+    else:
+        assert len(trimesh.load(first).geometry) >= 2
+
+
+def test_export_names_what_is_wrong(asset, tmp_path, capfd):
+    for words, told in (
+        ([str(asset), "--format", "dwg", "--out", str(tmp_path / "o")], "mjcf"),
+        ([str(tmp_path), "--format", "urdf", "--out", str(tmp_path / "o")], "object.urdf"),
+        ([str(asset), "--format", "urdf", "--out", str(asset)], "--out"),
+    ):
+        assert main(["export", *words]) == 2
+        lines = capfd.readouterr().err.strip().splitlines()
+        assert len(lines) == 1 and told in lines[0]
+
+
 # Our own faults
 
 

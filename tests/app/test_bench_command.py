@@ -1,0 +1,64 @@
+"""``artiworld bench`` and ``artiworld evaluate``."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from app import bench
+from app.cli import main
+from model.predictors import load_predictor
+from tests.app.run_cli import artiworld, assert_users_mistake
+
+
+@pytest.mark.parametrize("drawers", [1, 3, 7])
+def test_the_chest_has_drawers_that_slide_out_of_it(drawers):
+    chest = bench.chest(drawers)
+    assert len(chest.parts) == drawers + 1
+    body, *rest = (part.bounds for part in chest.parts)
+    for low, high in rest:
+        assert (low[1:] > body[0, 1:]).all() and (high[1:] < body[1, 1:]).all()
+    tree = load_predictor("geometric").predict(chest).tree
+    assert tree is not None and tree.root == "link_0"
+    for joint in tree.joints:
+        assert joint.type == "prismatic"
+        np.testing.assert_allclose(np.abs(joint.axis), [1, 0, 0], atol=1e-6)
+
+
+def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
+    monkeypatch.setattr(bench, "PART_COUNTS", (2, 4))
+    monkeypatch.setattr(bench, "REPEATS", 1)
+    assert main(["bench", "predict", "--json"]) == 0
+    rows = json.loads(capfd.readouterr().out)["rows"]
+    assert [row["parts"] for row in rows] == [2, 4]
+    assert all(row["ms"] > 0 and row["yardstick ms"] > 0 for row in rows)
+    assert main(["bench", "predict"]) == 0
+    assert "yardstick" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["bench", "sleep"], "sleep"),
+        (["bench", "segment", "--sets", "nothing"], "nothing"),
+        (["bench", "segment", "--sets", "partnet"], "--data"),
+        (["bench", "segment", "--data", "/no/such/folder"], "--data"),
+        (["evaluate", "/no/such/folder"], "/no/such/folder"),
+    ],
+)
+def test_mistakes_are_named(words, told, capfd):
+    assert main(words) == 2
+    lines = capfd.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and told in lines[0]
+
+
+def test_evaluate_scores_real_objects(shared_data, tmp_path):
+    root = shared_data / "partnet_mobility"
+    done = artiworld("evaluate", root, "--limit", 2, "--jobs", 1, "--out", tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["predictor"] == "geometric" and report["summary"]
+    assert (tmp_path / "report.md").exists()
+    assert_users_mistake(artiworld("evaluate", root, "--predictor", "magic"), "magic", "geometric")

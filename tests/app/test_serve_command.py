@@ -1,0 +1,155 @@
+"""``artiworld serve``: its options, and a real server that starts, answers and stops."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import re
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from app.cli import make_parser
+from app.serve_command import make_config
+from model.errors import ArtiworldError
+from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, box
+
+
+def config_of(*words: str):
+    return make_config(make_parser().parse_args(["serve", *words]))
+
+
+@pytest.fixture
+def scan(tmp_path) -> Path:
+    path = tmp_path / "box.stl"
+    box((0, 0, 0), (1, 1, 1)).export(path)
+    return path
+
+
+@contextmanager
+def serving(*words: object, **variables: str) -> Iterator[tuple[subprocess.Popen[str], int, str]]:
+    """A server of its own: the process, its port, and what it printed until it was ready."""
+    process = subprocess.Popen(
+        [str(PROGRAM), "serve", *map(str, words)],
+        env={**os.environ, **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        printed = ""
+        while "is ready" not in printed:
+            line = process.stdout.readline()
+            assert line, printed
+            printed += line
+        (port,) = re.findall(r"is ready: http://[\w.-]+:(\d+)", printed)
+        yield process, int(port), printed
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def get(port: int, path: str) -> tuple[int, dict[str, str], bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, dict(answer.getheaders()), body
+
+
+def children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for task in tasks for word in task.read_text().split()]
+
+
+def test_serve_answers_and_ends_at_ctrl_c_with_its_workers(scan, tmp_path):
+    with serving(scan, "--workspace", tmp_path / "w", "--port", 0) as (process, port, _):
+        assert get(port, "/healthz")[0] == 200
+        assert b"<title>ArtiWorld</title>" in get(port, "/")[2]
+        workers = children(process.pid)
+        assert workers
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+    end = time.monotonic() + 5
+    while any(Path(f"/proc/{pid}").exists() for pid in workers):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_an_open_host_gets_a_token_and_prints_how_to_log_in(scan, tmp_path):
+    words = (scan, "--workspace", tmp_path / "w", "--host", "0.0.0.0")
+    with serving(*words) as (_, port, printed):
+        assert get(port, "/")[0] == 303
+        (path,) = re.findall(r"Log in at http://[\w.-]+:\d+(/login\?token=[\w-]{20,})", printed)
+        status, headers, _ = get(port, path)
+        assert status == 303 and "HttpOnly" in headers["Set-Cookie"]
+
+
+def test_defaults():
+    config = config_of()
+    assert (config.host, config.token, config.paths) == ("127.0.0.1", None, ())
+    assert config.workspace == Path("workspace") and config.port in range(8080, 8100)
+    assert config.user
+
+
+def test_the_token_may_come_from_the_environment(monkeypatch):
+    monkeypatch.setenv("ARTIWORLD_TOKEN", "from the environment")
+    assert config_of("--port", "0").token == "from the environment"
+    assert config_of("--port", "0", "--token", "from the line").token == "from the line"
+
+
+def test_every_option_arrives(scan):
+    config = config_of(
+        str(scan), "--workspace", "w", "--database", "sqlite:///x.db", "--port", "0", "--token",
+        "long enough", "--user", "ada", "--up-axis", "y", "--unit-scale", "0.01",
+        "--max-upload-mb", "7", "--segmenter", "nearest", "--predictor", "geometric",
+        "--allow-origin", "https://a.example",
+    )  # fmt: skip
+    assert config.paths == (scan,) and config.database == "sqlite:///x.db"
+    assert (config.user, config.up_axis, config.unit_scale) == ("ada", "y", 0.01)
+    assert (config.max_upload_mb, config.segmenter, config.token) == (7, "nearest", "long enough")
+    assert config.allowed_origins == ("https://a.example",)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["/no/such/scan.ply"], "/no/such/scan.ply"),
+        (["--port", "70000"], "70000"),
+        (["--host", "203.0.113.9", "--port", "0"], "203.0.113.9"),
+        (["--max-upload-mb", "0"], "--max-upload-mb"),
+        (["--predictor", "magic"], "geometric"),
+        (["--segmenter", "magic"], "default"),
+        (["--token", "short"], "--token"),
+        (["--allow-origin", "scans.example.org"], "--allow-origin"),
+    ],
+)
+def test_options_that_cant_work_are_named(words, told):
+    with pytest.raises(ArtiworldError, match=re.escape(told)):
+        config_of(*words)
+
+
+def test_mistakes_end_the_program_with_one_line(scan, tmp_path):
+    workspace = ("--workspace", tmp_path / "w", "--port", 0)
+    assert_users_mistake(artiworld("serve", tmp_path / "gone.ply", *workspace), "gone.ply")
+    assert_users_mistake(artiworld("serve", scan, *workspace, "--token", "short"), "--token")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert_users_mistake(artiworld("serve", empty, *workspace), "empty")
+    bad = ("--workspace", tmp_path / "v", "--port", 0, "--database", "nonsense")
+    assert_users_mistake(artiworld("serve", scan, *bad), "database")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen(1)
+        port = taken.getsockname()[1]
+        done = artiworld("serve", scan, "--workspace", tmp_path / "w", "--port", port)
+        assert_users_mistake(done, f"port {port} is in use")
