@@ -100,7 +100,7 @@ class _Chords:
 
 def moved(target_from_part: FloatArray, points: FloatArray) -> FloatArray:
     """(K, P, 3) of (K, 4, 4) and (P, 3)."""
-    turned = np.einsum("kij,pj->kpi", target_from_part[:, :3, :3], points)
+    turned = points @ np.swapaxes(target_from_part[:, :3, :3], 1, 2)
     return turned + target_from_part[:, None, :3, 3]
 
 
@@ -178,9 +178,12 @@ def _chords(at: FloatArray, target: Surface, tolerance: float) -> _Chords:
     """The chords that come near the target's box; the first ones begin a bit before rest."""
     low, high = target.bounds[0] - 2 * tolerance, target.bounds[1] + 2 * tolerance
     start, end = at[:-1], at[1:]
-    near = (np.maximum(start, end) >= low) & (np.minimum(start, end) <= high)
-    step, point = np.nonzero(near.all(axis=2) & (np.abs(end - start).max(axis=2) > 1e-9))
+    under, over = at < low, at > high
+    far = (under[:-1] & under[1:]) | (over[:-1] & over[1:])
+    step, point = np.nonzero(~far.any(axis=2))
     origin, direction = start[step, point], end[step, point] - start[step, point]
+    moves = np.abs(direction).max(axis=1, initial=0.0) > 1e-9
+    step, point, origin, direction = step[moves], point[moves], origin[moves], direction[moves]
     first = step == 0
     length = np.linalg.norm(direction[first], axis=1, keepdims=True)
     before = direction[first] / length * tolerance

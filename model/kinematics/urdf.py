@@ -98,6 +98,9 @@ def to_urdf_text(
     _check_links(obj.tree, {**meshes, **collisions, **inertials})
     origins = link_origins(obj.tree)
     part_names = {p.link: p.name for p in obj.parts}
+    if mujoco_visuals:  # a visual's name is a geom's there, and those must be unique
+        first = {p.name: p.link for p in reversed(obj.parts)}
+        part_names = {link: name for name, link in first.items()}
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={_quoted(obj.name)}>"]
     if mujoco_visuals is not None:
         lines += _mujoco_lines(mujoco_visuals)
