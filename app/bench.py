@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import json
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +29,20 @@ class Bench:
     show: Callable[[], object]
 
 
-def bench_ui(progress: Progress = no_progress) -> Bench:
+def bench_ui(
+    points: list[int] | None, faces: int | None, clicks: int | None, segmenter: str | None
+) -> Bench:
     """The screen: open to first picture, click to labels, bytes a click, animation ticks."""
-    if importlib.util.find_spec("app.bench_ui") is None:
-        raise ConfigurationError("this version has no bench of the screen; try: bench segment")
-    rows = importlib.import_module("app.bench_ui").run(progress)
-    return Bench({"rows": rows}, lambda: _show("The screen, server side", rows))
+    from app.bench_ui import BenchUiConfig, run
+
+    asked = {
+        "points": tuple(points) if points else None,
+        "faces": faces,
+        "clicks": clicks,
+        "segmenter": segmenter,
+    }
+    figures = run(BenchUiConfig(**{k: v for k, v in asked.items() if v is not None}))
+    return Bench([asdict(f) for f in figures], _nothing)  # it prints its own table
 
 
 def bench_segment(
@@ -147,6 +153,10 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     counts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces + start for m, start in zip(meshes, counts, strict=False)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
+
+
+def _nothing() -> None:
+    """What is left to show where a bench printed its table already."""
 
 
 def _yardstick() -> None:

@@ -163,6 +163,14 @@ def _positive_number(text: str) -> float:
     return value
 
 
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError
+    return value
+
+
+_count.__name__ = "whole number"
 _positive_number.__name__ = "positive number"
 
 
@@ -242,7 +250,11 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     add("what", choices=("ui", "segment", "predict"))
     add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
     add("--sets", nargs="+", metavar="NAME", help="segment: which data sets")
-    add("--segmenter", action="append", metavar="NAME", help="segment: may be repeated")
+    add("--segmenter", action="append", metavar="NAME",
+        help="segment: may be repeated; ui: who answers the clicks")  # fmt: skip
+    add("--points", type=_count, nargs="+", metavar="N", help="ui: sizes of the clouds")
+    add("--faces", type=_count, metavar="N", help="ui: size of the mesh; 0 leaves it out")
+    add("--clicks", type=_count, metavar="N", help="ui: clicks on each object")
     add("--limit", type=int, help="segment: objects of each set")
     _add_json(parser)
 
@@ -325,7 +337,9 @@ def _bench(args: argparse.Namespace) -> int:
     from app import bench, printing
 
     runs: dict[str, Callable[[], bench.Bench]] = {
-        "ui": lambda: bench.bench_ui(show.progress),
+        "ui": lambda: bench.bench_ui(
+            args.points, args.faces, args.clicks, (args.segmenter or [None])[0]
+        ),
         "segment": lambda: bench.bench_segment(
             args.data, args.sets, args.segmenter, args.limit, show.progress
         ),

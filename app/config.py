@@ -8,7 +8,6 @@ from pathlib import Path
 
 from model.geometry.asset import UpAxis
 
-
 TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
 """Environment variable that may hold the token, so that it stands in no list of processes."""
 

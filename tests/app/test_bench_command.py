@@ -54,6 +54,16 @@ def test_mistakes_are_named(words, told, capfd):
     assert len(lines) == 1 and told in lines[0]
 
 
+def test_bench_ui_measures_a_small_cloud():
+    words = ("bench", "ui", "--points", 5000, "--faces", 0, "--clicks", 3)
+    done = artiworld(*words, "--segmenter", "nearest", "--json")
+    assert done.returncode == 0, done.stderr
+    (figures,) = json.loads(done.stdout)
+    assert figures["elements"] == 5000
+    assert 0 < figures["click_p50_ms"] <= figures["click_p95_ms"]
+    assert figures["bytes_a_click"] > 0 and figures["ticks_a_second"] > 0
+
+
 def test_evaluate_scores_real_objects(shared_data, tmp_path):
     root = shared_data / "partnet_mobility"
     done = artiworld("evaluate", root, "--limit", 2, "--jobs", 1, "--out", tmp_path, "--json")
