@@ -40,8 +40,15 @@ class GroundTruth:
 class Dataset(Protocol):
     """A folder or generator of ground-truth objects."""
 
-    name: str
-    root: Path
+    @property
+    def name(self) -> str:
+        """Of the data set, as on the command line."""
+        ...
+
+    @property
+    def root(self) -> Path:
+        """Its folder."""
+        ...
 
     def ids(self) -> tuple[str, ...]:
         """Names of all objects, sorted."""

@@ -113,7 +113,7 @@ class ObjectScore:
     @property
     def usable(self) -> bool:
         """Every joint usable, none missing, none extra (the paper's usability)."""
-        return not self.extra and all(j.usable for j in self.joints)
+        return not self.problem and not self.extra and all(j.usable for j in self.joints)
 
 
 def chain(tree: KinematicTree, part: str, parts: frozenset[str]) -> tuple[str, tuple[Joint, ...]]:

@@ -40,6 +40,8 @@ def print_report(report: Report) -> None:
     for i, row in enumerate(report.rows()):
         table.add_row(*row, style="bold" if i == 0 else "dim")
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=150)  # a file or a pipe has no width: don't break the rows
     console.print(table)
     s = report.summary
     console.print(

@@ -153,6 +153,28 @@ class PartContext:
         return panel.beyond(float(self.shape.box.axes[:, panel.normal] @ self.panel_normal))
 
     @cached_property
+    def grips(self) -> list[tuple[Array, Array, float]]:
+        """What a hand would take on the panel: (place, spread) in box coordinates, and strength.
+
+        Handles of its own, latches at its rim, and knobs that are parts of their own.
+        """
+        panel, box, scene = self.shape.panel, self.shape.box, self.scene
+        out: list[tuple[Array, Array, float]] = []
+        front = float(box.axes[:, panel.normal] @ self.panel_normal)
+        for side in (front, -front):
+            found = panel.beyond(side)
+            if found is None or found.strength == 0:
+                continue
+            rim = np.abs(np.delete(found.center / np.maximum(box.half, 1e-6), panel.normal)).max()
+            if side == front or (rim > 0.85 and found.share < 0.05):
+                out.append((found.center, found.spread, found.strength))
+        for j, above in enumerate(self.assembly.parent):
+            if above == self.part and scene.shapes[j].size < 0.5 * self.shape.size:
+                other = scene.shapes[j]
+                out.append((box.local(other.center[None])[0], box.local(other.points).std(0), 1.0))
+        return out
+
+    @cached_property
     def closed(self) -> bool:
         """Whether the panel lies in or on its parent's box, as closed doors and lids do."""
         shape, base = self.shape, self.base

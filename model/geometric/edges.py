@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import PartContext
-from model.geometric.hypothesis import UP, Hypothesis, snapped
+from model.geometric.hypothesis import UP, Hypothesis, snapped, unit
 from model.geometric.scene import TOUCHING
 from model.geometric.sweep import free_range
 
@@ -25,6 +25,7 @@ class EdgeWeights:
         contact: only this edge touches. margin: the edge is near the object's side.
         handle: a handle sits opposite. sibling: another panel lies beyond the edge.
         back: the edge is away from the object's front.
+        wall: beyond the edge the parent rises above the panel (a toilet's tank).
     """
 
     upright: float = 0.0
@@ -37,12 +38,13 @@ class EdgeWeights:
     handle: float = 2.0
     sibling: float = 2.0
     back: float = 0.0
+    wall: float = 0.0
 
 
 WEIGHTS: dict[str, EdgeWeights] = {
     "hinge": EdgeWeights(upright=0.9, long=0.8),
     "drop": EdgeWeights(level=1.0, bottom=3.0, margin=0.3, handle=1.5),
-    "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2),
+    "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2, wall=2.0),
     "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
 }
 
@@ -95,7 +97,7 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
     in_plane = [k for k in range(3) if k != normal]
     local = box.local(shape.points)
     contact = _contact_scores(context, local, in_plane)
-    found: list[Hypothesis] = []
+    found: list[Hypothesis] = _arm_hypotheses(context) if mechanism == "temple" else []
     for across, along in (tuple(in_plane), tuple(in_plane[::-1])):
         for side in (-1.0, 1.0):
             e = np.zeros(3)
@@ -116,6 +118,29 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
                     context, mechanism, axis, origin, out_normal, open_, score, ", ".join(why)
                 )
             )
+    return found
+
+
+def _arm_hypotheses(context: PartContext) -> list[Hypothesis]:
+    """A round arm folds within the plane that it spans with the arm before or after it."""
+    shape, assembly = context.shape, context.assembly
+    if shape.thinness < 0.6 or shape.slenderness > 0.4:
+        return []
+    long = shape.box.axes[:, shape.order[2]]
+    end = context.contact_center
+    neighbours = [j for j, above in enumerate(assembly.parent) if above == context.part]
+    found = []
+    for j in [*neighbours, context.parent]:
+        other = context.scene.shapes[j]
+        along = other.center - (end if j == context.parent else shape.center)
+        normal = np.cross(long, unit(along))
+        if np.linalg.norm(normal) < 0.25:
+            continue
+        axis = snapped(unit(normal), _frame_axes(context), 0.15)
+        score = 6.0 + 0.5 * (1 - abs(float(axis[2]))) - (1.0 if j == context.parent else 0.0)
+        found.append(
+            Hypothesis("revolute", axis, end, -1.2, 1.2, score, "temple: folds in the arms' plane")
+        )
     return found
 
 
@@ -169,8 +194,7 @@ def _edge_score(
     side: float,
     normal: int,
 ) -> tuple[float, list[str]]:
-    shape, scene = context.shape, context.scene
-    half = shape.box.half
+    half = context.shape.box.half
     why: list[str] = []
     upright = abs(float(axis @ UP))
     more = CATEGORY_UPRIGHT.get(context.category, 0.0) if weights.upright else 0.0
@@ -201,8 +225,19 @@ def _edge_score(
         score += weights.back * back * (0.4 + 0.6 * context.assembly.front_certainty)
         if back > 0.7:
             why.append("at the back")
-    del scene
+    if weights.wall and _rises_beyond(context, direction) > 2 * _rises_beyond(context, -direction):
+        score += weights.wall
+        why.append("the body rises behind it")
     return score, why
+
+
+def _rises_beyond(context: PartContext, direction: Array) -> float:
+    """Area of the parent beyond the panel's edge and above the panel (squared diagonals)."""
+    shape, base = context.shape, context.base
+    edge = float(shape.center @ direction) + 0.8 * shape.box.reach(direction)
+    top = float(shape.high[2])
+    beyond = (base.points @ direction > edge) & (base.points[:, 2] > top + 0.02)
+    return base.area * float(beyond.mean()) + 1e-4
 
 
 def _margin(context: PartContext, direction: Array) -> float:
@@ -219,17 +254,21 @@ def _handle_cue(
     context: PartContext, across: int, along: int, side: float, normal: int
 ) -> tuple[float, str]:
     """-1..1: a handle far from this edge speaks for it."""
-    handle, box = context.handle, context.shape.box
-    if handle is None or context.shape.panel.normal != normal or handle.strength == 0:
+    if context.shape.panel.normal != normal:
         return 0.0, ""
-    at = float(handle.center[across] / max(box.half[across], 1e-6))
-    if abs(at) < 0.25:
-        return 0.0, ""
-    value = -side * float(np.clip(at / 0.7, -1, 1))
-    # A bar handle lies along the hinge axis.
-    a, b = float(handle.spread[along]), float(handle.spread[across])
-    shape = (a - b) / max(a + b, 1e-6)
-    return value * (0.75 + 0.25 * shape) * handle.strength, "handle opposite"
+    half = context.shape.box.half
+    best = 0.0
+    for center, spread, strength in context.grips:
+        at = float(center[across] / max(half[across], 1e-6))
+        if abs(at) < 0.25:
+            continue
+        # A bar handle lies along the hinge axis.
+        a, b = float(spread[along]), float(spread[across])
+        shape = (a - b) / max(a + b, 1e-6)
+        value = -side * float(np.clip(at / 0.7, -1, 1)) * (0.75 + 0.25 * shape) * strength
+        if abs(value) > abs(best):
+            best = value
+    return best, "handle opposite"
 
 
 def _sibling_beyond(

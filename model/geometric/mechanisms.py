@@ -95,10 +95,13 @@ def find_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Ar
         ):
             n = context.outward
             weight = 1.0 if mechanism == "slide_out" else 0.4
-        elif mechanism == "flap" and context.handle is not None:
+        elif mechanism == "flap" and ({"pedal", "pad"} & set(context.words)):
+            # One steps on it from the front.
+            n, weight = unit(shape.center - scene.shapes[assembly.root].center), 1.0
+        elif mechanism == "flap" and context.grips:
             # A knob or latch on a lid is at the front.
-            at = shape.box.axes @ (context.handle.center / np.maximum(shape.box.half, 1e-6))
-            n, weight = at * 0.5, 0.5
+            at = max(context.grips, key=lambda g: g[2])[0]
+            n, weight = 0.5 * shape.box.axes @ (at / np.maximum(shape.box.half, 1e-6)), 0.5
         else:
             continue
         votes += weight * np.array([n[0], n[1], 0.0])

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from model.geometric.shape import Shape, rotation
 from model.geometric.surface import dominant_yaw, part_surface
@@ -65,16 +65,16 @@ class Scene:
     category: str | None
     shapes: tuple[Shape, ...]
     frame: WorkingFrame
-    _trees: dict[int, cKDTree] = field(default_factory=dict)
+    _trees: dict[int, KDTree] = field(default_factory=dict)
     _distances: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.shapes)
 
-    def tree(self, i: int) -> cKDTree:
+    def tree(self, i: int) -> KDTree:
         """KD-tree of part ``i``'s sample."""
         if i not in self._trees:
-            self._trees[i] = cKDTree(self.shapes[i].points)
+            self._trees[i] = KDTree(self.shapes[i].points)
         return self._trees[i]
 
     def distances(self, i: int, j: int) -> Array:
@@ -167,7 +167,7 @@ class Scene:
         nu = max(1, int((high[u] - low[u]) / cell))
         nv = max(1, int((high[v] - low[v]) / cell))
 
-        def index(p: Array) -> Array:
+        def index(p: Array) -> npt.NDArray[np.int64]:
             a = np.clip(
                 ((p[:, u] - low[u]) / (high[u] - low[u] + 1e-9) * nu).astype(int), 0, nu - 1
             )

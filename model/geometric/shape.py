@@ -371,7 +371,7 @@ def roundness(points: Array, axis: Array, scanned: bool, noise: float = 0.0) -> 
         r = np.linalg.norm(flat - middle, axis=1)
         flat = flat[r <= np.quantile(r, 0.985)]
     try:
-        hull = flat[ConvexHull(flat).vertices]
+        hull = np.asarray(flat[ConvexHull(flat).vertices], np.float64)
     except (QhullError, ValueError):
         return None
     ring = _resampled(hull, 96)

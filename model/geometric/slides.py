@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import PartContext
-from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.hypothesis import Hypothesis, unit
 from model.geometric.shape import fit_panel
 from model.geometric.sweep import free_range
 
@@ -69,7 +69,7 @@ def _drawer_depth(context: PartContext, direction: Array) -> float:
 def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
     """A panel or blade moves within its own plane, along the parent where it can."""
     shape, base = context.shape, context.base
-    thin, middle, long = shape.order
+    _, middle, long = shape.order
     axes = shape.box.axes
     found = []
     for k in (middle, long):
@@ -174,12 +174,3 @@ def _surface_center(context: PartContext) -> Array:
     if len(index) < 4:
         return context.base.center
     return context.base.points[np.asarray(index, int)].mean(0)
-
-
-__all__ = [
-    "UP",
-    "lift_hypotheses",
-    "press_hypotheses",
-    "slide_along_hypotheses",
-    "slide_out_hypotheses",
-]

@@ -21,7 +21,10 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
     outwardness = dict(
         zip(map(tuple, context.directions.round(6)), context.outwardness, strict=True)
     )
+    rough = shape.scanned and shape.size < 60 * shape.noise
     for r in shape.roundnesses:
+        if rough and np.abs(r.axis).max() < 0.9995:
+            continue  # too few points to tell its own directions
         score = 2.5 * float(np.clip(1 - r.spread / 0.11, -0.5, 1))
         # A disc turns about its short axis; a rod about its long one.
         score += 0.4 * float(np.clip(1 - r.half / max(r.radius, 1e-6), -0.3, 1))
@@ -96,7 +99,7 @@ def blades(shape: Shape) -> tuple[Array, Array, int] | None:
 
     The part is flat, not filled, and lies on itself after a turn by a full turn over 3, 4, 5 or 6.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     axis = shape.box.axes[:, shape.order[0]]
     if shape.roundest is not None or shape.thinness > 0.6 or shape.slenderness < 0.75:
@@ -105,7 +108,7 @@ def blades(shape: Shape) -> tuple[Array, Array, int] | None:
         return None
     points = shape.points[:: max(1, len(shape.points) // 500)]
     center = points.mean(0)
-    tree = cKDTree(points)
+    tree = KDTree(points)
     radius = float(np.linalg.norm(points - center, axis=1).max())
     spacing = float(np.median(tree.query(points, k=2)[0][:, 1]))
     for count in (3, 5, 4, 6):

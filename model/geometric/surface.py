@@ -73,12 +73,12 @@ def part_surface(part: Part, count: int, seed: int) -> Sampled:
 
 def cloud_normals(points: Array, neighbours: int = 14) -> tuple[Array, float, float]:
     """(N, 3) normals from the nearest neighbours' plane, the point spacing, and the noise."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if len(points) < 4:
         return np.zeros_like(points), 0.0, 0.0
     k = min(neighbours, len(points))
-    distance, index = cKDTree(points).query(points, k=k)
+    distance, index = KDTree(points).query(points, k=k)
     local = points[index] - points[index].mean(1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local) / k)
     spacing = float(np.median(distance[:, min(2, k - 1)]))

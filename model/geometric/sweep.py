@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from model.geometric.scene import Scene
 from model.geometric.shape import rotation
@@ -51,7 +51,7 @@ def free_range(
         return stop
     own = scene.shapes[part].points
     own = own[:: max(1, len(own) // MOVING_POINTS)]
-    tree = scene.tree(obstacles[0]) if len(obstacles) == 1 else cKDTree(scene.union(obstacles))
+    tree = scene.tree(obstacles[0]) if len(obstacles) == 1 else KDTree(scene.union(obstacles))
     rest = tree.query(own)[0]
     candidate = rest > 2.0 * tolerance
     if rotates:

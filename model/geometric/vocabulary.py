@@ -178,6 +178,56 @@ CATEGORY_WORDS: dict[str, dict[str, Mechanism]] = {
 }
 """Category → words that mean something else there."""
 
+CATEGORY_MOTIONS: dict[str, tuple[Mechanism, ...]] = {
+    "bottle": ("screw", "lift"),
+    "box": ("flap",),
+    "bucket": ("swing",),
+    "camera": ("press", "spin"),
+    "cart": ("spin", "swivel"),
+    "chair": ("spin", "swivel", "screw"),
+    "clock": ("spin",),
+    "coffeemachine": ("press", "spin", "flap"),
+    "dishwasher": ("drop", "slide_out", "press"),
+    "dispenser": ("screw", "press"),
+    "display": ("tilt", "press"),
+    "door": ("hinge", "lever"),
+    "eyeglasses": ("temple",),
+    "fan": ("spin", "tilt"),
+    "faucet": ("lever", "swivel"),
+    "foldingchair": ("flap", "pivot"),
+    "globe": ("spin", "tilt"),
+    "kettle": ("lift", "swing"),
+    "keyboard": ("press",),
+    "kitchenpot": ("lift",),
+    "knife": ("pivot", "slide_along"),
+    "lamp": ("temple", "tilt"),
+    "laptop": ("flap",),
+    "lighter": ("flap", "spin", "press"),
+    "microwave": ("hinge", "spin", "press", "swivel"),
+    "mouse": ("press", "spin"),
+    "oven": ("drop", "spin", "press"),
+    "pen": ("slide_along", "press"),
+    "phone": ("flap", "slide_along", "press"),
+    "pliers": ("pivot",),
+    "printer": ("press", "slide_out", "flap"),
+    "refrigerator": ("hinge", "slide_out"),
+    "remote": ("press",),
+    "safe": ("hinge", "spin"),
+    "scissors": ("pivot",),
+    "stapler": ("temple",),
+    "storagefurniture": ("hinge", "slide_out"),
+    "suitcase": ("lift", "spin", "swing"),
+    "switch": ("toggle", "press"),
+    "table": ("slide_out", "hinge", "spin"),
+    "toaster": ("lift", "spin", "press"),
+    "toilet": ("flap", "press", "lever"),
+    "trashcan": ("flap", "spin"),
+    "usb": ("pivot", "slide_along"),
+    "washingmachine": ("hinge", "spin", "press"),
+    "window": ("hinge", "slide_along"),
+}
+"""Category → what its parts usually do, for parts without a name."""
+
 TURNING: dict[Mechanism, Mechanism] = {
     "slide_out": "swivel",
     "slide_along": "hinge",
@@ -263,7 +313,7 @@ def words(name: str | None) -> tuple[str, ...]:
     if not name:
         return ()
     spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
-    found = re.findall(r"[a-z]+", spaced.lower())
+    found: list[str] = re.findall(r"[a-z]+", spaced.lower())
     return tuple(_SYNONYMS.get(w, w) for w in found)
 
 

@@ -1,0 +1,79 @@
+"""Names and categories to mechanisms, however people write them."""
+
+from __future__ import annotations
+
+import pytest
+
+from model.geometric.mechanisms import BUILDERS
+from model.geometric.vocabulary import (
+    CATEGORY_WORDS,
+    MECHANISMS,
+    SLIDING,
+    TURNING,
+    WORDS,
+    base_score,
+    category_key,
+    mechanism_of,
+    words,
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "category", "expected"),
+    [
+        ("door", None, "hinge"),
+        ("Left Door", None, "hinge"),
+        ("left_door_2", "StorageFurniture", "hinge"),
+        ("doors", None, "hinge"),
+        ("rotation_door", "Dishwasher", "drop"),
+        ("translation_door", "Door", "slide_along"),
+        ("sliding door", "cabinet", "slide_along"),
+        ("oven door", "Oven", "drop"),
+        ("drawer", None, "slide_out"),
+        ("Drawr", None, "slide_out"),
+        ("lid", None, "flap"),
+        ("lid", "Bottle", "screw"),
+        ("lid", "KitchenPot", "lift"),
+        ("lid", "kitchen pot", "lift"),
+        ("translation_lid", "Bottle", "lift"),
+        ("rotation_lid", "Bottle", "screw"),
+        ("rotation_tray", "Microwave", "swivel"),
+        ("tray", "Oven", "slide_out"),
+        ("toggle_button", "Switch", "toggle"),
+        ("pressing_lid", "Dispenser", "press"),
+        ("castor", "Chair", "swivel"),
+        ("front wheel", "Cart", "spin"),
+        ("nonsense", None, None),
+        ("", None, None),
+        (None, None, None),
+    ],
+)
+def test_mechanism(name, category, expected) -> None:
+    assert mechanism_of(name, category)[0] == expected
+
+
+def test_the_base_is_told_from_what_moves() -> None:
+    assert base_score("furniture_body", None) > 1
+    assert base_score("frame", None) > 1
+    assert base_score("stapler_base", None) > base_score("stapler_body", None) > 0
+    assert base_score("rotation_body", "USB") < 0
+    assert base_score("door", None) < 0
+    assert base_score(None, None) == 0
+
+
+def test_words_are_split() -> None:
+    assert words("RotationDoor-2 left") == ("rotation", "door", "left")
+
+
+@pytest.mark.parametrize(
+    ("given", "key"),
+    [("Kitchen Pot", "kitchenpot"), ("fridge", "refrigerator"), ("Plier", "pliers"), ("??", "")],
+)
+def test_categories(given: str, key: str) -> None:
+    assert category_key(given) == key
+
+
+def test_every_mechanism_of_the_tables_can_be_built() -> None:
+    named = {*WORDS.values(), *TURNING.values(), *SLIDING.values()}
+    named |= {m for table in CATEGORY_WORDS.values() for m in table.values()}
+    assert named <= set(MECHANISMS) == set(BUILDERS)
