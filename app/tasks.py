@@ -417,6 +417,13 @@ def _parts(source: PartSource) -> tuple[Part, ...]:
     return _cut.get((source.folder, source.labels, names), cut)
 
 
+def _named(part: Part) -> Part:
+    """In the app part 0 is the base by definition: the predictor need not guess it."""
+    if part.link == "link_0" and part.name is None:
+        return replace(part, name="base")
+    return part
+
+
 def part_payloads(
     source: PartSource, element: npt.NDArray[np.int32], progress: Progress = no_progress
 ) -> list[PartPayload]:
@@ -452,7 +459,7 @@ def part_payloads(
 
 def segmented_object(source: PartSource) -> SegmentedObject:
     """The parts of an asset as a predictor reads them."""
-    return SegmentedObject(source.title, _parts(source), source.category)
+    return SegmentedObject(source.title, tuple(map(_named, _parts(source))), source.category)
 
 
 def predict(

@@ -101,7 +101,7 @@ class ClientApp:
         with gui.add_folder("Keys and mouse", expand_by_default=False):
             gui.add_markdown("\n".join(f"- **{k}** {plain(v)}" for k, v in KEYS))
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(360)
+        gui.main_panel.set_width(380)
         add_keys(self)
         self._listen()
 

@@ -48,6 +48,7 @@ class SceneView:
         self._scan: Any = None
         self._labels: npt.NDArray[np.int16] | None = None
         self._tints: dict[int, Any] = {}
+        self._tint_vertices: dict[int, npt.NDArray[np.int32]] = {}
         self._prompts: dict[int, tuple[Click, Any]] = {}
         self._parts: dict[int, dict[str, Any]] = {}
         self._payloads: list[PartPayload] | None = None
@@ -181,19 +182,27 @@ class SceneView:
         asset = self._asset
         assert asset is not None and asset.display_faces is not None
         faces = None if labels is None or part == 0 else asset.display_faces[labels == part]
-        if faces is None or not len(faces):
-            if part in self._tints:
-                self._tints.pop(part).remove()
-            return
+        known = self._tint_vertices.get(part)
+        if faces is not None and len(faces) and known is not None:
+            place = known[faces]
+            if (place >= 0).all():
+                # Its vertices are in the browser already: only the faces are sent.
+                self._tints[part].faces = place.astype(np.uint32)
+                return
         if part in self._tints:
-            # The vertices are there already: only the faces are sent.
-            self._tints[part].faces = faces.astype(np.uint32)
+            self._tints.pop(part).remove()
+            del self._tint_vertices[part]
+        if faces is None or not len(faces):
             return
         assert self._offset is not None
+        used, inverse = np.unique(faces, return_inverse=True)
+        place = np.full(len(self._offset), -1, np.int32)
+        place[used] = np.arange(len(used))
+        self._tint_vertices[part] = place
         self._tints[part] = self._scene.add_mesh_simple(
             f"/tint/{part}",
-            self._offset,
-            faces.astype(np.uint32),
+            self._offset[used],
+            inverse.reshape(-1, 3).astype(np.uint32),
             color=palette.part_color(part),
             opacity=TINT_OPACITY,
             side="double",

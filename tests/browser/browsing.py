@@ -136,6 +136,7 @@ class Tab:
     def choose(self, label: str, option: str) -> None:
         self.field(label).click()
         self.page.get_by_role("option", name=option, exact=True).click()
+        self.page.wait_for_timeout(150)  # the box gives the keyboard back
 
     def button(self, text: str) -> Any:
         return self.page.get_by_role("button", name=text, exact=True)

@@ -1,0 +1,99 @@
+"""SIGKILL in the middle of the work: what was clicked is there when the page opens again."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from objects import write_cabinet
+
+from sessions.store import Store
+
+pytestmark = pytest.mark.browser
+
+
+def serve(path: Path, workspace: Path) -> tuple[subprocess.Popen[str], str]:
+    """The real program; its address as it prints it."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", "serve", str(path), "--workspace", str(workspace)]
+        + ["--port", "0", "--no-open", "--user", "tester"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
+    assert process.stdout is not None
+    end = time.monotonic() + 90
+    seen = []
+    while time.monotonic() < end:
+        line = process.stdout.readline()
+        if not line and process.poll() is not None:
+            break
+        seen.append(line)
+        found = re.search(r"http://\S+", line)
+        if found and "ready" in line:
+            return process, found.group(0)
+    raise AssertionError("the server didn't start:\n" + "".join(seen))
+
+
+def open_page(browser: Any, url: str) -> Any:
+    page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
+    page.goto(url)
+    page.wait_for_selector("canvas", state="attached", timeout=60_000)
+    page.wait_for_function(
+        "() => { const s = window.__viserSceneTree?.getState?.(); return !!s && !!s['/scan']; }",
+        timeout=60_000,
+    )
+    page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=60_000)
+    page.wait_for_timeout(800)
+    return page
+
+
+def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any) -> None:
+    path, workspace = tmp_path / "cabinet.ply", tmp_path / "workspace"
+    write_cabinet(path)
+    process, url = serve(path, workspace)
+    try:
+        page = open_page(browser, url)
+        middle = page.evaluate(
+            "() => { const b = window.__viserMutable.canvas.getBoundingClientRect();"
+            " return [b.left + b.width / 2, b.top + b.height / 2]; }"
+        )
+        page.mouse.click(middle[0] - 60, middle[1] + 30)
+        page.get_by_text("1 on this part, 1 in all", exact=False).wait_for(timeout=30_000)
+        page.keyboard.press("2")
+        page.get_by_text("▸ 2 · part", exact=False).wait_for(timeout=30_000)
+        page.mouse.click(middle[0] + 80, middle[1] + 30)
+        page.get_by_text("1 on this part, 2 in all", exact=False).wait_for(timeout=30_000)
+    finally:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    page.context.close()
+
+    before = Store(workspace)
+    kept = before.load(before.objects()[0].id).present
+    before.close()
+    assert len(kept.prompts) == 2
+
+    process, url = serve(path, workspace)
+    try:
+        page = open_page(browser, url)
+        page.get_by_text("2 in all", exact=False).wait_for(timeout=30_000)
+        page.wait_for_function(
+            "() => !!window.__viserSceneTree.getState()['/prompt/1']", timeout=30_000
+        )
+        page.context.close()
+        after = Store(workspace)
+        assert after.load(after.objects()[0].id).present.prompts == kept.prompts
+        after.close()
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(20)
+    assert process.returncode == 0
