@@ -31,8 +31,8 @@ from sessions.commands import (
     SetJoint,
     SetRoot,
     Undo,
-    describe,
 )
+from sessions.describe import describe
 from sessions.document import (
     Document,
     PartInfo,

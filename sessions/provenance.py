@@ -21,9 +21,9 @@ from sessions.commands import (
     SetJoint,
     SetRoot,
     Undo,
-    describe,
     to_json,
 )
+from sessions.describe import describe
 from sessions.document import Document
 from sessions.state import SessionState
 from sessions.store import Entry
@@ -82,7 +82,6 @@ def effective(history: Iterable[Entry]) -> list[Entry]:
             amendments.append(entry)
         else:
             done.append(entry)
-            undone.clear()
     return sorted([*done, *amendments], key=lambda e: e.seq)
 
 

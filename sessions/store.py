@@ -11,8 +11,6 @@ import json
 import os
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,10 +23,13 @@ from sessions import codec
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, objects, snapshots, sqlite_file
-from sessions.review import ReviewState, Role
+from sessions.records import Entry, ObjectRecord, now
+from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, replay
 from sessions.text import clean_text
+
+__all__ = ["ConflictError", "Entry", "ObjectRecord", "Store", "clean_who", "now"]
 
 SNAPSHOT_EVERY = 50
 SNAPSHOTS_KEPT = 2
@@ -38,70 +39,8 @@ class ConflictError(StoreError):
     """Another process appended first; read what it did and try again."""
 
 
-@dataclass(frozen=True)
-class ObjectRecord:
-    """One line of the queue.
-
-    Attributes:
-        id: in this workspace.
-        path: the source, absolute.
-        name: short, for people.
-        sha256: of the source when it was opened first, None where nobody read it yet.
-        state: see :mod:`sessions.review`.
-        prompts, parts: how many.
-        category: what it is, or None.
-        who: who gave the last command, "" before the first.
-        updated, created: ISO 8601, UTC.
-        assigned_to: the annotator whom a rejected object waits for, or None.
-        seq: number of the last command.
-        changed: the source isn't any more what was annotated (only from ``open_object``).
-    """
-
-    id: int
-    path: Path
-    name: str
-    sha256: str | None
-    state: ReviewState
-    prompts: int
-    parts: int
-    category: str | None
-    who: str
-    updated: str
-    created: str
-    assigned_to: str | None
-    seq: int
-    changed: bool = False
-
-
 # In the order of the record's fields.
 _COLUMNS = tuple(objects.c[f.name] for f in dataclasses.fields(ObjectRecord) if f.name != "changed")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One command as it was given.
-
-    Attributes:
-        seq: 1 for the first command of an object.
-        at: ISO 8601, UTC.
-        who: the person.
-        command: what was decided.
-    """
-
-    seq: int
-    at: str
-    who: str
-    command: Command
-
-    @property
-    def kind(self) -> str:
-        """The command's name in JSON."""
-        return kind_of(self.command)
-
-
-def now() -> str:
-    """The moment as ISO 8601, UTC, microseconds; sorts as text."""
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 class Store:
@@ -316,11 +255,9 @@ class Store:
         )
         for row in connection.execute(query):
             try:
-                state = state_from_json(json.loads(zlib.decompress(row.blob)))
+                return state_from_json(json.loads(zlib.decompress(row.blob)))
             except (StoreError, ValueError, zlib.error):
                 continue  # only a shortcut: an older one, or the commands alone, say the same
-            if state.seq == row.seq:
-                return state
         return SessionState()
 
     def _entries(self, connection: Connection, object_id: int, after: int) -> list[Entry]:

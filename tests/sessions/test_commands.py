@@ -22,11 +22,11 @@ from sessions.commands import (
     RecordSegmentation,
     Reject,
     SetFrame,
-    describe,
     from_json,
     kind_of,
     to_json,
 )
+from sessions.describe import describe
 
 REF = "ab" * 32
 JOINT = {

@@ -118,6 +118,8 @@ def test_a_conflict_is_refused_without_a_trace(store):
         store.append(object_id, click(2), "rob", 0)
     with pytest.raises(ConflictError):
         store.append(object_id, click(2), "rob", 0, after=SessionState(seq=1))
+    with pytest.raises(ConflictError, match="at command 1, not 7"):
+        store.append(object_id, click(2), "rob", 7, after=SessionState(seq=8))
     assert len(store.history(object_id)) == 1
 
 

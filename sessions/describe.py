@@ -1,0 +1,65 @@
+"""Commands in words."""
+
+from __future__ import annotations
+
+from sessions.commands import (
+    Accept,
+    AddClick,
+    AddPart,
+    AddRegion,
+    ClearPrompts,
+    Command,
+    DeletePart,
+    LockJoint,
+    NamePart,
+    RecordPrediction,
+    RecordSegmentation,
+    Redo,
+    Reject,
+    RemovePrompt,
+    Reopen,
+    ResetJoint,
+    Saved,
+    SetCategory,
+    SetFrame,
+    SetJoint,
+    SetRoot,
+    Undo,
+    kind_of,
+)
+
+
+def describe(command: Command) -> str:
+    """What the command does, in a few words for an undo button or a list of edits."""
+    match command:
+        case AddClick(click=click):
+            return f"{'add' if click.positive else 'negative'} click, part {click.part}"
+        case AddRegion():
+            sign = "add" if command.positive else "remove"
+            return f"{sign} {command.tool} of {command.count}, part {command.part}"
+        case AddPart(part=part) | DeletePart(part=part):
+            return f"{'add' if isinstance(command, AddPart) else 'delete'} part {part}"
+        case NamePart(part=part, name=name):
+            return f"name part {part} {name!r}" if name else f"remove the name of part {part}"
+        case SetCategory(category=category):
+            return f"category {category!r}" if category else "no category"
+        case SetFrame():
+            return f"read with {command.up_axis} up, scale {command.unit_scale:g}"
+        case SetJoint(joint=joint):
+            return f"change joint {joint.name}"
+        case SetRoot(link=link):
+            return f"make {link} the root"
+        case ResetJoint(child=child):
+            return f"reset the joint of {child}"
+        case LockJoint(child=child, locked=locked):
+            return f"{'lock' if locked else 'unlock'} the joint of {child}"
+        case RecordPrediction():
+            return "prediction"
+        case RecordSegmentation():
+            return "segmentation"
+        case Reject(reason=reason):
+            return f"reject ({reason.replace('_', ' ')})"
+        case ClearPrompts(part=part):
+            return "clear all prompts" if part is None else f"clear the prompts of part {part}"
+        case RemovePrompt() | Accept() | Reopen() | Saved() | Undo() | Redo():
+            return kind_of(command).replace("_", " ")

@@ -1,0 +1,72 @@
+"""What the store tells about objects and their history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sessions.commands import Command, kind_of
+from sessions.review import ReviewState
+
+
+@dataclass(frozen=True)
+class ObjectRecord:
+    """One line of the queue.
+
+    Attributes:
+        id: in this workspace.
+        path: the source, absolute.
+        name: short, for people.
+        sha256: of the source when it was opened first, None where nobody read it yet.
+        state: see :mod:`sessions.review`.
+        prompts, parts: how many.
+        category: what it is, or None.
+        who: who gave the last command, "" before the first.
+        updated, created: ISO 8601, UTC.
+        assigned_to: the annotator whom a rejected object waits for, or None.
+        seq: number of the last command.
+        changed: the source isn't any more what was annotated (only from ``open_object``).
+    """
+
+    id: int
+    path: Path
+    name: str
+    sha256: str | None
+    state: ReviewState
+    prompts: int
+    parts: int
+    category: str | None
+    who: str
+    updated: str
+    created: str
+    assigned_to: str | None
+    seq: int
+    changed: bool = False
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One command as it was given.
+
+    Attributes:
+        seq: 1 for the first command of an object.
+        at: ISO 8601, UTC.
+        who: the person.
+        command: what was decided.
+    """
+
+    seq: int
+    at: str
+    who: str
+    command: Command
+
+    @property
+    def kind(self) -> str:
+        """The command's name in JSON."""
+        return kind_of(self.command)
+
+
+def now() -> str:
+    """The moment as ISO 8601, UTC, microseconds; sorts as text."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
