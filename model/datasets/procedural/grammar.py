@@ -294,6 +294,12 @@ def _texture_coordinates(
     """Planar along the dominant axis of each face; the grain runs along u."""
     low, high = piece.solid.bounds if piece.frame is None else piece.frame
     extent = high - low
+    if piece.surface.globe:
+        away = vertices - (low + high) / 2
+        angle = np.abs(np.arctan2(away[:, 0], -away[:, 1])) / np.pi
+        height = away[:, 2] / np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        # Mirrored halves leave no seam.
+        return np.stack([angle, 0.5 + np.arcsin(np.clip(height, -1, 1)) / np.pi], 1)
     if piece.surface.fit:
         t = (vertices - low) / np.maximum(extent, 1e-9)
         # Fitted pictures show on the widest side: fronts on xz, tops on xy.

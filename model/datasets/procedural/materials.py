@@ -71,11 +71,13 @@ class Surface:
         material: colour and texture.
         tile: metres that one repetition of the texture covers.
         fit: the texture covers the whole solid once instead (screens, dials, key tops).
+        globe: the texture is a map of longitude and latitude.
     """
 
     material: Material
     tile: float = 0.6
     fit: bool = False
+    globe: bool = False
 
 
 def plain(name: str, rgb: RGB, alpha: int = 255) -> Surface:
@@ -91,7 +93,7 @@ def _textured(name: str, kind: str, colors: tuple[RGB, ...], tile: float) -> Sur
 
 @lru_cache(maxsize=64)
 def _picture(name: str, kind: str, variant: int) -> Surface:
-    return Surface(Material(name, (255, 255, 255, 255), textures.picture(kind, variant)), fit=True)
+    return Surface(Material(name, (255, 255, 255, 255), textures.picture(kind, variant)), fit=True, globe=kind == "globe")
 
 
 def wood(kind: Wood) -> Surface:

@@ -246,7 +246,7 @@ def caster(
     swivel: bool = True,
     heading: float = 0.0,
 ) -> None:
-    """A caster under ``top``: a fork that swivels about z (or belongs to the parent) and a wheel."""
+    """A caster under ``top``: a fork that swivels about z (or is the parent's) and a wheel."""
     x, y, z = (float(v) for v in top)
     trail = 0.55 * radius if swivel else 0.0
     # The fork's arms end above the wheel's plane so that only the axle joins the two.
@@ -255,13 +255,13 @@ def caster(
     arms = [
         s.box(
             (0.12 * radius, 0.5 * radius, z - radius + 0.25 * radius),
-            (side * (0.68 * width), 0.6 * trail, -(z - radius) / 2 - 0.0),
+            (side * (0.76 * width), 0.6 * trail, -(z - radius) / 2 - 0.13 * radius),
             0.001,
         )
         for side in (-1, 1)
     ]
     plate = s.box(
-        (1.6 * width, 0.8 * radius + trail, 0.14 * radius), (0, 0.3 * trail, -0.08 * radius), 0.001
+        (1.7 * width, 0.8 * radius + trail, 0.14 * radius), (0, 0.3 * trail, -0.08 * radius), 0.001
     )
     turn = lambda solid: solid.turned((0, 0, 1), heading).moved((x, y, z))  # noqa: E731
     m = s.rotation((0, 0, 1), heading)
@@ -391,7 +391,7 @@ def door(
     *,
     name: str = "door",
 ) -> Body:
-    """A door whose back lies in the plane ``y``; its hinge is at the front edge, so it swings free."""
+    """A door whose back lies in the plane ``y``, hinged at its front edge, so that it swings free."""
     t = spec.thickness
     front = y - t
     cx, cz = r.center
@@ -462,7 +462,7 @@ def drawer(
     handle_length: float = 0.14,
     name: str = "drawer",
 ) -> Body:
-    """A drawer: a front over ``r`` and a tray that fits the cell ``inner`` and reaches ``depth`` in."""
+    """A drawer: a front over ``r`` and a tray that fits the cell ``inner``, ``depth`` deep."""
     body = b.slide(name, parent, (0, -1, 0), 0.0, travel * depth, (*_xz(r, y),))
     panel(body, r, y, thickness, style, palette)
     cell = Opening(

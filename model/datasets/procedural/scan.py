@@ -190,7 +190,7 @@ def _misaligned(points: Array, middle: Array, amount: float, rng: np.random.Gene
 
 
 def visible_elements(obj: ArticulatedObject, views: Sequence[View], *, side: int = 320) -> Hits:
-    """What cameras at ``views`` see of an object, without noise: for clicks that a person could make."""
+    """What cameras at ``views`` see of an object, without noise: where a person could click."""
     bounds = np.concatenate([p.bounds for p in obj.parts])
     low, high = bounds.min(0), bounds.max(0)
     middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))

@@ -163,7 +163,7 @@ def slab(
 ) -> Solid:
     """A star-shaped (n, 2) outline given a thickness along ``axis``, centred on the origin.
 
-    With axis 2 the outline lies in xy; with 1 it lies in xz and its front looks to -y; with 0 in yz.
+    With axis 2 the outline lies in xy; with 1 in xz, its front to -y; with 0 in yz.
     ``bevel`` rounds both rims (``inset`` is the outline there, else a scaled one).
     """
     b = min(bevel, 0.45 * thickness)

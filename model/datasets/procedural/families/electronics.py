@@ -93,7 +93,7 @@ def build_laptop(
             base.add(port, plain("port", (24, 24, 26)), "port")
     # The lid is built closed and lies 1 mm above the keys; the hinge runs behind the base's edge.
     gap = 0.0032
-    axis_y, axis_z = d / 2 + radius * 0.2, top + gap * 0.5
+    axis_y, axis_z = d / 2 + radius + 0.0006, top + gap * 0.5
     lid = b.hinge("screen", base, (-1, 0, 0), (0, axis_y, axis_z), 0.0, 2.4)
     slab = s.rounded_box((w, d - 0.008, lid_t), 0.012, rim=0.0018)
     lid_z = top + gap + lid_t / 2
@@ -113,7 +113,9 @@ def build_laptop(
     for x in spots:
         bar = s.along(s.cylinder(radius, length, segments=16, bevel=0.0008), 0)
         lid.add(bar.moved((float(x), axis_y, axis_z)), plain("hinge", (40, 41, 44)), "hinge")
-        bridge = s.box((0.8 * length, 0.012, 0.003), (float(x), axis_y - 0.006, top + gap + 0.0015))
+        bridge = s.box(
+            (0.8 * length, 0.02, 0.003), (float(x), axis_y - 0.01, top + gap + 0.0015)
+        )
         lid.add(bridge, plain("hinge", (40, 41, 44)), "hinge")
     return b.build({lid.link: open_angle})
 

@@ -323,7 +323,7 @@ def build_refrigerator(
             "divider",
         )
     shelf = glass((190, 214, 220), 150)
-    for zone in zones:
+    for zone in zones[1:] if layout == "french" else zones:
         for k in range(int(zone.height // 0.3)):
             z = zone.z0 + zone.height * (k + 1) / (zone.height // 0.3 + 1)
             body.add(

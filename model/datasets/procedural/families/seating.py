@@ -111,7 +111,7 @@ def _swivel_seat(
             seat.add(s.sweep(path, s.rectangle(0.035, 0.014, 0.004)), frame, "arm_post")
             seat.add(cushion(0.06, 0.25, 0.028).moved((x, -0.01, z + 0.21)), frame, "armrest")
     if rng.random() < 0.5:
-        lever = b.hinge("lever", seat, (0, 1, 0), (0.09, -0.02, z - 0.035), -0.35, 0.35)
+        lever = b.hinge("lever", seat, (0, 1, 0), (0.09, -0.02, z - 0.035), 0.0, 0.35)
         lever.add(
             s.along(s.cylinder(0.006, 0.13, segments=10, bevel=0.001), 0).moved(
                 (0.1565, -0.02, z - 0.035)
@@ -121,7 +121,7 @@ def _swivel_seat(
         )
     if not back:
         return
-    hinge_y, hinge_z = d / 2 - 0.06, z - 0.03
+    hinge_y, hinge_z = 0.122, z - 0.03
     tilt = (
         b.hinge(
             "backrest", seat, (-1, 0, 0), (0, hinge_y, hinge_z), 0.0, float(rng.uniform(0.2, 0.45))

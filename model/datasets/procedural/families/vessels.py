@@ -220,7 +220,7 @@ def bottle(rng: np.random.Generator) -> ProceduralObject:
         for t in np.linspace(0, np.pi / 2, 6)
     ]
     profile = [(0.85 * r, 0), (r, 0.012), *bend, (neck, h)]
-    body.add(s.lathe(profile, 32), skin, "body")
+    body.add(s.lathe(shell_profile(profile, 0.0015), 32), skin, "body")
     body.add(
         s.ring(
             [
@@ -324,7 +324,7 @@ def bucket(rng: np.random.Generator) -> ProceduralObject:
         body.add(ear, skin, "ear")
     handle = b.hinge("handle", body, (1, 0, 0), (0, 0, z), -1.5, 1.5)
     a = np.linspace(0, np.pi, 21)
-    rise = float(rng.uniform(0.9, 1.15)) * reach
+    rise = reach + float(rng.uniform(0.014, 0.05))
     path = np.stack([(reach + 0.0035) * np.cos(a), 0 * a, z + rise * np.sin(a)], 1)
     handle.add(s.tube(path, 0.003, 8), metal("steel"), "handle")
     if rng.random() < 0.6:
@@ -342,22 +342,15 @@ def dispenser(rng: np.random.Generator) -> ProceduralObject:
     body = b.base("dispenser_body")
     w, d, h = (float(v) for v in rng.uniform((0.06, 0.05, 0.1), (0.09, 0.08, 0.17)))
     if rng.random() < 0.5:
-        body.add(s.rounded_box((w, d, h), 0.015).moved((0, 0, h / 2)), skin, "body")
+        body.add(s.tray((w, d, h), 0.002, radius=0.015), skin, "body")
+        # A lid with a round hole for the stem.
+        plate, hole = s.rectangle(w, d, 0.015, 3), s.circle(0.0062, 16)
+        hole = hole[np.roll(np.arange(16), -1)]
+        levels = [s.at(hole, h - 0.002), s.at(plate, h - 0.002), s.at(plate, h), s.at(hole, h)]
+        body.add(s.loft(levels, ring=True), skin, "shoulder")
     else:
-        body.add(
-            s.lathe(
-                [
-                    (0.42 * w, 0),
-                    (0.5 * w, 0.01),
-                    (0.5 * w, 0.8 * h),
-                    (0.3 * w, 0.97 * h),
-                    (0.25 * w, h),
-                ],
-                30,
-            ),
-            skin,
-            "body",
-        )
+        outline = [(0.42 * w, 0), (0.5 * w, 0.01), (0.5 * w, 0.8 * h), (0.3 * w, 0.97 * h), (0.25 * w, h)]
+        body.add(s.lathe(shell_profile(outline, 0.002), 30), skin, "body")
     r = 0.016
     body.add(
         s.ring([(0.0062, h - 0.0005), (r, h - 0.0005), (r, h + 0.016), (0.0062, h + 0.016)], 24),
