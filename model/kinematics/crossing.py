@@ -250,7 +250,11 @@ class _Judge:
         start = np.flatnonzero(fresh)
         good = ahead < 0.5
         good[start] = (ahead[start] < 0.05) & (behind[start] > 0.2)
-        good[start] &= self._leads(chords.point[steep[start]], ways[steep[start]])
+        first = steep[start]
+        start_point, end_point = self.at[0], self.at[1]
+        step = np.linalg.norm((end_point - start_point)[chords.point[first]], axis=1)
+        passed = np.where(chords.step[first] == 0, -along[first] * step, 0.0)
+        good[start] &= self._leads(chords.point[first], ways[first], passed)
         steep = steep[good]
         out = np.zeros(len(hit), bool)
         out[steep] = _broad(self.target, hit[steep], ways[steep], self.sidestep)
@@ -279,17 +283,25 @@ class _Judge:
             )
         return ahead, behind
 
-    def _leads(self, point: npt.NDArray[np.int64], ways: FloatArray) -> npt.NDArray[np.bool_]:
-        """(R,) whether a point has none of its own part's material ahead of it.
+    def _leads(
+        self, point: npt.NDArray[np.int64], ways: FloatArray, passed: FloatArray
+    ) -> npt.NDArray[np.bool_]:
+        """(R,) whether a point that touches at rest can push into what it touches.
 
-        Only such points can push into what they touch; the others withdraw from it.
+        Only a point with none of its own part's material ahead of it can; the others withdraw.
+        Where the target lies (R,) ``passed`` metres behind the point, the part's material must
+        reach as far back, or all of it is beyond the target already.
         """
         own = ways @ self.part_from_target[:3, :3].T
         gap = 1e-2 if self.part.oriented else 1.0  # discs of a noisy cloud lie about the point
-        starts = self.points[point] + gap * self.tolerance * own
-        out = self.part.cast(starts, own).distance > THICK * self.tolerance
+        gap *= self.tolerance
+        starts = self.points[point]
+        out = self.part.cast(starts + gap * own, own).distance > THICK * self.tolerance
         if self.part.oriented:
-            out &= self.part.count(starts, own) % 2 == 0
+            out &= self.part.count(starts + gap * own, own) % 2 == 0
+        behind = np.flatnonzero(out & (passed > 2 * gap))
+        back = self.part.cast(starts[behind] - gap * own[behind], -own[behind]).distance + gap
+        out[behind] = back >= passed[behind]
         return out
 
 

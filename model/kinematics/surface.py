@@ -20,6 +20,8 @@ from model.kinematics.articulated_object import Part
 
 POINTS = 4096
 """Sample points a part."""
+INSET = 1e-3
+"""How far corner samples lie inside of a face, in the part's diagonal."""
 COARSE = 384
 """Of them, those that stand for the part's bulk."""
 SURFELS = 20_000
@@ -208,15 +210,20 @@ def _build(part: Part, count: int) -> Surface | None:
 def _of_mesh(link: str, mesh: Mesh, count: int, rng: np.random.Generator) -> Surface:
     areas = mesh.face_areas
     total = float(areas.sum())
-    corners = np.unique(mesh.faces)
-    if len(corners) > count // 4:
-        corners = rng.choice(corners, count // 4, replace=False)
-    # Corners and edges touch first, and a random sample misses them.
-    corner_normals = np.zeros((len(mesh.vertices), 3))
-    corner_normals[mesh.faces] = mesh.face_normals[:, None]
-    points, normals = mesh.vertices[corners], corner_normals[corners]
+    # Corners and edges touch first, and a random sample misses them. A little inside of a face of
+    # theirs, rays from them don't run along the faces beside it.
+    used, corner = np.unique(mesh.faces, return_index=True)
+    if len(used) > count // 4:
+        corner = rng.choice(corner, count // 4, replace=False)
+    face = corner // 3
+    at = mesh.vertices[mesh.faces.reshape(-1)[corner]]
+    inward = mesh.triangles[face].mean(axis=1) - at
+    length = np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-30)
+    low, high = mesh.bounds
+    points = at + inward * np.minimum(INSET * float(np.linalg.norm(high - low)) / length, 0.3)
+    normals = mesh.face_normals[face]
     if total > 0:
-        drawn, face = _on_triangles(mesh, areas, count - len(corners), rng)
+        drawn, face = _on_triangles(mesh, areas, count - len(points), rng)
         points = np.concatenate([points, drawn])
         normals = np.concatenate([normals, mesh.face_normals[face]])
     order = rng.permutation(len(points))
