@@ -93,7 +93,10 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
     shape, box = context.shape, context.shape.box
     n_axis = box.axes[:, normal]
     out_normal = context.panel_outward(n_axis)
-    closed = context.closed and mechanism != "temple"
+    if mechanism == "flap" and context.closed and abs(float(n_axis[2])) < 0.3:
+        weights = WEIGHTS["hinge"]  # half of a standing case
+    # All edges of a closed door touch; a lid that leans on a wall is open within its body's box.
+    closed = context.closed and mechanism in ("hinge", "drop")
     in_plane = [k for k in range(3) if k != normal]
     local = box.local(shape.points)
     contact = _contact_scores(context, local, in_plane)
@@ -364,6 +367,12 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     """
     import dataclasses
 
+    if {"pedal", "pad"} & set(context.words):
+        arm = context.shape.center - best.origin
+        down = float(np.cross(best.axis, arm)[2]) <= 0
+        return dataclasses.replace(
+            best, axis=best.axis if down else -best.axis, lower=0.0, upper=0.3
+        )
     twin = _mirrored_twin(context)
     if best.note.startswith("temple") and twin is not None and not context.closed:
         # Arms of a pair fold towards each other.
@@ -390,18 +399,23 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
         )
     closing = -sweep(-np.pi * 0.95)
     opening = sweep(np.pi * 0.95)
-    if closing + opening > 4.4:
+    many = context.category == "box" or (
+        not context.category and _mirrored_twin(context) is not None
+    )
+    if closing + opening > 4.4 and many:
         return dataclasses.replace(best, lower=-closing, upper=opening)
+    key = (context.category, "flap")
+    total = (
+        CATEGORY_OPENING.get(key, FOLDED_TOTAL) if best.note.startswith("flap") else FOLDED_TOTAL
+    )
     if closing > opening:
         return dataclasses.replace(
             best,
             axis=-best.axis,
             lower=-opening,
-            upper=max(0.3, min(closing, FOLDED_TOTAL - opening)),
+            upper=max(0.3, min(closing, total - opening)),
         )
-    return dataclasses.replace(
-        best, lower=-closing, upper=max(0.3, min(opening, FOLDED_TOTAL - closing))
-    )
+    return dataclasses.replace(best, lower=-closing, upper=max(0.3, min(opening, total - closing)))
 
 
 def _mirrored_twin(context: PartContext) -> int | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from model.geometric.context import PartContext
 from model.geometric.looks import Looks
+from model.geometric.pivots import alike
 from model.geometric.scene import TOUCHING
 from model.geometric.spins import blades
 from model.geometric.vocabulary import Mechanism
@@ -157,7 +158,7 @@ def _panels(c: _Cues) -> Scores:
     toggle = 0.2
     if k.parts <= 4 and part.closed and 0.2 < k.relative < 0.75 and k.panel > 0.3:
         toggle += 1.5 * k.exposed * k.backed * (k.disc is None)
-    slide = 3.0 * c.panel * c.standing * _passes_sibling(part)
+    slide = 3.0 * c.panel * c.standing * passes_sibling(part)
     return {"hinge": hinge, "flap": flap, "toggle": toggle, "slide_along": slide}
 
 
@@ -201,19 +202,13 @@ def _pairs(c: _Cues) -> Scores:
     k, part = c.looks, c.part
     scores: Scores = {"pivot": 0.2 + 0.5 * c.rod * (k.parts <= 4), "slide_along": 0.2}
     pair = k.parts <= 3 and not k.twins and k.relative > 0.6 and part.base.slenderness < 0.33
-    pair = pair or (k.parts == 2 and k.relative > 0.85 and _alike(part))
+    pair = pair or (k.parts == 2 and k.relative > 0.85 and alike(part.shape, part.base))
     if pair and c.rod > 0.5:
         # A blade that is free on one edge turns out of its handle; one that is not slides.
         middle = part.shape.order[1]
         held = min(part.covers[middle], part.covers[middle + 3]) > 0.6 and k.walls >= 4
         scores["slide_along" if held else "pivot"] += 3.2 * c.rod
     return scores
-
-
-def _alike(context: PartContext) -> bool:
-    """Whether part and parent have nearly the same box."""
-    a, b = np.sort(context.shape.box.half), np.sort(context.base.box.half)
-    return bool(np.all(np.abs(a - b) < 0.25 * b + 0.01))
 
 
 def _tallness(context: PartContext) -> float:
@@ -236,7 +231,7 @@ def _holds_wheel(c: _Cues) -> bool:
     return False
 
 
-def _passes_sibling(context: PartContext) -> bool:
+def passes_sibling(context: PartContext) -> bool:
     """Whether another panel lies in a parallel plane and laps over this one at the side."""
     shape, scene = context.shape, context.scene
     n = shape.panel.normal

@@ -23,22 +23,43 @@ def pivot_hypotheses(context: PartContext) -> list[Hypothesis]:
     thin = shape.box.axes[:, shape.order[0]]
     common = rows[2]
     axis = thin if abs(thin @ common) > 0.8 or shape.thinness < 0.35 else common
-    crossing = _crossing(shape, base, axis)
+    cross = crossing(shape, base, axis)
     contact = context.contact_center
     found = []
-    if crossing is not None:
-        inside = _inside_both(crossing, shape, base, axis)
+    if cross is not None:
+        inside = _inside_both(cross, shape, base, axis)
         found.append(
-            Hypothesis("revolute", axis, crossing, score=1.5 * inside, note="where the two cross")
+            Hypothesis("revolute", axis, cross, score=1.5 * inside, note="where the two cross")
         )
     found.append(Hypothesis("revolute", axis, contact, score=0.6, note="where the two touch"))
-    ends = _end_pivots(context, axis)
-    found += ends
+    if alike(shape, base):
+        found = [h.scored(1.0) for h in found]  # two of a kind cross; neither holds the other's end
+    found += _end_pivots(context, axis) + _crossed_frames(context)
     return [_pivot_limits(context, h) for h in found]
 
 
-def _crossing(shape: Shape, base: Shape, axis: Array) -> Array | None:
-    """Where the two long axes cross, seen along ``axis``; None where they are nearly parallel."""
+def alike(a: Shape, b: Shape, tolerance: float = 0.25) -> bool:
+    """Whether two parts have nearly the same box."""
+    x, y = np.sort(a.box.half), np.sort(b.box.half)
+    return bool(np.all(np.abs(x - y) < tolerance * y + 0.01))
+
+
+def _crossed_frames(context: PartContext) -> list[Hypothesis]:
+    """Two flat frames that cross like the legs of a folding chair turn about the line they share."""
+    shape, base = context.shape, context.base
+    if shape.slenderness < 0.3 or shape.thinness > 0.5:
+        return []
+    a = shape.box.axes[:, shape.order[0]]
+    b = base.principal[:, 2]
+    axis = np.cross(a, b)
+    if np.linalg.norm(axis) < np.sin(np.deg2rad(15)):
+        return []
+    note = "where the two frames cross"
+    return [Hypothesis("revolute", unit(axis), context.contact_center, score=2.2, note=note)]
+
+
+def crossing(shape: Shape, base: Shape, axis: Array) -> Array | None:
+    """(3,) where the long axes cross, seen along ``axis``; None where they are nearly parallel."""
     a, b = shape.principal[:, 0], base.principal[:, 0]
     u = unit(a - (a @ axis) * axis)
     v = unit(b - (b @ axis) * axis)

@@ -6,8 +6,8 @@ import numpy as np
 
 from model.geometric.context import Assembly, PartContext
 from model.geometric.looks import Looks, look
-from model.geometric.motion_scores import motion_scores
-from model.geometric.vocabulary import CATEGORY_MOTIONS, Mechanism, mechanism_of
+from model.geometric.motion_scores import motion_scores, passes_sibling
+from model.geometric.vocabulary import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism, mechanism_of
 
 CATEGORY_BONUS = 1.2
 """Score for what parts of the object's category usually do."""
@@ -26,6 +26,7 @@ def guess_mechanisms(
             continue
         said, _ = mechanism_of(shape.name, assembly.scene.category)
         if said is not None:
+            said = _by_geometry(PartContext(assembly, i), said)
             mechanisms[i], reasons[i], sureness[i] = said, f"named {shape.name!r}", 0.95
         else:
             unnamed[i] = look(PartContext(assembly, i))
@@ -61,3 +62,13 @@ MOTION_WORDS: dict[Mechanism, str] = {
     "press": "is pressed",
     "fixed": "stays",
 }
+
+
+def _by_geometry(part: PartContext, said: Mechanism) -> Mechanism:
+    """Where a word leaves two ways to move, the shape decides."""
+    turns = any(w in TURN_PREFIX for w in part.words)
+    if said == "hinge" and not turns and passes_sibling(part):
+        return "slide_along"  # sashes and doors that pass each other
+    if said == "screw" and part.category == "dispenser" and part.shape.roundest is None:
+        return "press"  # a pump, not a cap
+    return said

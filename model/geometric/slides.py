@@ -58,12 +58,13 @@ def _handle_beyond(context: PartContext, k: int, direction: Array) -> float:
 
 
 def _drawer_depth(context: PartContext, direction: Array) -> float:
-    """Depth of the drawer; of the body where only its front was scanned."""
+    """Depth of the drawer; what the body leaves for it where only its front is there."""
     own = 2 * context.shape.box.reach(direction)
     behind = 2 * context.base.box.reach(direction)
     if context.shape.scanned and own < 0.4 * behind:
         return 0.8 * behind
-    return own
+    # A front without a drawer behind it: half the body is left for one.
+    return own if own > 0.25 * behind else max(own, 0.5 * behind)
 
 
 def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
@@ -94,6 +95,8 @@ def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
                 score += 0.8 * level
             if k == long and shape.slenderness < 0.45:
                 score += 1.5
+            if {"lid", "cap", "cover", "blade"} & set(context.words):
+                score += 1.0 * along
             note = "slides within its own plane"
             found.append(
                 Hypothesis("prismatic", direction, shape.center, 0.0, 0.8 * wanted, score, note)
@@ -105,8 +108,8 @@ def lift_hypotheses(context: PartContext) -> list[Hypothesis]:
     """Straight up (or along the part's own upright axis)."""
     up = context.upright()
     height = 2 * context.shape.box.reach(up)
-    travel = {"kitchenpot": 0.012, "bottle": 0.06, "suitcase": 0.75 * height}.get(
-        context.category, max(0.03, 0.5 * height)
+    travel = {"kitchenpot": 0.012, "bottle": 0.06, "suitcase": 0.75 * height, "kettle": 0.12}.get(
+        context.category, 0.035 if context.shape.roundest is not None else max(0.03, 0.5 * height)
     )
     down = context.category == "toaster"
     axis = -up if down else up

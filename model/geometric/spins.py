@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.pivots import crossing
 from model.geometric.shape import Roundness, Shape, rotation, roundness
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +77,28 @@ def _hub(context: PartContext, r: Roundness) -> Array:
     face = roundness(context.base.outline, r.axis, context.base.scanned)
     if face is not None and face.round:
         return face.center
+    other = _other_hand(context)
+    if other is not None:
+        a, b = context.shape, context.scene.shapes[other]
+        at = crossing(a, b, r.axis)
+        return at if at is not None else context.scene.contact(context.part, other).mean(0)
     return context.base.center
+
+
+def _other_hand(context: PartContext) -> int | None:
+    """Another sliver that lies flat on the same dial and reaches over this one."""
+    shape = context.shape
+    thin = shape.box.axes[:, shape.order[0]]
+    found = [
+        j
+        for j in context.scene.others(context.part)
+        if context.assembly.parent[j] == context.parent
+        and context.scene.shapes[j].slenderness < 0.35
+        and abs(float(context.scene.shapes[j].box.axes[:, context.scene.shapes[j].order[0]] @ thin))
+        > 0.95
+        and context.scene.gap[context.part, j] < 0.05
+    ]
+    return max(found, key=lambda j: (context.scene.shapes[j].size, -j)) if found else None
 
 
 def _poles(context: PartContext) -> Array | None:
@@ -132,11 +154,11 @@ def swivel_hypotheses(context: PartContext) -> list[Hypothesis]:
                 "continuous", up, r.center, score=1.5 - 12 * spread, note="round, upright axis"
             )
         )
-    found.append(
-        Hypothesis(
-            "continuous", up, _support(context, up), score=0.7, note="upright axis through support"
+    for axis, score in ((up, 0.7), (UP, 0.9)):
+        note = "upright axis through support"
+        found.append(
+            Hypothesis("continuous", axis, _support(context, axis), score=score, note=note)
         )
-    )
     return found
 
 

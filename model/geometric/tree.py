@@ -63,7 +63,7 @@ def spanning_parents(scene: Scene, root: int) -> list[int]:
     parent = [-1] * n
     placed = {root}
     # A scan hides much of the root: being nearer to another part says less there.
-    detour = 0.06 if scene.scanned else 0.02
+    detour = 0.06 if scene.scanned else 0.012
     held = {i: _holder(scene, root, i) for i in range(n) if i != root}
     while len(placed) < n:
         best: tuple[float, float, int, int] | None = None
@@ -72,7 +72,7 @@ def spanning_parents(scene: Scene, root: int) -> list[int]:
                 continue
             for j in placed:
                 cost = max(0.0, gap[i, j] - TOUCHING / 2 - 3 * scene.noise)
-                cost += 0.0 if j == root else detour + 0.03 * _small(scene, j, i)
+                cost += 0.0 if j == root else detour + 0.015 * _small(scene, j, i)
                 key = (cost, gap[i, j], i, j)
                 if best is None or key < best:
                     best = key

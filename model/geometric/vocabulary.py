@@ -131,6 +131,8 @@ WORDS: dict[str, Mechanism] = {
     "lamp": "tilt",
     "bracket": "swivel",
     "ring": "swivel",
+    "circle": "swivel",
+    "neck": "swivel",
     "shaft": "temple",
 }
 """Word → mechanism where the category says nothing else."""
@@ -145,12 +147,12 @@ CATEGORY_WORDS: dict[str, dict[str, Mechanism]] = {
     "dishwasher": {"door": "drop"},
     "dispenser": {"lid": "screw", "cap": "screw", "head": "press", "nozzle": "press"},
     "display": {"screen": "tilt", "base": "fixed"},
-    "door": {"handle": "lever", "knob": "lever"},
+    "door": {"handle": "lever"},
     "eyeglasses": {"leg": "temple"},
     "fan": {"blade": "spin", "head": "tilt", "frame": "tilt"},
     "faucet": {"switch": "lever", "handle": "lever", "spout": "swivel", "knob": "lever"},
     "foldingchair": {"seat": "flap", "leg": "pivot"},
-    "globe": {"bracket": "tilt", "frame": "tilt"},
+    "globe": {"bracket": "swivel", "frame": "swivel"},
     "kettle": {"lid": "lift", "handle": "swing"},
     "keyboard": {"leg": "flap"},
     "kitchenpot": {"lid": "lift", "cover": "lift"},
@@ -281,7 +283,7 @@ CATEGORY_PARENTS: dict[str, dict[str, str]] = {
 }
 """Category → a part's word → the word of the part that it hangs on, where one is near."""
 
-_TURN_PREFIX = {"rotation", "rotating", "rotary", "revolving", "hinged", "swivel", "flip"}
+TURN_PREFIX = {"rotation", "rotating", "rotary", "revolving", "hinged", "swivel", "flip"}
 _SLIDE_PREFIX = {"translation", "translating", "sliding", "slide", "telescopic", "retractable"}
 _PRESS_PREFIX = {"press", "pressing", "push"}
 _SYNONYMS = {
@@ -302,6 +304,8 @@ _SYNONYMS = {
     "dropleaf": "flap",
     "visor": "flap",
     "stopcock": "tap",
+    "meridian": "bracket",
+    "magazine": "body",
     "scanner": "lid",
     "crate": "drawer",
     "box": "drawer",
@@ -400,7 +404,7 @@ def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | No
             break
     if mechanism is None:
         return None, ""
-    if any(w in _TURN_PREFIX for w in found):
+    if any(w in TURN_PREFIX for w in found):
         mechanism = TURNING.get(mechanism, mechanism)
     if any(w in _SLIDE_PREFIX for w in found):
         mechanism = SLIDING.get(mechanism, mechanism)
@@ -416,7 +420,7 @@ def base_score(name: str | None, category: str | None) -> float:
     found = words(name)
     if not found:
         return 0.0
-    if any(w in _TURN_PREFIX | _SLIDE_PREFIX for w in found):
+    if any(w in TURN_PREFIX | _SLIDE_PREFIX for w in found):
         return -3.0
     hit = known_word(found[-1], tuple(BASE_WORDS))
     score = BASE_WORDS.get(hit or "", 0.0)
