@@ -233,7 +233,7 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
         server.bench.object(server.bench.records()[0].id)
         browser = PretendedBrowser(server.url)
         _wait(lambda: server.apps, "the tab")
-        app = next(iter(server.apps.values()))
+        app: Any = next(iter(server.apps.values()))
         _wait(lambda: app.object is not None and app.object.asset is not None, "the object")
         _wait(lambda: app.drawn, "the picture")
         drawn = time.perf_counter()

@@ -50,21 +50,24 @@ class Workbench:
         self._lock = threading.RLock()
         self._open: dict[int, OpenObject] = {}
         self._queue_listeners: list[Listener] = []
+        self._ids: list[int] = []
+        self._records: dict[int, ObjectRecord] = {}
         self.add_paths(paths)
 
     def add_paths(self, paths: list[Path]) -> list[int]:
         """Put files or folders into the queue; returns their object ids."""
-        ids = [r.id for r in self.store.open_objects((p, None, p.stem) for p in paths)]
+        records = self.store.open_objects((p, None, p.stem) for p in paths)
+        ids = [r.id for r in records]
         with self._lock:
-            self._ids = list(dict.fromkeys([*getattr(self, "_ids", []), *ids]))
-        self.queue_changed()
+            self._ids = list(dict.fromkeys([*self._ids, *ids]))
+            self._records.update({r.id: r for r in records})
+        self._tell_queue()
         return ids
 
     def records(self) -> list[ObjectRecord]:
         """The queue: objects of this run, in the order they were given."""
-        known = {r.id: r for r in self.store.objects()}
         with self._lock:
-            return [known[i] for i in self._ids if i in known]
+            return [self._records[i] for i in self._ids]
 
     def object(self, object_id: int) -> OpenObject:
         """The shared view of an object; opens it on first use."""
@@ -78,10 +81,22 @@ class Workbench:
     def on_queue(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""
         self._queue_listeners.append(listener)
-        return lambda: self._queue_listeners.remove(listener)
 
-    def queue_changed(self) -> None:
-        """Tell all tabs that the queue has other states."""
+        def stop() -> None:
+            if listener in self._queue_listeners:
+                self._queue_listeners.remove(listener)
+
+        return stop
+
+    def queue_changed(self, object_id: int) -> None:
+        """Tell all tabs that an object stands elsewhere now."""
+        record = self.store.object(object_id)
+        with self._lock:
+            before, self._records[object_id] = self._records.get(object_id), record
+        if before is None or before.state != record.state:
+            self._tell_queue()
+
+    def _tell_queue(self) -> None:
         for listener in list(self._queue_listeners):
             listener()
 
@@ -213,10 +228,11 @@ class OpenObject:
     def _opened(self, asset: tasks.OpenedAsset) -> None:
         with self._lock:
             self.asset = asset
-        if self.state.seq == 0 and asset.has_parts:
-            self._take_source_parts(asset)
-        if self.state.seq == 0 and asset.category:
-            self.do(cmd.SetCategory(asset.category), "source file")
+        if self.state.seq == 0:
+            if asset.has_parts:
+                self._take_source_parts(asset)
+            if asset.category:
+                self.do(cmd.SetCategory(asset.category), "source file")
         for warning in asset.warnings:
             self.tell("Opened with a remark", warning, "yellow")
         self.bench.geometry.submit(tasks.prepare_picking, asset.folder)
@@ -255,7 +271,7 @@ class OpenObject:
         if self.asset is not None:
             self._ask_labels()
             self._ask_checks()
-        self.bench.queue_changed()
+        self.bench.queue_changed(self.record.id)
         self.changed()
 
     def _ask_labels(self) -> None:

@@ -166,8 +166,8 @@ class AnnotatePanel:
         )
         if now == self._drawn:
             return
-        fresh = self._drawn is None or self._drawn[0] != obj.record.id
-        source_changed = fresh or self._drawn[-1] != now[-1]
+        before = self._drawn
+        source_changed = before is None or before[0] != now[0] or before[-1] != now[-1]
         self._drawn = now
         self._draw_hint(doc)
         self._draw_parts(doc, counts)

@@ -373,8 +373,8 @@ class SceneView:
             size = high - low + 2 * margin
             self.touch = self._scene.add_box(
                 "/touch",
-                dimensions=tuple(float(v) for v in size),
-                position=tuple(float(v) for v in (low + high) / 2),
+                dimensions=size,
+                position=(low + high) / 2,
                 opacity=0.0,
                 side="double",
                 cast_shadow=False,
@@ -432,16 +432,17 @@ def _pushed_out(asset: OpenedAsset, distance: float) -> npt.NDArray[np.float32]:
         for k in range(3):
             total[:, k] += np.bincount(f[:, corner], normal[:, k], len(v)).astype(np.float32)
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    return v + distance * np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    unit = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return (v + distance * unit).astype(np.float32)
 
 
 def _point_size(points: npt.NDArray[np.float32], diagonal: float) -> float:
     """A point size that closes the surface: about the spacing of the points."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if len(points) < 10:
         return 0.01 * diagonal
     rng = np.random.default_rng(0)
     some = points[rng.choice(len(points), min(1500, len(points)), replace=False)]
-    spacing = cKDTree(points).query(some, k=4)[0][:, 2:].mean()
+    spacing = KDTree(points).query(some, k=4)[0][:, 2:].mean()
     return float(np.clip(1.1 * spacing, 1e-4 * diagonal, 0.02 * diagonal))

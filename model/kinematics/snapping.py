@@ -41,7 +41,7 @@ def box_of(points: Vector) -> Box:
         # Flat or degenerate points have no hull; their world box is right then.
         pass
     order = np.argsort(-half, kind="stable")
-    return Box(np.asarray(center), np.asarray(axes)[:, order], half[order])
+    return Box(np.asarray(center, np.float64), np.asarray(axes, np.float64)[:, order], half[order])
 
 
 def axis_along_box(joint: Joint, box: Box, which: BoxAxis) -> Joint:
@@ -92,9 +92,10 @@ def origin_on_contact(joint: Joint, child: Vector, parent: Vector, reach: float)
     Raises:
         KinematicsError: where they don't come near each other.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    distance, index = cKDTree(parent).query(child)
+    found = KDTree(parent).query(child)
+    distance, index = np.asarray(found[0]), np.asarray(found[1])
     nearest = float(distance.min())
     touching = distance <= max(2.0 * nearest, reach)
     if nearest > 5 * reach:

@@ -56,7 +56,8 @@ class KinematicTree:
         kids: dict[str, list[str]] = {}
         for j in self.joints:
             kids.setdefault(j.parent, []).append(j.child)
-        out, stack = [], [self.root]
+        out: list[str] = []
+        stack = [self.root]
         while stack:
             link = stack.pop()
             out.append(link)
@@ -69,7 +70,8 @@ class KinematicTree:
 
     def descendants(self, link: str) -> frozenset[str]:
         """``link`` and all that moves with it."""
-        out, stack = set(), [link]
+        out: set[str] = set()
+        stack = [link]
         while stack:
             current = stack.pop()
             out.add(current)
@@ -158,7 +160,8 @@ def tree_problems(links: tuple[str, ...], joints: tuple[Joint, ...]) -> list[str
 
 
 def _cycles(parent_of: Mapping[str, str]) -> list[str]:
-    out, done = [], set[str]()
+    out: list[str] = []
+    done: set[str] = set()
     for start in parent_of:
         path: list[str] = []
         link = start
@@ -172,7 +175,8 @@ def _cycles(parent_of: Mapping[str, str]) -> list[str]:
 
 
 def _mimic_problems(joints: tuple[Joint, ...]) -> list[str]:
-    out, by_name = [], {j.name: j for j in joints}
+    out: list[str] = []
+    by_name = {j.name: j for j in joints}
     for j in joints:
         if j.mimic is None:
             continue

@@ -58,9 +58,7 @@ def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
     contexts: list[Any] = []
 
     def begin(server: Any, width: int = 1280, height: int = 800, **context: Any) -> Tab:
-        contexts.append(
-            browser.new_context(viewport={"width": width, "height": height}, **context)
-        )
+        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
         page = contexts[-1].new_page()
         page.goto(server.url)
         return Tab(page, server).ready()

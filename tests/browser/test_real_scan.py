@@ -1,0 +1,56 @@
+"""The whole path on a real, noisy, one-sided scan of a refrigerator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browsing import Tab, wait_until
+
+pytestmark = pytest.mark.browser
+
+
+def frontmost(tab: Tab, height: float, across: float) -> np.ndarray:
+    """The displayed point nearest to the viewer at a share of the height and of the width."""
+    asset = tab.app.object.asset
+    points, front = asset.display_points, np.asarray(asset.front)
+    side = np.cross(front, (0.0, 0.0, 1.0))
+    low, high = asset.bounds
+    z = low[2] + height * (high[2] - low[2])
+    s_low, s_high = np.percentile(points @ side, (2, 98))
+    s = s_low + across * (s_high - s_low)
+    near = (np.abs(points[:, 2] - z) < 0.06) & (np.abs(points @ side - s) < 0.06)
+    index = np.flatnonzero(near)
+    return points[index[np.argmax(points[index] @ front)]]
+
+
+def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_data: Path) -> None:
+    scan = shared_data / "scans" / "scannet" / "scene0011_00_i27_refrigerator.ply"
+    if not scan.exists():
+        pytest.skip(f"{scan} is not here")
+    tab = open_tab(start(scan))
+    tab.prompt(frontmost(tab, 0.5, 0.5))
+    tab.choose("Part is a", "door")
+    tab.key("2")
+    wait_until(lambda: tab.app.part == 2, "key 2 chooses part 2")
+    tab.prompt(frontmost(tab, 0.93, 0.5))
+    tab.choose("Part is a", "door")
+    wait_until(lambda: tab.document.part_names == {1: "door", 2: "door"}, "both are doors")
+    tab.choose("Category", "Refrigerator")
+    wait_until(lambda: tab.document.category == "Refrigerator", "the category")
+    tab.key("p")
+    tree = wait_until(lambda: tab.document.tree, "a kinematic tree")
+    assert tree.root == "link_0"
+    assert {j.type for j in tree.joints} == {"revolute"}
+    wait_until(lambda: tab.app.stage == "Joints" and not tab.app.object.busy, "sweeps are done")
+    tab.key("y")
+    wait_until(lambda: tab.document.review.state == "accepted", "accepted")
+    folder = Path(wait_until(lambda: tab.document.saved, "saved").folder)
+    names = {p.suffix for p in (folder / "meshes").iterdir()}
+    assert ".ply" in names  # the scanned points
+    assert names - {".ply"}  # and a surface
+    import mujoco
+
+    mujoco.MjModel.from_xml_path(str(folder / "object.urdf"))

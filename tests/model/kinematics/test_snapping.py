@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+
+from model.errors import KinematicsError
+from model.kinematics.joint import Joint
+from model.kinematics.snapping import axis_along_box, box_of, origin_on_box_edge, origin_on_contact
+
+
+def door(**changes: object) -> Joint:
+    values = {
+        "name": "j",
+        "type": "revolute",
+        "parent": "link_0",
+        "child": "link_1",
+        "axis": (0.0, 0.0, 1.0),
+        "origin": (0.1, 0.0, 0.3),
+        "lower": 0.0,
+        "upper": 1.5,
+    }
+    return Joint(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def panel(yaw: float = 0.0) -> np.ndarray:
+    """A 0.4 × 0.02 × 0.6 m panel about (1, 2, 0.5), turned about z."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (2000, 3)) * (0.4, 0.02, 0.6)
+    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * (0.4, 0.02, 0.6)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return np.concatenate([points, corners]) @ turn.T + (1.0, 2.0, 0.5)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 1.1])
+def test_the_box_is_tight_and_sorted(yaw: float) -> None:
+    box = box_of(panel(yaw))
+    np.testing.assert_allclose(2 * box.half, (0.6, 0.4, 0.02), atol=1e-6)
+    np.testing.assert_allclose(box.center, (1.0, 2.0, 0.5), atol=1e-6)
+    np.testing.assert_allclose(np.abs(box.axes[:, 0]), (0, 0, 1), atol=1e-6)
+    np.testing.assert_allclose(box.axes.T @ box.axes, np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_an_edge_snap_lands_on_the_nearest_edge_and_keeps_the_side(yaw: float) -> None:
+    points = panel(yaw)
+    box = box_of(points)
+    wide = box.axes[:, 1]
+    near = box.center - 0.19 * wide
+    for sign in (1.0, -1.0):
+        joint = door(axis=(0.02, 0.0, sign), origin=tuple(near))
+        snapped = origin_on_box_edge(joint, box)
+        np.testing.assert_allclose(snapped.axis, (0, 0, sign), atol=1e-6)
+        offset = np.asarray(snapped.origin) - box.center
+        assert offset @ wide == pytest.approx(-0.2, abs=1e-6)
+
+
+def test_an_edge_snap_needs_an_axis_along_an_edge() -> None:
+    box = box_of(panel())
+    with pytest.raises(KinematicsError, match="choose the axis first"):
+        origin_on_box_edge(door(axis=(1.0, 0.0, 1.0)), box)
+
+
+def test_box_axes_by_length() -> None:
+    box = box_of(panel())
+    assert np.abs(axis_along_box(door(), box, "Short").axis) == pytest.approx([0, 1, 0])
+    assert axis_along_box(door(axis=(0, 0, -1)), box, "Long").axis == pytest.approx((0, 0, -1))
+
+
+def test_contact_snap_finds_the_hinge_line() -> None:
+    rng = np.random.default_rng(1)
+    child = rng.uniform(0, 1, (4000, 3)) * (0.5, 0.0, 0.8)
+    parent = rng.uniform(0, 1, (4000, 3)) * (0.0, 0.4, 0.8)
+    joint = door(axis=(0.1, 0.0, 1.0), origin=(0.3, 0.1, 0.1))
+    snapped = origin_on_contact(joint, child, parent, reach=0.01)
+    assert abs(snapped.axis[2]) > 0.999
+    assert np.abs(snapped.origin[:2]) == pytest.approx([0, 0], abs=0.015)
+
+
+def test_contact_snap_says_when_nothing_touches() -> None:
+    far = np.random.default_rng(2).uniform(0, 1, (100, 3))
+    with pytest.raises(KinematicsError, match="don't touch"):
+        origin_on_contact(door(), far, far + (5.0, 0.0, 0.0), reach=0.01)
