@@ -32,6 +32,8 @@ FEATURE_NAMES = (
     "positives", "negatives", "last_positive", "overlap_before", "growth", "changed_border",
     "has_color", "bounds_filled", "closest_larger",
     *(f"from_{s}" for s in SOURCES),
+    "change_size", "change_depth", "change_depth_relative", "change_depth_rank",
+    "change_of_mask", "change_border", "change_border_weak", "change_normal",
 )  # fmt: skip
 
 
@@ -201,8 +203,40 @@ class MaskDescriber:
             self._next_larger(area),
         ]
         flags = candidates.source[:, None] == np.arange(len(SOURCES))
+        change = self._change(words, masks, clicked, area)
         return np.concatenate(
-            [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags], axis=1
+            [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags, change], axis=1
+        ).astype(np.float32)
+
+    def _change(
+        self, words: npt.NDArray[np.uint64], masks: Bool, clicked: Clicked, area: Float
+    ) -> Float:
+        """(H, 8) what the click flips: people click into the middle of what is wrong."""
+        number = len(masks)
+        if clicked.before is None:
+            return np.zeros((number, 8), np.float32)
+        before = clicked.before
+        flipped = masks ^ before
+        moved = np.asarray(np.where(before[:, None], ~words, words), np.uint64)
+        sums = flipped.astype(np.float32) @ self._cell[:, :13]
+        size = np.maximum(sums[:, 0], 1e-9)
+        crossed = moved[self._a] ^ moved[self._b]
+        border = self._over_links(crossed, number, 4)
+        b0 = np.maximum(border[:, 0], 1e-9)
+        depth = self._depth(moved, number, clicked.last)
+        rank = np.argsort(np.argsort(depth, kind="stable"), kind="stable")
+        return np.stack(
+            [
+                np.log(size),
+                depth,
+                depth / np.sqrt(size),
+                np.asarray(rank, np.float32) / max(number - 1, 1),
+                np.minimum(size / np.maximum(area, 1e-9), 4),
+                border[:, 1] / b0,
+                border[:, 3] / b0,
+                np.linalg.norm(sums[:, 10:13], axis=1) / size,
+            ],
+            axis=1,
         ).astype(np.float32)
 
     def _over_links(self, crossed: npt.NDArray[np.uint64], number: int, columns: int) -> Float:

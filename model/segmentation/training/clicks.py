@@ -15,7 +15,7 @@ from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.simulate import deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
-from model.segmentation.training.fit import fit_mlp
+from model.segmentation.training.fit import fit_ranker
 from model.segmentation.training.scans import random_scan
 
 Float = npt.NDArray[np.floating]
@@ -35,11 +35,11 @@ class ClickTraining:
         workers: processes.
     """
 
-    objects: int = 360
-    held_out: int = 40
-    parts_per_object: int = 4
-    first_clicks: int = 5
-    clicks: int = 7
+    objects: int = 200
+    held_out: int = 16
+    parts_per_object: int = 6
+    first_clicks: int = 6
+    clicks: int = 8
     explore: float = 0.25
     first_seed: int = 10_000
     workers: int = 1
@@ -178,15 +178,8 @@ def collect(
 
 
 def fit_scorer(rows: Rows, seed: int = 0) -> Mlp:
-    """A network whose output ranks hypotheses by IoU; each click counts the same."""
-    number = np.bincount(rows.click)
-    weight = 1 / np.sqrt(number[rows.click])
-    # Telling 0.9 from 0.95 matters as much as telling 0.2 from 0.4.
-    target = rows.overlap**2
-    weight = (weight / weight.mean()).astype(np.float32)
-    return fit_mlp(
-        FEATURE_NAMES, rows.features, target, weight, hidden=(64, 32), epochs=10, seed=seed
-    )
+    """A network that ranks the hypotheses of a click by IoU."""
+    return fit_ranker(FEATURE_NAMES, rows.features, rows.overlap, rows.click, seed=seed)
 
 
 def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
@@ -200,11 +193,12 @@ def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
 
 
 def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
-    """Two rounds: the second plays with the scorers of the first. Writes both networks."""
-    half = config.objects // 2
-    a, b, c = (
-        config.first_seed + n for n in (half, config.objects, config.objects + config.held_out)
-    )
+    """Two rounds; the second is longer and plays with the scorers of the first.
+
+    Writes both networks into ``folder`` and returns the scores on held-out objects.
+    """
+    a, b = config.first_seed + config.objects // 4, config.first_seed + config.objects
+    c = b + config.held_out
     first_1, later_1 = collect(range(config.first_seed, a), config, None, None)
     first, later = fit_scorer(first_1), fit_scorer(later_1)
     print("round 1", chosen_overlap(first, first_1), chosen_overlap(later, later_1), flush=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -32,11 +34,7 @@ def fit_mlp(
     scale = np.maximum(features.std(0), 1e-6)
     x = torch.from_numpy(np.clip((features - mean) / scale, -8, 8).astype(np.float32))
     y, w = torch.from_numpy(target.astype(np.float32)), torch.from_numpy(weight.astype(np.float32))
-    sizes = (features.shape[1], *hidden, 1)
-    layers: list[torch.nn.Module] = []
-    for i in range(len(sizes) - 1):
-        layers += [torch.nn.Linear(sizes[i], sizes[i + 1]), torch.nn.ReLU()]
-    net = torch.nn.Sequential(*layers[:-1])
+    net = torch.nn.Sequential(*_layers(features.shape[1], hidden))
     batch = 4096
     steps = epochs * (len(x) // batch + 1)
     optimizer = torch.optim.AdamW(net.parameters(), lr=5e-3, weight_decay=1e-4)
@@ -53,7 +51,73 @@ def fit_mlp(
             loss.backward()
             optimizer.step()
             schedule.step()
-    linear = [m for m in net if isinstance(m, torch.nn.Linear)]
+    return _plain(names, mean, scale, net)
+
+
+def fit_ranker(
+    names: tuple[str, ...],
+    features: Float,
+    value: Float,
+    group: npt.NDArray[np.integer],
+    *,
+    hidden: tuple[int, ...] = (64, 32),
+    epochs: int = 40,
+    seed: int = 0,
+) -> Mlp:
+    """A network whose softmax over a group expects the largest value.
+
+    Args:
+        features: (N, D). value: (N,) in [0, 1]. group: (N,) ascending ids.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    mean, scale = features.mean(0), np.maximum(features.std(0), 1e-6)
+    x = torch.from_numpy(np.clip((features - mean) / scale, -8, 8).astype(np.float32))
+    y = torch.from_numpy(value.astype(np.float32))
+    start = np.nonzero(np.r_[True, np.diff(group) != 0])[0]
+    size = np.diff(np.r_[start, len(group)])
+    net = torch.nn.Sequential(*_layers(features.shape[1], hidden))
+    batch = 128
+    steps = epochs * (len(start) // batch + 1)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=1e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps)
+    rng = np.random.default_rng(seed)
+    for _ in range(epochs):
+        order = rng.permutation(len(start))
+        for begin in range(0, len(order), batch):
+            chosen = order[begin : begin + batch]
+            rows = np.concatenate(
+                [np.arange(int(start[c]), int(start[c] + size[c])) for c in chosen.tolist()]
+            )
+            number = torch.from_numpy(np.repeat(np.arange(len(chosen)), size[chosen]))
+            logit, target = net(x[rows])[:, 0], y[rows]
+            top = torch.full((len(chosen),), -1e9).scatter_reduce(0, number, logit, "amax")
+            power = torch.exp(logit - top.detach()[number])
+            total = torch.zeros(len(chosen)).index_add(0, number, power)
+            expected = torch.zeros(len(chosen)).index_add(0, number, power / total[number] * target)
+            # The second term keeps the output a calibrated score, comparable between clicks.
+            calibrated = torch.nn.functional.binary_cross_entropy_with_logits(logit, target**2)
+            loss = (1 - expected).mean() + 0.3 * calibrated
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+    return _plain(names, mean, scale, net)
+
+
+def _layers(width: int, hidden: tuple[int, ...]) -> list[Any]:
+    import torch
+
+    sizes = (width, *hidden, 1)
+    layers: list[Any] = []
+    for i in range(len(sizes) - 1):
+        layers += [torch.nn.Linear(sizes[i], sizes[i + 1]), torch.nn.ReLU()]
+    return layers[:-1]
+
+
+def _plain(names: tuple[str, ...], mean: Float, scale: Float, net: Any) -> Mlp:
+    linear = [m for m in net if hasattr(m, "weight")]
     return Mlp(
         names,
         mean.astype(np.float32),

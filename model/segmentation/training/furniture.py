@@ -1,7 +1,5 @@
 """Families with flat fronts: cabinets, tables, appliances, doors, boxes, keypads."""
 
-# ruff: noqa: RUF005 - here + adds vectors, it does not join tuples
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Families with round or free forms: bottles, pots, faucets, scissors, chairs, composites."""
 
-# ruff: noqa: RUF005 - here + adds vectors, it does not join tuples
-
 from __future__ import annotations
 
 import numpy as np
