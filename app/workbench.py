@@ -7,6 +7,7 @@ feeds their answers back as commands.
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import re
 import threading
@@ -20,7 +21,7 @@ import numpy.typing as npt
 from app import tasks
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
-from model.errors import ArtiworldError, CommandError
+from model.errors import ArtiworldError, CommandError, InputFileError
 from model.kinematics.tree import KinematicTree
 from model.progress import Cancelled
 from model.segmentation.prompts import Click
@@ -63,6 +64,29 @@ class Workbench:
             self._records.update({r.id: r for r in records})
         self._tell_queue()
         return ids
+
+    def add_upload(self, name: str, content: bytes) -> int:
+        """Keep a file that a browser sent, under its content's digest; its object id.
+
+        Raises:
+            InputFileError: where no reader knows the suffix, or nothing is in it.
+        """
+        from app.upload_guard import plain_name
+        from model.geometry.readers import SUFFIXES
+
+        safe = plain_name(name)
+        if Path(safe).suffix.lower() not in SUFFIXES:
+            known = ", ".join(sorted(SUFFIXES))
+            raise InputFileError(safe, "this kind of file can't be opened", f"give one of {known}")
+        if not content:
+            raise InputFileError(safe, "the file is empty", "choose one with a mesh or points")
+        folder = self.workspace / "uploads" / hashlib.sha256(content).hexdigest()[:16]
+        folder.mkdir(parents=True, exist_ok=True)
+        path, part = folder / safe, folder / f".{safe}.part"
+        if not path.exists():
+            part.write_bytes(content)
+            part.rename(path)
+        return self.add_paths([path])[0]
 
     def records(self) -> list[ObjectRecord]:
         """The queue: objects of this run, in the order they were given."""

@@ -43,6 +43,12 @@ class QueuePanel:
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
             self._pages = gui.add_button_group("Page", ("◀", "▶"))
             self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
+            self._upload = gui.add_upload_button(
+                "Add a file",
+                icon=viser.Icon.UPLOAD,
+                color="gray",
+                hint="A mesh or a scan in one file (GLB, PLY, STL, OBJ, PCD, XYZ)",
+            )
             self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
         panel.dock_left()
         panel.set_width(230)
@@ -56,6 +62,7 @@ class QueuePanel:
             lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
         )
         app.on_update(self._name, self._renamed)
+        self._upload.on_upload(lambda e: self._uploaded(e.target.value))
 
     def show_user(self, who: str) -> None:
         """Put the remembered name into its box."""
@@ -67,6 +74,10 @@ class QueuePanel:
         if who:
             self._app.who = who
             self._app.remember()
+
+    def _uploaded(self, file: Any) -> None:
+        app = self._app
+        app.act(lambda: app.open(app.bench.add_upload(file.name, file.content)))
 
     def _open(self, k: int) -> None:
         if k < len(self._ids):

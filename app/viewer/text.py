@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_KEEP = set(" _-.,:;()/+%°·→×²³µ'")
+_KEEP = set(" -.,:;()/+%°·→×²³µ'")
 
 
 def plain(text: str, limit: int = 120) -> str:

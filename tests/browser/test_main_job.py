@@ -284,3 +284,43 @@ def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.settled()
     labels = tab.app.object.bench.store.get_array(tab.document.segmentation.labels)
     assert labels[tab.document.prompts[0].element] == 1
+
+
+def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_path: Path) -> None:
+    path, _ = cabinet
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    write_cloud(folder / "chest.ply")
+    (folder / "notes.docx").write_bytes(b"not a mesh")
+    tab = open_tab(start(path))
+    chooser = tab.page.locator('input[type="file"]').first
+    chooser.set_input_files(str(folder / "notes.docx"))
+    tab.page.get_by_text("can't be opened", exact=False).first.wait_for(timeout=20_000)
+    assert len(tab.app.bench.records()) == 1
+    chooser.set_input_files(str(folder / "chest.ply"))
+    wait_until(lambda: tab.app.object.record.name == "chest", "the upload is open")
+    wait_until(lambda: tab.app.object.asset is not None, "it is read")
+    assert tab.app.object.asset.element_kind == "point"
+
+
+def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet: Any) -> None:
+    path, points = cabinet
+    tab = open_tab(start(path))
+    tab.prompt(points["door"])
+    before = tab.app.object.asset.bounds[1] - tab.app.object.asset.bounds[0]
+    tab.page.get_by_text("Source", exact=True).first.click()
+    tab.page.wait_for_timeout(300)
+    tab.choose("Up axis", "y")
+    tab.choose("File's unit", "millimetres")
+    tab.button("Read again with these").click()
+    wait_until(
+        lambda: tab.app.object.asset is not None and tab.app.object.asset.up_axis == "y", "y is up"
+    )
+    size = tab.app.object.asset.bounds[1] - tab.app.object.asset.bounds[0]
+    np.testing.assert_allclose(size, before[[0, 2, 1]] * 0.001, rtol=1e-6)
+    assert not tab.document.prompts
+    tab.page.keyboard.press("Control+z")
+    wait_until(lambda: len(tab.document.prompts) == 1, "undo brings the old reading back")
+    wait_until(
+        lambda: tab.app.object.asset is not None and tab.app.object.asset.up_axis == "z", "z is up"
+    )
