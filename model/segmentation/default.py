@@ -112,7 +112,7 @@ class DefaultSession:
 
     def preview(self, cell: int) -> Bool:
         """(C,) the cells that a first click on ``cell`` would take."""
-        return self.solver.first_answer(cell).best
+        return self.solver.tidy(self.solver.first_answer(cell).best, PartState(), cell)
 
     # The state after each prompt ---------------------------------------------------------
 
