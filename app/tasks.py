@@ -354,6 +354,82 @@ def segment(
     return _answer(workspace, answer, prompts_key, element)
 
 
+@dataclass(frozen=True)
+class RegionOffer:
+    """Elements that a tool gives to a part, or takes from it. ``part`` -1 asks for a new part."""
+
+    part: int
+    elements: str
+    count: int
+    positive: bool = True
+
+
+def use_tool(
+    folder: Path,
+    workspace: Path,
+    segmenter: str,
+    items: tuple[Click | StoredRegion, ...],
+    part: int,
+    tool: str,
+    turn: int = 0,
+) -> list[RegionOffer]:
+    """What a segmentation tool makes of ``part``.
+
+    Args:
+        tool: "next mask", "connected", "same shape", "grow", "shrink" or "propose".
+        turn: how often "next mask" was asked before.
+
+    Raises:
+        CommandError: where the segmenter has no such tool, or nothing comes of it.
+    """
+    from model.segmentation import tools
+
+    encode(folder, segmenter)
+    session = _encodings.get((folder, segmenter), lambda: None)
+    if not hasattr(session, "encoding"):
+        raise CommandError(f"the segmenter {segmenter!r} has no tools; use the default one")
+    if tool == "propose":
+        labels = tools.propose(session).labels
+        return [_offer(workspace, labels == i, -1) for i in np.unique(labels) if i > 0]
+    prompts = _prompts(workspace, items)
+    mask = session.segment(prompts).labels == part
+    if tool == "next mask":
+        return _next_mask(workspace, session, prompts, part, mask, turn)
+    if tool == "connected":
+        clicks = [c for c in prompts.clicks if c.part == part and c.positive]
+        if not clicks:
+            raise CommandError("click on the part first; what is connected with it joins it")
+        more = tools.connected(session, clicks[-1].position, clicks[-1].element) & ~mask
+        return [_offer(workspace, more, part)] if more.any() else []
+    if not mask.any():
+        raise CommandError("click on the part first")
+    if tool == "same shape":
+        return [_offer(workspace, m, -1) for m in tools.same_shape(session, mask)]
+    changed = tools.grow(session, mask, 1 if tool == "grow" else -1)
+    moved = changed & ~mask if tool == "grow" else mask & ~changed
+    return [_offer(workspace, moved, part, tool == "grow")] if moved.any() else []
+
+
+def _next_mask(
+    workspace: Path, session: Any, prompts: Prompts, part: int, mask: Any, turn: int
+) -> list[RegionOffer]:
+    others = session.candidates(prompts, part)
+    turn %= len(others) + 1
+    if turn == len(others):
+        return []  # all were shown: back to the first
+    chosen = others[turn]
+    out = []
+    for positive, moved in ((False, mask & ~chosen), (True, chosen & ~mask)):
+        if moved.any():
+            out.append(_offer(workspace, moved, part, positive))
+    return out
+
+
+def _offer(workspace: Path, mask: Any, part: int, positive: bool = True) -> RegionOffer:
+    elements = np.flatnonzero(mask).astype(np.int64)
+    return RegionOffer(part, _arrays(workspace).put(elements), len(elements), positive)
+
+
 def source_regions(folder: Path, workspace: Path) -> dict[int, tuple[str, int]]:
     """The parts that the source was already cut into: part → stored elements and their number."""
     part = _asset(folder).element_part

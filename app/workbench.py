@@ -34,7 +34,7 @@ from sessions.store import ObjectRecord, Store
 log = logging.getLogger(__name__)
 Listener = Callable[[], None]
 Notice = Callable[[str, str, str], None]
-PREFETCHED = 1
+TOOL_SECONDS = 120.0
 
 
 class Workbench:
@@ -298,22 +298,54 @@ class OpenObject:
         self.bench.queue_changed(self.record.id)
         self.changed()
 
+    def use_tool(self, tool: str, part: int, who: str, turn: int = 0) -> int:
+        """Let a segmentation tool work on ``part``; the number of regions that came of it."""
+        if self.asset is None:
+            raise CommandError("the object is still being read")
+        if tool == "next mask":
+            self._take_back(tool, part, who)
+        doc = self.document
+        offers = self.bench.segmentation.submit(
+            tasks.use_tool,
+            self.asset.folder,
+            self.bench.workspace,
+            self.bench.config.segmenter,
+            _stored(doc),
+            part,
+            tool,
+            turn,
+            priority=12,
+        ).result(TOOL_SECONDS)
+        name = doc.part_names.get(part) if tool == "same shape" else None
+        for offer in offers:
+            target = offer.part
+            if target < 0:
+                target = max((p.id for p in self.document.parts), default=0) + 1
+                self.do(cmd.AddPart(target, name), who)
+            region = cmd.AddRegion(target, offer.elements, offer.positive, offer.count, tool)
+            self.do(region, who)
+        return len(offers)
+
+    def _take_back(self, tool: str, part: int, who: str) -> None:
+        """Remove what ``tool`` said last of ``part``, so that it can say something else."""
+        while self.document.prompts:
+            last = self.document.prompts[-1]
+            if isinstance(last, Click) or (last.tool, last.part) != (tool, part):
+                return
+            self.do(cmd.RemovePrompt(len(self.document.prompts) - 1), who)
+
     def _ask_labels(self) -> None:
         doc, asset = self.document, self.asset
         assert asset is not None
         key = doc.key
         record = doc.segmentation
         if needed_jobs(self.state):
-            items = tuple(
-                p if isinstance(p, Click) else tasks.StoredRegion(p.part, p.elements, p.positive)
-                for p in doc.prompts
-            )
             job = self.bench.segmentation.submit(
                 tasks.segment,
                 asset.folder,
                 self.bench.workspace,
                 self.bench.config.segmenter,
-                items,
+                _stored(doc),
                 key,
                 asset.element,
                 on_progress=self._progress("segment"),
@@ -519,3 +551,11 @@ class OpenObject:
         if what == "open":
             self.problem = message
         self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
+
+
+def _stored(doc: Document) -> tuple[Click | tasks.StoredRegion, ...]:
+    """The prompts as workers take them."""
+    return tuple(
+        p if isinstance(p, Click) else tasks.StoredRegion(p.part, p.elements, p.positive)
+        for p in doc.prompts
+    )

@@ -29,6 +29,8 @@ class AnnotatePanel:
     def __init__(self, app: ClientApp) -> None:
         self._app = app
         self._drawn: Any = None
+        self._turn = 0
+        self._turned: tuple[int, int] | None = None
         gui = app.client.gui
         self._hint = gui.add_markdown("")
         self._category = gui.add_dropdown(
@@ -43,6 +45,9 @@ class AnnotatePanel:
                 "Part is a", (NONE, *palette.PART_NAMES, OTHER), initial_value=NONE
             )
             self._name_text = gui.add_text("Other name", "", visible=False)
+            self._tools = gui.add_button_group("This part", ("Next mask", "Connected"))
+            self._tools_size = gui.add_button_group("Its size", ("Grow", "Shrink"))
+            self._tools_more = gui.add_button_group("Find", ("Same shape", "All parts"))
         with gui.add_folder("Prompts", expand_by_default=True):
             self._prompt_note = gui.add_markdown("")
             self._prompt_box = gui.add_folder(None)
@@ -67,6 +72,8 @@ class AnnotatePanel:
         app.on_update(self._name_text, self._name_typed)
         app.on_update(self._touch, self._touched)
         self._part_actions.on_click(lambda e: app.act(lambda: self._part_action(e.target.value)))
+        for group in (self._tools, self._tools_size, self._tools_more):
+            group.on_click(lambda e: app.act(lambda: self.use_tool(e.target.value)))
         self._prompt_actions.on_click(
             lambda e: app.act(lambda: self._prompt_action(e.target.value))
         )
@@ -129,6 +136,19 @@ class AnnotatePanel:
             part = int(digits) if digits.isdigit() else part
         app.hidden = app.hidden ^ {part}
         app.invalidate()
+
+    def use_tool(self, label: str) -> None:
+        """Let a segmentation tool work on the chosen part."""
+        app, obj = self._app, self._app.need_object()
+        tool = "propose" if label == "All parts" else label.lower()
+        last = (obj.record.id, app.part)
+        self._turn = self._turn + 1 if tool == "next mask" and self._turned == last else 0
+        self._turned = last if tool == "next mask" else None
+        found = obj.use_tool(tool, app.part, app.who, self._turn)
+        if not found:
+            app.notify(label, "It found nothing to change", "gray")
+        elif tool in ("same shape", "propose"):
+            app.notify(label, f"{found} new part{'s'[: found != 1]}; undo takes them back", "green")
 
     def _prompt_action(self, action: str) -> None:
         prompts = self._document().prompts

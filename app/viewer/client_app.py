@@ -376,6 +376,13 @@ class ClientApp:
         self.gizmo_on = self.gizmo_on and self.stage == "Joints"
         self.invalidate()
 
+    def next_choice(self) -> None:
+        """While annotating the next mask for the part, else the next joint (Tab)."""
+        if self.stage == "Annotate":
+            self.annotate_panel.use_tool("Next mask")
+        else:
+            self.next_joint()
+
     def next_joint(self) -> None:
         """The next moving joint of the tree."""
         tree = self.need_object().document.tree

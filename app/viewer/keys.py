@@ -16,7 +16,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("P", "predict joints"),
     ("Space", "play or stop all joints"),
     ("R", "reset the pose"),
-    ("Tab", "next joint"),
+    ("Tab", "next joint; while annotating: the next mask for the part"),
     ("T", "next joint type"),
     ("F", "flip the axis"),
     ("G", "axis handles on or off"),
@@ -47,7 +47,7 @@ def add_keys(app: ClientApp) -> None:
     add("Predict joints", "P", app.predict)
     add("Play all joints", "space", app.play)
     add("Reset the pose", "R", app.reset_pose)
-    add("Next joint", "tab", app.next_joint)
+    add("Next joint or mask", "tab", app.next_choice)
     add("Next joint type", "T", app.joints_panel.next_type)
     add("Flip the axis", "F", app.joints_panel.flip)
     add("Axis handles", "G", app.toggle_gizmo)

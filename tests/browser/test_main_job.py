@@ -324,3 +324,25 @@ def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet
     wait_until(
         lambda: tab.app.object.asset is not None and tab.app.object.asset.up_axis == "z", "z is up"
     )
+
+
+def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> None:
+    path, points = cabinet
+    tab = open_tab(start(path))
+    store = tab.app.bench.store
+    tab.prompt(points["door"])
+    first = store.get_array(tab.document.segmentation.labels)
+    tab.page.keyboard.press("Tab")
+    wait_until(lambda: len(tab.document.prompts) > 1, "Tab offers another mask")
+    tab.settled()
+    second = store.get_array(tab.document.segmentation.labels)
+    assert (first != second).any()
+    assert second[tab.document.prompts[0].element] == 1
+    while tab.app.object.state.can_undo and len(tab.document.prompts) > 1:
+        tab.app.undo()
+    tab.settled()
+    np.testing.assert_array_equal(store.get_array(tab.document.segmentation.labels), first)
+    tab.button("All parts").click()
+    wait_until(lambda: len(tab.document.parts) > 2, "parts are proposed")
+    tab.settled()
+    assert len(np.unique(store.get_array(tab.document.segmentation.labels))) > 2
