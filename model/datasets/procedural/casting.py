@@ -46,6 +46,7 @@ class Caster:
     def __init__(self, obj: ArticulatedObject, *, see_through: bool = False) -> None:
         import open3d as o3d
 
+        self._tensor = o3d.core.Tensor.from_numpy
         self._meshes: list[Mesh] = []
         self._faces: list[npt.NDArray[np.int64]] = []
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -57,13 +58,13 @@ class Caster:
             self._meshes.append(mesh)
             self._faces.append(kept)
             self._scene.add_triangles(
-                np.ascontiguousarray(mesh.vertices, np.float32),
-                np.ascontiguousarray(mesh.faces[kept], np.uint32),
+                self._tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
+                self._tensor(np.ascontiguousarray(mesh.faces[kept], np.uint32)),
             )
 
     def cast(self, origins: Array, directions: Array, *, colors: bool = True) -> Hits:
         """First hits of (R, 3) rays; ``directions`` are unit vectors."""
-        rays = np.concatenate([origins, directions], 1).astype(np.float32)
+        rays = self._tensor(np.concatenate([origins, directions], 1).astype(np.float32))
         found = self._scene.cast_rays(rays)
         distance = found["t_hit"].numpy().astype(np.float64)
         ray = np.flatnonzero(np.isfinite(distance))
@@ -85,7 +86,7 @@ class Caster:
 
     def occluded(self, origins: Array, directions: Array) -> npt.NDArray[np.bool_]:
         """(R,) whether anything lies on the way."""
-        rays = np.concatenate([origins, directions], 1).astype(np.float32)
+        rays = self._tensor(np.concatenate([origins, directions], 1).astype(np.float32))
         return self._scene.test_occlusions(rays).numpy()
 
 

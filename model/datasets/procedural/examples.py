@@ -17,7 +17,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.datasets.procedural.families import electronics, kitchen, seating, storage, vessels
+from model.datasets.procedural.families import (
+    cooling,
+    electronics,
+    kitchen,
+    seating,
+    storage,
+    vessels,
+    washing,
+)
 from model.datasets.procedural.grammar import ProceduralObject
 from model.datasets.procedural.materials import Palette, metal, plain, wood
 from model.datasets.procedural.modules import Opening
@@ -88,7 +96,7 @@ def refrigerator(rng: np.random.Generator) -> ProceduralObject:
     """French doors over a freezer drawer."""
     steel = plain("steel_paint", (172, 178, 186))
     palette = Palette(steel, steel, metal("dark"), metal("steel"), plain("panel", (36, 37, 40)))
-    return kitchen.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng)
+    return cooling.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng)
 
 
 EXAMPLES: Mapping[str, Example] = {
@@ -96,7 +104,7 @@ EXAMPLES: Mapping[str, Example] = {
     "laptop": Example(laptop),
     "office_chair": Example(lambda rng: seating.office_chair(rng, casters=True, back=True)),
     "kettle": Example(vessels.kettle),
-    "washing_machine": Example(kitchen.washing_machine),
+    "washing_machine": Example(washing.washing_machine),
     "oven_scan": Example(
         oven, ScanSettings((View(-0.35, 0.32, 1.9), View(0.4, 0.38, 2.0)), 220_000)
     ),
@@ -108,16 +116,22 @@ EXAMPLES: Mapping[str, Example] = {
 """Name -> how it is made."""
 
 
-def write_examples(out: Path, seed: int = 0) -> tuple[Path, ...]:
-    """Write all the demo objects.
+def write_examples(
+    out: Path, seed: int = 0, names: tuple[str, ...] = tuple(EXAMPLES)
+) -> tuple[Path, ...]:
+    """Write the demo objects.
+
+    Args:
+        names: which of :data:`EXAMPLES`.
 
     Returns:
         The objects' files (without prompts and truth).
     """
     (out / "truth").mkdir(parents=True, exist_ok=True)
     written = []
-    for number, (name, example) in enumerate(EXAMPLES.items()):
-        rng = np.random.default_rng([seed, number])
+    for name in names:
+        example = EXAMPLES[name]
+        rng = np.random.default_rng([seed, list(EXAMPLES).index(name)])
         made = example.make(rng)
         obj = made.object
         if example.scan is None:
@@ -160,10 +174,10 @@ def joined(obj: ArticulatedObject) -> tuple[Mesh, npt.NDArray[np.int32]]:
 
 def _labels_as_read(path: Path, whole: Mesh, owner: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(E,) part of each face in the order in which a reader gives them."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     centers = read_asset(path).element_centers
-    return owner[cKDTree(whole.triangles.mean(axis=1)).query(centers)[1]]
+    return owner[KDTree(whole.triangles.mean(axis=1)).query(centers)[1]]
 
 
 def truth(obj: ArticulatedObject, labels: npt.NDArray[np.int32]) -> dict[str, object]:
@@ -201,7 +215,7 @@ def prompts(made: ProceduralObject, views: tuple[View, ...]) -> dict[str, object
     """
     obj = made.object
     seen = visible_elements(obj, views)
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     clicks: list[dict[str, object]] = []
     named = []
@@ -212,7 +226,7 @@ def prompts(made: ProceduralObject, views: tuple[View, ...]) -> dict[str, object
         others = np.flatnonzero(seen.part != number)
         piece = made.pieces[part.link][seen.face[mine]]
         kinds = np.array(made.piece_names[part.link])[piece]
-        tree = cKDTree(seen.points[others])
+        tree = KDTree(seen.points[others])
         inner = tree.query(seen.points[mine])[0]
         for kind in _worth_clicking(kinds, 4 if number == 0 else 2):
             rows = np.flatnonzero(kinds == kind)

@@ -93,7 +93,11 @@ def _textured(name: str, kind: str, colors: tuple[RGB, ...], tile: float) -> Sur
 
 @lru_cache(maxsize=64)
 def _picture(name: str, kind: str, variant: int) -> Surface:
-    return Surface(Material(name, (255, 255, 255, 255), textures.picture(kind, variant)), fit=True, globe=kind == "globe")
+    return Surface(
+        Material(name, (255, 255, 255, 255), textures.picture(kind, variant)),
+        fit=True,
+        globe=kind == "globe",
+    )
 
 
 def wood(kind: Wood) -> Surface:
@@ -154,6 +158,11 @@ def _vary(rgb: RGB, rng: np.random.Generator, amount: int = 10) -> RGB:
     shade = rng.integers(-amount, amount + 1)
     out = np.clip(np.asarray(rgb) + shade + rng.integers(-4, 5, 3), 0, 255)
     return (int(out[0]), int(out[1]), int(out[2]))
+
+
+def one_color(rng: np.random.Generator, colors: tuple[RGB, ...]) -> Surface:
+    """One of ``colors``."""
+    return plain("colour", colors[rng.integers(len(colors))])
 
 
 def furniture_palette(rng: np.random.Generator) -> Palette:

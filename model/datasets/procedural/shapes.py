@@ -169,11 +169,12 @@ def slab(
     b = min(bevel, 0.45 * thickness)
     half = thickness / 2
     if b > 0:
-        if inset is None:
+        rim = inset
+        if rim is None:
             center = outline.mean(0)
             extent = np.abs(outline - center).max(0)
-            inset = center + (outline - center) * np.maximum(1 - b / np.maximum(extent, 1e-9), 0.1)
-        loops = [at(inset, -half), at(outline, b - half), at(outline, half - b), at(inset, half)]
+            rim = center + (outline - center) * np.maximum(1 - b / np.maximum(extent, 1e-9), 0.1)
+        loops = [at(rim, -half), at(outline, b - half), at(outline, half - b), at(rim, half)]
     else:
         loops = [at(outline, -half), at(outline, half)]
     return along(loft(loops), axis)

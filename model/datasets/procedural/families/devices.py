@@ -1,9 +1,10 @@
-"""Display, Keyboard, Phone, Remote, Mouse, Camera, Switch, Printer, Toaster, CoffeeMachine."""
+"""Display, Keyboard, Phone, Remote, Mouse, Switch: what people work with."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from model.datasets.procedural import controls
 from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.families.electronics import KEY, key_grid
@@ -11,9 +12,7 @@ from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
 from model.datasets.procedural.materials import (
     PLASTICS,
     Surface,
-    appliance_palette,
     dark_glass,
-    glass,
     metal,
     picture,
     plain,
@@ -21,6 +20,8 @@ from model.datasets.procedural.materials import (
 )
 
 GREY = plain("plastic_grey", (70, 73, 78))
+
+
 LIGHT = plain("plastic_light", (222, 222, 220))
 
 
@@ -37,12 +38,22 @@ def display(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("stand")
     deep = float(rng.uniform(0.16, 0.24))
     if rng.random() < 0.5:
-        base.add(s.rounded_box((0.45 * w, deep, 0.012), 0.03, rim=0.004).moved((0, 0, 0.006)), case, "foot")
+        base.add(
+            s.rounded_box((0.45 * w, deep, 0.012), 0.03, rim=0.004).moved((0, 0, 0.006)),
+            case,
+            "foot",
+        )
     else:
-        base.add(s.cylinder(deep / 2, 0.012, segments=36, bevel=0.004).moved((0, 0, 0.006)), case, "foot")
+        base.add(
+            s.cylinder(deep / 2, 0.012, segments=36, bevel=0.004).moved((0, 0, 0.006)), case, "foot"
+        )
     rise = float(rng.uniform(0.08, 0.16))
     y0 = 0.035
-    base.add(s.box((0.055, 0.024, rise + h * 0.5), (0, y0, 0.01 + (rise + h * 0.5) / 2), 0.004), case, "post")
+    base.add(
+        s.box((0.055, 0.024, rise + h * 0.5), (0, y0, 0.01 + (rise + h * 0.5) / 2), 0.004),
+        case,
+        "post",
+    )
     parent = base
     cz = rise + h * 0.5
     front = y0 - 0.0126
@@ -57,18 +68,26 @@ def display(rng: np.random.Generator) -> ProceduralObject:
     at = np.array([0, front - 0.014, cz])
     screen = b.hinge("screen", parent, (-1, 0, 0), at, -0.15, 0.35)
     for side in (-1, 1):
-        parent.add(s.box((0.008, 0.022, 0.026), (side * 0.028, front - 0.009, cz), 0.002), GREY, "fork")
+        parent.add(
+            s.box((0.008, 0.022, 0.026), (side * 0.028, front - 0.009, cz), 0.002), GREY, "fork"
+        )
     screen.add(s.along(s.cylinder(0.007, 0.046, segments=14), 0).moved(at), metal("steel"), "hinge")
     back = at[1] - 0.014
     screen.add(s.box((0.03, 0.016, 0.016), (0, at[1] - 0.009, cz)), GREY, "lug")
     slab = s.rounded_box((w, h, t), 0.012, rim=0.006).turned((1, 0, 0), np.pi / 2)
     screen.add(slab.moved((0, back - t / 2, cz)), case, "case")
     face = back - t
-    screen.add(s.box((w - 0.02, 0.003, h - 0.03), (0, face - 0.0002, cz + 0.005)), dark_glass(), "bezel")
-    screen.add(s.box((w - 0.034, 0.003, h - 0.05), (0, face - 0.0006, cz + 0.006)), picture("desktop", int(rng.integers(6))), "display")
+    screen.add(
+        s.box((w - 0.02, 0.003, h - 0.03), (0, face - 0.0002, cz + 0.005)), dark_glass(), "bezel"
+    )
+    screen.add(
+        s.box((w - 0.034, 0.003, h - 0.05), (0, face - 0.0006, cz + 0.006)),
+        picture("desktop", int(rng.integers(6))),
+        "display",
+    )
     for k in range(int(rng.integers(0, 5))):
         spot = (0.4 * w - 0.022 * k, face, cz - h / 2 + 0.009)
-        m.push_button(b, screen, spot, (0.012, 0.005, 0.003), GREY)
+        controls.push_button(b, screen, spot, (0.012, 0.005, 0.003), GREY)
     return b.build()
 
 
@@ -79,7 +98,11 @@ def keyboard(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("keyboard_base")
     w, d = float(rng.uniform(0.28, 0.36)), float(rng.uniform(0.1, 0.13))
     t, z = 0.012, 0.004
-    base.add(s.rounded_box((w + 0.02, d + 0.02, t), 0.006, rim=0.003).moved((0, 0, z + t / 2)), case, "case")
+    base.add(
+        s.rounded_box((w + 0.02, d + 0.02, t), 0.006, rim=0.003).moved((0, 0, z + t / 2)),
+        case,
+        "case",
+    )
     top = z + t
     travel = 0.003
     grid = key_grid(w, d)
@@ -90,13 +113,22 @@ def keyboard(rng: np.random.Generator) -> ProceduralObject:
         body = base
         if rng.random() < share:
             body = b.slide("key", base, (0, 0, -1), 0.0, 0.8 * travel, (x, y, top))
-        cap = s.loft([s.at(s.rectangle(kw, kd, 0.001), top + 0.0004), s.at(s.rectangle(0.8 * kw, 0.8 * kd, 0.001), top + 0.0004 + travel + 0.004)])
+        cap = s.loft(
+            [
+                s.at(s.rectangle(kw, kd, 0.001), top + 0.0004),
+                s.at(s.rectangle(0.8 * kw, 0.8 * kd, 0.001), top + 0.0004 + travel + 0.004),
+            ]
+        )
         body.add(cap.moved((x, y, 0)), cap_skin, "key")
     if rng.random() < 0.6:
         for side in (-1, 1):
             at = (side * 0.4 * w, d / 2 - 0.004, z)
-            foot = b.hinge("foot", base, (-1, 0, 0), at, 0.0, 1.4)
-            foot.add(s.box((0.03, 0.022, 0.0028), (at[0], at[1] - 0.011, z - 0.002), 0.0005), GREY, "foot")
+            foot = b.hinge("foot", base, (1, 0, 0), at, 0.0, 1.4)
+            foot.add(
+                s.box((0.03, 0.022, 0.0028), (at[0], at[1] - 0.011, z - 0.002), 0.0005),
+                GREY,
+                "foot",
+            )
     return b.build()
 
 
@@ -110,7 +142,11 @@ def phone(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("phone_base")
     base.add(s.rounded_box((w, h, t), 0.008, rim=0.002).moved((0, 0, z)), case, "case")
     if kind == "bar":
-        base.add(s.box((0.86 * w, 0.56 * h, 0.001), (0, 0.15 * h, t + 0.0001)), picture("phone", int(rng.integers(4))), "display")
+        base.add(
+            s.box((0.86 * w, 0.56 * h, 0.001), (0, 0.15 * h, t + 0.0001)),
+            picture("phone", int(rng.integers(4))),
+            "display",
+        )
         _keypad(b, base, w, h, t, -0.29 * h, 0.3 * h)
         side = s.box((0.002, 0.014, 0.004))
         volume = b.slide("button", base, (-1, 0, 0), 0.0, 0.0008, (w / 2, 0.2 * h, z))
@@ -120,16 +156,31 @@ def phone(rng: np.random.Generator) -> ProceduralObject:
     top = t + 0.0022
     if kind == "slide":
         lid = b.slide("translation_screen", base, (0, 1, 0), 0.0, 0.52 * h, (0, 0, top))
-        lid.add(s.rounded_box((w, h, 0.7 * t), 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)), case, "case")
-        lid.add(s.box((0.86 * w, 0.84 * h, 0.001), (0, 0, top + 0.7 * t + 0.0001)), picture("phone", int(rng.integers(4))), "display")
+        lid.add(
+            s.rounded_box((w, h, 0.7 * t), 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)),
+            case,
+            "case",
+        )
+        lid.add(
+            s.box((0.86 * w, 0.84 * h, 0.001), (0, 0, top + 0.7 * t + 0.0001)),
+            picture("phone", int(rng.integers(4))),
+            "display",
+        )
         rest = float(rng.uniform(0.1, 0.5)) * h if rng.random() < 0.6 else 0.0
         return b.build({lid.link: rest} if rest else None)
     at = (0, h / 2 + 0.0046, t + 0.0011)
     lid = b.hinge("screen", base, (-1, 0, 0), at, 0.0, float(rng.uniform(2.5, 2.9)))
-    lid.add(s.rounded_box((w, h, 0.7 * t), 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)), case, "case")
+    lid.add(
+        s.rounded_box((w, h, 0.7 * t), 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)), case, "case"
+    )
     lid.add(s.along(s.cylinder(0.004, 0.45 * w, segments=14), 0).moved(at), GREY, "hinge")
     lid.add(s.box((0.4 * w, 0.008, 0.003), (0, h / 2, top + 0.003)), GREY, "hinge")
-    lid.add(s.box((0.84 * w, 0.8 * h, 0.001), (0, 0, top - 0.0002)), picture("phone", int(rng.integers(4))), "display", flipped=True)
+    lid.add(
+        s.box((0.84 * w, 0.8 * h, 0.001), (0, 0, top - 0.0002)),
+        picture("phone", int(rng.integers(4))),
+        "display",
+        flipped=True,
+    )
     return b.build({lid.link: float(rng.uniform(1.2, 2.4))} if rng.random() < 0.8 else None)
 
 
@@ -137,7 +188,7 @@ def _keypad(b: Builder, base: Body, w: float, h: float, top: float, cy: float, s
     for i in range(4):
         for j in range(3):
             at = ((j - 1) * 0.29 * w, cy + (1.5 - i) * span / 4, top)
-            m.push_button(b, base, at, (0.23 * w, 0.7 * span / 4, 0.0014), GREY, face="up")
+            controls.push_button(b, base, at, (0.23 * w, 0.7 * span / 4, 0.0014), GREY, face="up")
 
 
 def remote(rng: np.random.Generator) -> ProceduralObject:
@@ -155,14 +206,18 @@ def remote(rng: np.random.Generator) -> ProceduralObject:
     base.add(body.shaped(waist).moved((0, 0, t / 2)), case, "case")
     skin = GREY if sum(case.material.base_color[:3]) > 300 else LIGHT
     red = plain("power", (200, 50, 44))
-    m.push_button(b, base, (-0.26 * w, 0.42 * h, t), (0.18 * w, 0.18 * w, 0.002), red, face="up", round_=True)
+    controls.push_button(
+        b, base, (-0.26 * w, 0.42 * h, t), (0.18 * w, 0.18 * w, 0.002), red, face="up", round_=True
+    )
     rows, cols = int(rng.integers(4, 8)), int(rng.integers(2, 4))
     pitch = 0.72 * h / rows
     for i in range(rows):
         for j in range(cols):
             at = ((j - (cols - 1) / 2) * 0.66 * w / cols * 1.15, 0.3 * h - i * pitch, t)
             size = (0.5 * w / cols, min(0.6 * pitch, 0.012), 0.002)
-            m.push_button(b, base, at, size, skin, face="up", round_=bool((i + rows) % 3 == 0))
+            controls.push_button(
+                b, base, at, size, skin, face="up", round_=bool((i + rows) % 3 == 0)
+            )
     return b.build()
 
 
@@ -173,7 +228,9 @@ def mouse(rng: np.random.Generator) -> ProceduralObject:
     w, d, h = (float(v) for v in rng.uniform((0.056, 0.095, 0.03), (0.068, 0.12, 0.04)))
     base = b.base("mouse_body")
     a = np.arange(32) * 2 * np.pi / 32
-    egg = np.stack([0.5 * w * np.sign(np.cos(a)) * np.abs(np.cos(a)) ** 0.7, 0.5 * d * np.sin(a)], 1)
+    egg = np.stack(
+        [0.5 * w * np.sign(np.cos(a)) * np.abs(np.cos(a)) ** 0.7, 0.5 * d * np.sin(a)], 1
+    )
     split = -0.02 * d
     floor = 0.45 * h
 
@@ -182,8 +239,13 @@ def mouse(rng: np.random.Generator) -> ProceduralObject:
 
     loops = [s.at(0.94 * egg, 0.001), s.at(egg, 0.3 * floor), s.at(egg, floor)]
     base.add(s.loft(loops), case, "shell")
-    rear = [s.at(egg * f, z) for f, z in ((1.0, floor - 0.001), (0.96, 0.75 * h), (0.8, 0.93 * h), (0.4, h))]
-    rear_solid = s.loft(rear).shaped(lambda v: np.column_stack([v[:, 0], np.maximum(v[:, 1], split + 0.001), v[:, 2]]))
+    rear = [
+        s.at(egg * f, z)
+        for f, z in ((1.0, floor - 0.001), (0.96, 0.75 * h), (0.8, 0.93 * h), (0.4, h))
+    ]
+    rear_solid = s.loft(rear).shaped(
+        lambda v: np.column_stack([v[:, 0], np.maximum(v[:, 1], split + 0.001), v[:, 2]])
+    )
     base.add(rear_solid, case, "palm")
     slot = 0.0045
     for side in (-1, 1):
@@ -194,47 +256,18 @@ def mouse(rng: np.random.Generator) -> ProceduralObject:
             v[:, 0] = side * np.maximum(side * v[:, 0], slot)
             return v
 
-        lid = [s.at(egg * f, z) for f, z in ((1.0, floor + 0.0025), (0.97, 0.68 * h), (0.84, 0.86 * h), (0.5, 0.92 * h))]
+        lid = [
+            s.at(egg * f, z)
+            for f, z in ((1.0, floor + 0.0025), (0.97, 0.68 * h), (0.84, 0.86 * h), (0.5, 0.92 * h))
+        ]
         button.add(s.loft(lid).shaped(press), top_skin, "button")
     wheel_at = (0, -0.24 * d, 0.74 * h)
-    base.add(s.box((0.005, 0.006, 0.3 * h), (0, -0.24 * d, floor + 0.1 * h)), GREY, "fork")
+    for side in (-1, 1):
+        post = s.box((0.0008, 0.006, 0.35 * h), (side * 0.004, -0.24 * d, floor + 0.12 * h))
+        base.add(post, GREY, "fork")
     wheel = b.spin("wheel", base, (1, 0, 0), wheel_at)
-    tyre, hub = m.wheel(0.24 * h, 0.0055)
+    tyre, hub = controls.wheel(0.24 * h, 0.0055)
     m.add(wheel, [x.moved(wheel_at) for x in (*tyre, *hub)], rubber(), "wheel")
-    return b.build()
-
-
-def camera(rng: np.random.Generator) -> ProceduralObject:
-    """A camera with a lens that turns or slides, a dial, a release and a screen that folds out."""
-    b = Builder("Camera", rng)
-    case = plain("case", (44, 45, 48)) if rng.random() < 0.6 else metal("brushed")
-    w, d, h = (float(v) for v in rng.uniform((0.095, 0.032, 0.06), (0.135, 0.05, 0.09)))
-    body = b.base("camera_body")
-    body.add(s.rounded_box((w, d, h), 0.009, rim=0.003).moved((0, 0, h / 2)), case, "body")
-    body.add(s.rounded_box((0.24 * w, d + 0.012, 0.9 * h), 0.008, rim=0.003).moved((-0.38 * w, -0.006, 0.47 * h)), rubber(), "grip")
-    if rng.random() < 0.5:
-        body.add(s.loft([s.at(s.rectangle(0.36 * w, 0.9 * d, 0.003), h - 0.001), s.at(s.rectangle(0.22 * w, 0.6 * d, 0.003), h + 0.016)]).moved((0.08 * w, 0, 0)), case, "finder")
-    r = float(rng.uniform(0.28, 0.4)) * h
-    center = (0.1 * w, -d / 2, 0.47 * h)
-    ring = s.along(s.cylinder(1.1 * r, 0.006, segments=36), 1).moved((center[0], -d / 2 - 0.003, center[2]))
-    body.add(ring, metal("steel"), "mount")
-    y = -d / 2 - 0.0066
-    lens = b.spin("lens", body, (0, -1, 0), (center[0], y, center[2])) if rng.random() < 0.5 else b.slide(
-        "lens", body, (0, -1, 0), 0.0, float(rng.uniform(0.01, 0.03)), (center[0], y, center[2]))
-    reach = float(rng.uniform(0.02, 0.06))
-    knurl = np.arange(40) * 2 * np.pi / 40
-    outline = (r * (1 + 0.02 * np.cos(10 * knurl)))[:, None] * np.stack([np.cos(knurl), np.sin(knurl)], 1)
-    tube = s.loft([s.at(outline, 0), s.at(outline, 0.7 * reach), s.at(0.9 * s.circle(r, 40), 0.72 * reach), s.at(0.9 * s.circle(r, 40), reach)])
-    lens.add(s.along(tube, 1).moved((center[0], y, center[2])), plain("lens", (36, 37, 40)), "tube")
-    eye = s.along(s.lathe([(0.78 * r, 0), (0.6 * r, 0.002), (0.0, 0.003)], 30), 1)
-    lens.add(eye.moved((center[0], y - reach + 0.0004, center[2])), glass((90, 110, 160), 200), "glass")
-    m.push_button(b, body, (-0.38 * w, -0.008, h - 0.0005), (0.011, 0.011, 0.003), metal("steel"), face="up", round_=True)
-    for k in range(int(rng.integers(0, 3))):
-        m.knob(b, body, ((0.32 - 0.6 * k) * w + (0.06 * w if k else 0), 0.1 * d, h), 0.008, 0.007, GREY, LIGHT, face="up", style=2)
-    if rng.random() < 0.5:
-        x0 = -0.22 * w
-        flap = b.hinge("screen", body, (0, 0, 1), (x0, d / 2 + 0.0035, h / 2), 0.0, float(rng.uniform(2.4, 3.1)))
-        flap.add(s.rounded_box((0.6 * w, 0.65 * h, 0.005), 0.004, rim=0.001).turned((1, 0, 0), np.pi / 2).moved((x0 + 0.3 * w + 0.001, d / 2 + 0.0036, h / 2)), GREY, "screen")
     return b.build()
 
 
@@ -257,144 +290,60 @@ def switch(rng: np.random.Generator) -> ProceduralObject:
             plate.add(ring.moved(((lo + hi) / 2, 0, cz)), skin, "plate")
         plate.add(s.box((w, 0.002, h), (0, t / 2 + 0.001, cz)), skin, "plate")
     else:
-        plate.add(s.rounded_box((w, h, t), 0.006, rim=0.002).turned((1, 0, 0), np.pi / 2).moved((0, 0, cz)), skin, "plate")
+        plate.add(
+            s.rounded_box((w, h, t), 0.006, rim=0.002)
+            .turned((1, 0, 0), np.pi / 2)
+            .moved((0, 0, cz)),
+            skin,
+            "plate",
+        )
     for k in range(count):
         x = float(bars[k] + bars[k + 1]) / 2
         if kind == "rocker":
             tilt = 0.1 * (1 if rng.random() < 0.5 else -1)
-            rocker = b.hinge("switch", plate, (1, 0, 0), (x, -0.001, cz), min(0.0, -2 * tilt), max(0.0, -2 * tilt))
-            outline = np.array([(-0.002, -inner_h / 2), (0.0, -inner_h / 2), (0.0, inner_h / 2), (-0.002, inner_h / 2), (-0.0055, 0)])
-            rocker.add(s.slab(outline, inner_w, axis=0).turned((1, 0, 0), tilt * 0.9).moved((x, -0.001, cz)), plain("rocker", (246, 246, 244)), "rocker")
+            rocker = b.hinge(
+                "switch",
+                plate,
+                (1, 0, 0),
+                (x, -0.001, cz),
+                min(0.0, -2 * tilt),
+                max(0.0, -2 * tilt),
+            )
+            outline = np.array(
+                [
+                    (-0.002, -inner_h / 2),
+                    (0.0, -inner_h / 2),
+                    (0.0, inner_h / 2),
+                    (-0.002, inner_h / 2),
+                    (-0.0055, 0),
+                ]
+            )
+            rocker.add(
+                s.slab(outline, inner_w, axis=0)
+                .turned((1, 0, 0), tilt * 0.9)
+                .moved((x, -0.001, cz)),
+                plain("rocker", (246, 246, 244)),
+                "rocker",
+            )
         elif kind == "toggle":
-            collar = s.along(s.cylinder(0.007, 0.004, segments=18), 1).moved((x, -t / 2 - 0.002, cz))
+            collar = s.along(s.cylinder(0.007, 0.004, segments=18), 1).moved(
+                (x, -t / 2 - 0.002, cz)
+            )
             plate.add(collar, metal("steel"), "collar")
             at = np.array([x, -t / 2 - 0.0045, cz])
             lever = b.hinge("switch", plate, (1, 0, 0), at, -0.9, 0.0)
             bar = s.lathe([(0.0025, 0), (0.004, 0.02), (0.0, 0.0215)], 14)
             lever.add(s.along(bar, 1).turned((1, 0, 0), 0.45).moved(at), metal("steel"), "lever")
         else:
-            m.knob(b, plate, (x, -t / 2, cz), 0.016, 0.016, plain("dial", (246, 246, 244)), GREY,
-                   style=int(rng.integers(3)), limits=(0.0, 4.7))
-    return b.build()
-
-
-def printer(rng: np.random.Generator) -> ProceduralObject:
-    """A printer with a scanner lid, trays, an output flap and buttons."""
-    b = Builder("Printer", rng)
-    palette = appliance_palette(rng)
-    case = LIGHT if rng.random() < 0.6 else GREY
-    w, d, h = (float(v) for v in rng.uniform((0.38, 0.3, 0.16), (0.48, 0.4, 0.3)))
-    body = b.base("printer_body")
-    slot_h = 0.055
-    wall = 0.02
-    front = -d / 2
-    for side in (-1, 1):
-        body.add(s.box((wall, d, h), (side * (w - wall) / 2, 0, h / 2), 0.003), case, "side_wall")
-    inner = w - 2 * wall
-    body.add(s.box((inner, d, h - 2 * slot_h - 0.012), (0, 0, 2 * slot_h + 0.012 + (h - 2 * slot_h - 0.012) / 2), 0.002), case, "case")
-    body.add(s.box((inner, d, 0.006), (0, 0, slot_h + 0.009)), case, "shelf")
-    body.add(s.box((inner, 0.012, h), (0, d / 2 - 0.006, h / 2)), case, "back")
-    body.add(s.box((inner, d, 0.006), (0, 0, 0.003)), case, "floor")
-    tray = b.slide("drawer", body, (0, -1, 0), 0.0, 0.6 * d, (0, front, 0.03))
-    shell = s.tray((inner - 0.006, 0.85 * d, slot_h - 0.012), 0.004).moved((0, front + 0.425 * d, 0.0085))
-    tray.add(shell, GREY, "tray")
-    tray.add(s.box((inner - 0.004, 0.008, slot_h - 0.006), (0, front - 0.0042, 0.0085 + (slot_h - 0.006) / 2), 0.002), case, "panel")
-    flap = b.hinge("tray", body, (1, 0, 0), (0, front - 0.0105, slot_h + 0.014), 0.0, float(rng.uniform(1.2, 1.57)))
-    flap.add(s.box((inner - 0.006, 0.005, slot_h - 0.004), (0, front - 0.0035, slot_h + 0.014 + (slot_h - 0.004) / 2), 0.001), GREY, "flap")
-    lid = b.hinge("lid", body, (-1, 0, 0), (0, d / 2, h + 0.0015), 0.0, float(rng.uniform(1.0, 1.5)))
-    lid.add(s.rounded_box((w, d, 0.03), 0.012, rim=0.006).moved((0, 0, h + 0.0165)), case, "lid")
-    body.add(s.box((0.8 * w, 0.72 * d, 0.0012), (0, 0, h + 0.0002)), glass(), "glass")
-    face = front - 0.004
-    panel = s.box((0.5 * w, 0.012, 0.6 * (h - 2 * slot_h)), (0, front + 0.002, h - 0.5 * (h - 2 * slot_h)), 0.002)
-    body.add(panel, palette.dark, "control_panel")
-    for k in range(int(rng.integers(2, 7))):
-        at = ((k - 2.5) * 0.07 * w, face, h - 0.5 * (h - 2 * slot_h))
-        m.push_button(b, body, at, (0.014, 0.014, 0.003), LIGHT, round_=True)
-    return b.build()
-
-
-def toaster(rng: np.random.Generator) -> ProceduralObject:
-    """Slots, a lever that slides down, a browning knob, a crumb tray."""
-    b = Builder("Toaster", rng)
-    palette = appliance_palette(rng)
-    w, d, h = (float(v) for v in rng.uniform((0.24, 0.15, 0.16), (0.34, 0.26, 0.2)))
-    body = b.base("toaster_body")
-    lift = 0.012
-    slots = 2 if d > 0.2 or rng.random() < 0.7 else 1
-    slot_d = 0.034
-    xs = 0.72 * w
-    # Length-wise bars between the slots, with end blocks: real slots from the top.
-    edges = [-d / 2]
-    for k in range(slots):
-        y = (k - (slots - 1) / 2) * 0.07
-        edges += [y - slot_d / 2, y + slot_d / 2]
-    edges.append(d / 2)
-    crumb = 0.014
-    low = lift + crumb + 0.008
-    for a, z in zip(edges[::2], edges[1::2], strict=True):
-        body.add(s.box((xs, z - a, h - crumb - 0.008), (0, (a + z) / 2, low + (h - crumb - 0.008) / 2), 0.006), palette.body, "side_wall")
-    for side in (-1, 1):
-        block = s.rounded_box((w / 2 - xs / 2, d, h), 0.02, rim=0.01)
-        body.add(block.moved((side * (w / 2 + xs / 2) / 2, 0, lift + h / 2)), palette.dark, "end")
-    body.add(s.box((xs, d, 0.006), (0, 0, low)), palette.metal, "floor")
-    tray = b.slide("drawer", body, (0, 1, 0), 0.0, 0.7 * d, (0, 0, lift))
-    tray.add(s.tray((xs - 0.01, 0.96 * d, crumb), 0.0015).moved((0, 0, lift + 0.001)), palette.metal, "tray")
-    tray.add(s.box((0.3 * w, 0.012, 0.01), (0, d / 2 + 0.002, lift + 0.008), 0.002), palette.dark, "handle")
-    for k in range(slots if rng.random() < 0.4 else 1):
-        x = w / 2
-        y = 0.0 if slots == 1 else (k - 0.5) * 0.07
-        travel = 0.42 * h
-        z = lift + 0.75 * h
-        lever = b.slide("lever", body, (0, 0, -1), 0.0, travel, (x, y, z))
-        lever.add(s.rounded_box((0.03, 0.04, 0.014), 0.006, rim=0.004).moved((x + 0.0156, y, z)), palette.accent, "lever")
-    m.knob(b, body, (w / 2, 0.3 * d, lift + 0.25 * h), 0.016, 0.014, palette.accent, LIGHT, face="right",
-           style=int(rng.integers(3)), limits=(0.0, 4.4))
-    for k in range(int(rng.integers(0, 4))):
-        m.push_button(b, body, (w / 2, -0.3 * d, lift + (0.2 + 0.14 * k) * h), (0.014, 0.014, 0.004), LIGHT, face="right", round_=True)
-    return b.build()
-
-
-def coffee_machine(rng: np.random.Generator) -> ProceduralObject:
-    """A column with a lid, a jug on its plate, a knob, buttons, perhaps a portafilter or a tray."""
-    b = Builder("CoffeeMachine", rng)
-    palette = appliance_palette(rng)
-    w, d, h = (float(v) for v in rng.uniform((0.18, 0.24, 0.3), (0.28, 0.32, 0.4)))
-    body = b.base("coffee_machine_body")
-    foot, head = 0.035, 0.32 * h
-    back = 0.4 * d
-    body.add(s.rounded_box((w, d, foot), 0.02, rim=0.006).moved((0, 0, foot / 2)), palette.body, "foot")
-    body.add(s.rounded_box((w, back, h - 0.001), 0.02, rim=0.006).moved((0, (d - back) / 2, h / 2)), palette.body, "tank")
-    body.add(s.rounded_box((w, d, head), 0.02, rim=0.006).moved((0, 0, h - head / 2)), palette.body, "head")
-    top = h + 0.001
-    lid = b.hinge("lid", body, (-1, 0, 0), (0, d / 2 - 0.01, top), 0.0, float(rng.uniform(1.2, 1.7)))
-    lid.add(s.rounded_box((0.94 * w, 0.6 * d, 0.012), 0.015, rim=0.004).moved((0, d / 2 - 0.01 - 0.3 * d, top + 0.0062)), palette.dark, "lid")
-    cy = -d / 2 + (d - back) * 0.5
-    room = h - head - foot
-    if rng.random() < 0.6:
-        r = min(0.42 * (d - back), 0.4 * w)
-        jug_h = 0.8 * room
-        jug = b.slide("container", body, (0, -1, 0), 0.0, 0.25, (0, cy, foot))
-        outer = [(0.85 * r, 0), (r, 0.3 * jug_h), (0.7 * r, 0.9 * jug_h), (0.72 * r, jug_h)]
-        inner = [(0.7 * r, jug_h), (0.68 * r, 0.9 * jug_h), (0.97 * r, 0.3 * jug_h), (0.8 * r, 0.004)]
-        jug.add(s.lathe([*outer, *inner], 30).moved((0, cy, foot + 0.0008)), glass(), "jug")
-        grip = s.bent_path([(0, -0.7 * r, 0.86 * jug_h), (0, -1.5 * r, 0.8 * jug_h), (0, -1.4 * r, 0.25 * jug_h), (0, -0.96 * r, 0.24 * jug_h)], 0.02)
-        jug.add(s.sweep(grip + np.array([0, cy, foot]), s.rectangle(0.018, 0.01, 0.003)), palette.dark, "handle")
-        cover = b.hinge("lid", jug, (1, 0, 0), (0, cy + 0.7 * r, foot + jug_h + 0.0016), -1.2, 0.0) if rng.random() < 0.3 else None
-        if cover is not None:
-            cover.add(s.cylinder(0.7 * r, 0.006, segments=28, bevel=0.001).moved((0, cy, foot + jug_h + 0.0046)), palette.dark, "lid")
-    else:
-        at = np.array([0, cy, h - head - 0.0006])
-        handle = b.hinge("portafilter", body, (0, 0, 1), at, 0.0, 0.9)
-        handle.add(s.cylinder(0.028, 0.024, segments=26, bevel=0.002).moved(at + np.array([0, 0, -0.0125])), metal("steel"), "basket")
-        path = np.stack([at + [0, -0.024, -0.014], at + [0, -0.16, -0.02]])
-        handle.add(s.tube(path, 0.008, 12), palette.dark, "handle")
-        tray = b.slide("tray", body, (0, -1, 0), 0.0, 0.12, (0, cy, foot))
-        tray.add(s.tray((0.86 * w, 0.9 * (d - back), 0.014), 0.002).moved((0, cy, foot + 0.0008)), metal("steel"), "tray")
-    face = -d / 2
-    z = h - 0.5 * head
-    if rng.random() < 0.7:
-        m.knob(b, body, (0.25 * w, face, z), 0.018, 0.018, palette.accent, LIGHT, style=int(rng.integers(3)),
-               limits=(0.0, 3.1) if rng.random() < 0.5 else None)
-    for k in range(int(rng.integers(1, 4))):
-        m.push_button(b, body, (-0.3 * w + 0.03 * k, face, z), (0.018, 0.018, 0.004), palette.metal, round_=True)
+            controls.knob(
+                b,
+                plate,
+                (x, -t / 2, cz),
+                0.016,
+                0.016,
+                plain("dial", (246, 246, 244)),
+                GREY,
+                style=int(rng.integers(3)),
+                limits=(0.0, 4.7),
+            )
     return b.build()

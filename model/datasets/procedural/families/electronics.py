@@ -113,9 +113,7 @@ def build_laptop(
     for x in spots:
         bar = s.along(s.cylinder(radius, length, segments=16, bevel=0.0008), 0)
         lid.add(bar.moved((float(x), axis_y, axis_z)), plain("hinge", (40, 41, 44)), "hinge")
-        bridge = s.box(
-            (0.8 * length, 0.02, 0.003), (float(x), axis_y - 0.01, top + gap + 0.0015)
-        )
+        bridge = s.box((0.8 * length, 0.02, 0.003), (float(x), axis_y - 0.01, top + gap + 0.0015))
         lid.add(bridge, plain("hinge", (40, 41, 44)), "hinge")
     return b.build({lid.link: open_angle})
 

@@ -1,12 +1,12 @@
-"""Oven, Refrigerator, Microwave, Dishwasher, WashingMachine: boxes with doors, knobs and racks."""
+"""Oven and Microwave; the housing that kitchen machines share."""
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from model.datasets.procedural import controls
 from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
@@ -15,10 +15,8 @@ from model.datasets.procedural.materials import (
     Surface,
     appliance_palette,
     glass,
-    metal,
     picture,
     plain,
-    rubber,
 )
 
 INSIDE = plain("inside", (206, 208, 210))
@@ -77,11 +75,6 @@ def rack(
     for k in range(bars):
         wire = s.along(s.cylinder(0.0025, width, segments=6), 0)
         body.add(wire.moved((x, y - depth / 2 + depth * (k + 0.5) / bars, z)), surface, "wire")
-
-
-def basket(width: float, depth: float, height: float) -> s.Solid:
-    """A rack as a shallow tray on z = 0."""
-    return s.tray((width, depth, height), 0.005, radius=0.02)
 
 
 @dataclass(frozen=True)
@@ -207,7 +200,7 @@ def _oven_knobs(
         else palette.dark
     )
     for x in xs:
-        m.knob(
+        controls.knob(
             b,
             body,
             (float(x), y, z),
@@ -261,146 +254,6 @@ def oven(rng: np.random.Generator) -> ProceduralObject:
         float(rng.uniform(0.1, 1.3)) if rng.random() < 0.15 else 0.0,
     )
     return build_oven(spec, appliance_palette(rng), rng)
-
-
-def refrigerator(rng: np.random.Generator) -> ProceduralObject:
-    """One door, two over each other, side by side, or French doors over freezer drawers."""
-    layout = ("single", "freezer_top", "freezer_bottom", "side_by_side", "french")[rng.integers(5)]
-    wide = layout in ("side_by_side", "french")
-    size = (
-        float(rng.uniform(0.8, 0.95) if wide else rng.uniform(0.5, 0.7)),
-        float(rng.uniform(0.5, 0.65)),
-        float(rng.uniform(0.7, 1.2) if layout == "single" else rng.uniform(1.5, 1.95)),
-    )
-    ajar = float(rng.uniform(0.1, 1.2)) if rng.random() < 0.2 else 0.0
-    return build_refrigerator(layout, size, appliance_palette(rng), rng, ajar=ajar)
-
-
-def build_refrigerator(
-    layout: str,
-    size: tuple[float, float, float],
-    palette: Palette,
-    rng: np.random.Generator,
-    *,
-    ajar: float = 0.0,
-) -> ProceduralObject:
-    """A refrigerator of one of the layouts that :func:`refrigerator` names."""
-    b = Builder("Refrigerator", rng)
-    w, d, h = size
-    body = b.base("refrigerator_body")
-    bottom, wall, thick, gap = 0.04, 0.045, float(rng.uniform(0.045, 0.07)), 0.004
-    front = -d / 2
-    body.add(s.box((0.9 * w, 0.85 * d, bottom), (0, 0.03 * d, bottom / 2)), palette.dark, "plinth")
-    cut = {"freezer_top": 0.7, "freezer_bottom": 0.36, "french": 0.38}.get(layout, 0.0)
-    split = bottom + cut * h
-    zones = (
-        [m.Opening(-w / 2, w / 2, bottom, bottom + h)]
-        if not cut
-        else [m.Opening(-w / 2, w / 2, bottom, split), m.Opening(-w / 2, w / 2, split, bottom + h)]
-    )
-    hollow = 0.85 * d
-    for x in (-1, 1):
-        body.add(
-            s.box(
-                (wall, hollow, h), (x * (w - wall) / 2, front + hollow / 2, bottom + h / 2), 0.004
-            ),
-            palette.body,
-            "side_wall",
-        )
-    body.add(
-        s.box((w, d - hollow, h), (0, d / 2 - (d - hollow) / 2, bottom + h / 2), 0.004),
-        palette.body,
-        "back",
-    )
-    inner = w - 2 * wall
-    levels = [bottom + wall / 2, bottom + h - wall / 2] + ([split] if cut else [])
-    for z in levels:
-        body.add(s.box((inner, hollow, wall), (0, front + hollow / 2, z)), palette.body, "wall")
-    if layout == "side_by_side":
-        body.add(
-            s.box((wall, hollow, h - 2 * wall), (0, front + hollow / 2, bottom + h / 2)),
-            palette.body,
-            "divider",
-        )
-    shelf = glass((190, 214, 220), 150)
-    for zone in zones[1:] if layout == "french" else zones:
-        for k in range(int(zone.height // 0.3)):
-            z = zone.z0 + zone.height * (k + 1) / (zone.height // 0.3 + 1)
-            body.add(
-                s.box((inner, 0.8 * hollow, 0.008), (0, front + 0.55 * hollow, z)), shelf, "shelf"
-            )
-    style: m.HandleStyle = ("bar", "bow", "flat")[rng.integers(3)]
-    length = float(rng.uniform(0.25, 0.6))
-    side: m.Side = "left" if rng.random() < 0.5 else "right"
-    look = m.DoorSpec(
-        side, float(rng.uniform(1.6, 2.2)), "plain", style, length, 0.05, 0.5, 0.05, thick
-    )
-    moving: list[Body] = []
-
-    def close(r: m.Opening, hinge: m.Side, at: float) -> None:
-        part = m.door(
-            b,
-            body,
-            r.shrunk(gap / 2),
-            front - 0.006,
-            replace(look, hinge=hinge, handle_at=at),
-            palette,
-        )
-        seal = s.frame((r.width - 0.05, r.height - 0.05), (r.width - 0.09, r.height - 0.09), 0.005)
-        part.add(seal.moved((r.center[0], front - 0.0035, r.center[1])), rubber(), "gasket")
-        moving.append(part)
-
-    top = zones[-1]
-    if layout in ("side_by_side", "french"):
-        close(replace(top, x1=0.0), "left", 0.4)
-        close(replace(top, x0=0.0), "right", 0.4)
-    else:
-        close(top, side, 0.15 if cut else 0.6)
-    if cut and layout == "french":
-        _freezer_drawers(
-            b, body, zones[0], front, thick, inner, hollow, palette, style, int(rng.integers(1, 3))
-        )
-    elif cut:
-        close(zones[0], side, 0.85)
-    rest = {moving[-1].link: min(ajar, look.swing)} if ajar else None
-    return b.build(rest)
-
-
-def _freezer_drawers(
-    b: Builder,
-    body: Body,
-    zone: m.Opening,
-    front: float,
-    thick: float,
-    inner: float,
-    hollow: float,
-    palette: Palette,
-    style: m.HandleStyle,
-    count: int,
-) -> None:
-    cuts = np.linspace(zone.z0, zone.z1, count + 1)
-    for a, z in itertools.pairwise(cuts):
-        r = m.Opening(zone.x0, zone.x1, float(a), float(z)).shrunk(0.002)
-        cell = m.Opening(
-            -inner / 2,
-            inner / 2,
-            max(float(a), zone.z0 + 0.045) + 0.002,
-            min(float(z), zone.z1 - 0.025) - 0.002,
-        )
-        m.drawer(
-            b,
-            body,
-            r,
-            front - 0.006,
-            0.75 * hollow,
-            palette,
-            inner=cell,
-            handle_style=style,
-            thickness=thick,
-            inside=INSIDE,
-            travel=0.8,
-            handle_length=0.6,
-        )
 
 
 def microwave(rng: np.random.Generator) -> ProceduralObject:
@@ -459,7 +312,7 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
     if rng.random() < 0.5:
         mark = plain("mark", (240, 240, 240))
         for z in (0.3, 0.62)[: int(rng.integers(1, 3))]:
-            m.knob(
+            controls.knob(
                 b,
                 body,
                 (cx, face, bottom + z * h),
@@ -476,7 +329,9 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
         for i in range(rows):
             for j in range(cols):
                 at = (cx + (j - 1) * pitch[0], face, bottom + 0.1 * h + (i + 0.5) * pitch[1])
-                m.push_button(b, body, at, (0.8 * pitch[0], 0.7 * pitch[1], 0.004), palette.accent)
+                controls.push_button(
+                    b, body, at, (0.8 * pitch[0], 0.7 * pitch[1], 0.004), palette.accent
+                )
     if rng.random() < 0.6:
         plate = b.spin(
             "tray", body, (0, 0, 1), (opening.center[0], front + 0.43 * d, opening.z0 + 0.012)
@@ -487,265 +342,3 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
         )
         plate.add(dish.moved((opening.center[0], front + 0.43 * d, opening.z0)), glass(), "plate")
     return b.build()
-
-
-def dishwasher(rng: np.random.Generator) -> ProceduralObject:
-    """A door that folds down, racks that slide out, buttons above."""
-    b = Builder("Dishwasher", rng)
-    palette = appliance_palette(rng)
-    w, d, h = (float(v) for v in rng.uniform((0.45, 0.52, 0.76), (0.6, 0.6, 0.84)))
-    bottom, wall, thick = 0.08, 0.03, 0.03
-    body = b.base("dishwasher_body")
-    body.add(
-        s.box((0.96 * w, 0.8 * d, bottom + 0.002), (0, 0.05 * d, bottom / 2)),
-        palette.dark,
-        "plinth",
-    )
-    built_in = rng.random() < 0.5
-    strip = 0.0 if built_in else 0.1
-    opening = m.Opening(-w / 2 + wall, w / 2 - wall, bottom + wall, bottom + h - strip - wall)
-    housing(body, (w, d, h), opening, palette, bottom)
-    front = -d / 2
-    top = bottom + h - strip
-    style: m.HandleStyle | None = ("bar", "bow", "flat", "lip")[rng.integers(4)]
-    m.door(
-        b,
-        body,
-        m.Opening(-w / 2 + 0.001, w / 2 - 0.001, bottom + 0.002, top - 0.003),
-        front - 0.002,
-        m.DoorSpec("bottom", np.pi / 2, "plain", style, 0.7 * w, 0.04, 0.5, 0.06, thick),
-        palette,
-    )
-    count = int(rng.integers(2, 7))
-    if strip:
-        body.add(
-            s.box((w, thick, strip - 0.002), (0, front - thick / 2, top + strip / 2), 0.003),
-            palette.dark,
-            "control_panel",
-        )
-        for k in range(count):
-            x = (k - (count - 1) / 2) * 0.045
-            m.push_button(
-                b,
-                body,
-                (x, front - thick, top + strip / 2),
-                (0.026, 0.016, 0.005),
-                palette.accent,
-                round_=bool(k % 2),
-            )
-        m.knob(
-            b,
-            body,
-            (0.4 * w, front - thick, top + strip / 2),
-            0.028,
-            0.022,
-            palette.accent,
-            plain("mark", (230, 230, 230)),
-            style=int(rng.integers(3)),
-        )
-    for k in range(int(rng.integers(1, 3))):
-        z = opening.z0 + (0.08 + 0.5 * k) * opening.height
-        shelf = b.slide("shelf", body, (0, -1, 0), 0.0, 0.62 * d, (0, 0, z))
-        deep = 0.76 * d
-        solid = basket(opening.width - 0.012, deep, 0.09).moved((0, front + deep / 2 + 0.012, z))
-        shelf.add(solid, metal("white"), "rack")
-    return b.build()
-
-
-def washing_machine(rng: np.random.Generator) -> ProceduralObject:
-    """A front loader: round door, drum, detergent drawer, programme knob and buttons."""
-    b = Builder("WashingMachine", rng)
-    palette = appliance_palette(rng)
-    w, d, h = (float(v) for v in rng.uniform((0.55, 0.48, 0.8), (0.65, 0.6, 0.9)))
-    bottom, strip = 0.02, 0.12
-    body = b.base("washingmachine_body")
-    radius = float(rng.uniform(0.26, 0.32)) * w
-    cz = bottom + 0.5 * (h - strip)
-    front = -d / 2
-    _round_opening(body, w, d, h, bottom, radius, cz, palette)
-    for x in (-1, 1):
-        for y in (-1, 1):
-            body.add(
-                s.cylinder(0.02, bottom + 0.004, segments=12).moved(
-                    (x * 0.42 * w, y * 0.4 * d, bottom / 2 + 0.002)
-                ),
-                palette.dark,
-                "foot",
-            )
-    _porthole(b, body, radius, front, cz, palette, rng)
-    drum = b.spin("drum", body, (0, 1, 0), (0, 0, cz))
-    r = 0.93 * radius
-    shell = s.lathe(
-        [
-            (r, 0),
-            (r, 0.6 * d),
-            (0.0, 0.6 * d),
-            (0.0, 0.59 * d),
-            (0.95 * r, 0.59 * d),
-            (0.95 * r, 0),
-        ],
-        28,
-    )
-    drum.add(
-        s.along(shell, 1).scaled((1, -1, 1)).moved((0, front + 0.05, cz)), metal("steel"), "drum"
-    )
-    for k in range(3):
-        fin = s.box((0.03, 0.45 * d, 0.16 * r), (0, front + 0.05 + 0.3 * d, 0.86 * r), 0.004)
-        drum.add(fin.turned((0, 1, 0), 2.094 * k).moved((0, 0, cz)), metal("steel"), "fin")
-    zs = bottom + h - strip / 2
-    _washing_controls(b, body, w, front, zs, strip, palette, rng)
-    return b.build()
-
-
-def _round_opening(
-    body: Body,
-    w: float,
-    d: float,
-    h: float,
-    bottom: float,
-    radius: float,
-    cz: float,
-    palette: Palette,
-) -> None:
-    """A cabinet with a round hole in its front, hollow behind it."""
-    wall, front = 0.015, -d / 2
-    angles = (np.arange(32) + 0.5) * 2 * np.pi / 32
-    unit = np.stack([np.cos(angles), np.sin(angles)], 1)
-    low, high = bottom - cz, bottom + h - cz
-    for x, z in ((w / 2, high), (-w / 2, high), (-w / 2, low), (w / 2, low)):
-        # The corners belong to the outline: the nearest direction is turned to each.
-        corner = np.array([x, z]) / np.hypot(x, z)
-        unit[np.argmax(unit @ corner)] = corner
-    # The outer rim: where the ray at each angle leaves the rectangle.
-    with np.errstate(divide="ignore"):
-        reach = np.minimum(
-            (w / 2) / np.abs(unit[:, 0]),
-            np.where(unit[:, 1] > 0, high / unit[:, 1], low / unit[:, 1]),
-        )
-    outer, inner = unit * reach[:, None], unit * radius
-    loops = [
-        s.at(outer, wall / 2),
-        s.at(outer, -wall / 2),
-        s.at(inner, -wall / 2),
-        s.at(inner, wall / 2),
-    ]
-    plate = s.along(s.loft(loops, ring=True), 1).moved((0, front + wall / 2, cz))
-    body.add(plate, palette.front, "front")
-    z = bottom + h / 2
-    for side in (-1, 1):
-        body.add(
-            s.box((wall, d - wall, h), (side * (w - wall) / 2, wall / 2, z), 0.003),
-            palette.body,
-            "side_wall",
-        )
-    body.add(s.box((w - 2 * wall, wall, h), (0, (d - wall) / 2, z)), palette.body, "back")
-    for at in (bottom + wall / 2, bottom + h - wall / 2):
-        body.add(s.box((w - 2 * wall, d - 2 * wall, wall), (0, 0, at)), palette.body, "wall")
-    body.add(
-        s.box((w + 0.004, d + 0.004, 0.02), (0, 0, bottom + h + 0.009), 0.005), palette.body, "top"
-    )
-
-
-def _porthole(
-    b: Builder,
-    body: Body,
-    radius: float,
-    front: float,
-    cz: float,
-    palette: Palette,
-    rng: np.random.Generator,
-) -> None:
-    outer, thick = 1.18 * radius, 0.04
-    side = -1 if rng.random() < 0.6 else 1
-    hinge_x = side * (outer + 0.012)
-    axis = (0, 0, -1) if side < 0 else (0, 0, 1)
-    door = b.hinge(
-        "door", body, axis, (hinge_x, front - 0.5 * thick, cz), 0.0, float(rng.uniform(1.8, 2.6))
-    )
-    rim = s.ring(
-        [
-            (0.72 * radius, 0.004),
-            (outer, 0.004),
-            (outer, 0.6 * thick),
-            (0.92 * outer, thick),
-            (0.78 * radius, 0.9 * thick),
-        ],
-        36,
-    )
-    door.add(
-        s.along(rim, 1).moved((0, front, cz)),
-        palette.accent if rng.random() < 0.5 else metal("white"),
-        "rim",
-    )
-    bowl = s.lathe(
-        [
-            (0.74 * radius, 0.012),
-            (0.74 * radius, 0.024),
-            (0.0, 0.03),
-            (0.0, 0.024),
-            (0.7 * radius, 0.012),
-        ],
-        28,
-    )
-    door.add(s.along(bowl, 1).moved((0, front, cz)), glass((90, 110, 120), 160), "glass")
-    lug = s.box((0.05, 0.02, 0.09), (side * (outer - 0.012), front - 0.5 * thick, cz), 0.004)
-    door.add(lug, palette.metal, "hinge")
-    grip = m.handle("flat", 0.09, 0.02)
-    m.add(
-        door, m.place(grip, (-side * 0.9 * outer, front - 0.8 * thick, cz)), palette.dark, "handle"
-    )
-
-
-def _washing_controls(
-    b: Builder,
-    body: Body,
-    w: float,
-    front: float,
-    z: float,
-    strip: float,
-    palette: Palette,
-    rng: np.random.Generator,
-) -> None:
-    face = front - 0.012
-    if rng.random() < 0.85:
-        r = m.Opening(-0.47 * w, -0.2 * w, z - 0.4 * strip, z + 0.38 * strip)
-        drawer = b.slide("drawer", body, (0, -1, 0), 0.0, 0.18, (r.center[0], front, r.center[1]))
-        m.panel(drawer, r, front - 0.001, 0.014, "plain", palette)
-        grip = m.handle("lip", 0.6 * r.width, 0.016)
-        m.add(
-            drawer,
-            m.place(grip, (r.center[0], front - 0.015, r.z0 + 0.02), roll=np.pi / 2),
-            palette.dark,
-            "handle",
-        )
-    body.add(
-        s.box((0.64 * w, 0.012, 0.74 * strip), (0.155 * w, front - 0.006, z), 0.003),
-        palette.dark,
-        "control_panel",
-    )
-    mark = plain("mark", (240, 240, 240))
-    m.knob(
-        b,
-        body,
-        (0.0, face, z),
-        0.03,
-        0.025,
-        metal("white"),
-        palette.dark,
-        style=int(rng.integers(3)),
-        limits=None if rng.random() < 0.7 else (-2.6, 2.6),
-    )
-    body.add(
-        s.box((0.15 * w, 0.004, 0.35 * strip), (0.17 * w, face - 0.001, z)),
-        picture("panel", int(rng.integers(5))),
-        "display",
-    )
-    for k in range(int(rng.integers(2, 6))):
-        m.push_button(
-            b,
-            body,
-            (0.29 * w + 0.034 * k - 0.02, face, z),
-            (0.018, 0.018, 0.005),
-            mark,
-            round_=True,
-        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.datasets.procedural import controls
 from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
@@ -44,7 +45,9 @@ def office_chair(
         base.add(arm.turned((0, 0, 1), a), frame, "arm")
         top = (reach * np.cos(a) * 0.97, reach * np.sin(a) * 0.97, tip_z - 0.008)
         if casters:
-            m.caster(b, base, top, wheel, palette, rubber(), heading=float(rng.random() * 6.28))
+            controls.caster(
+                b, base, top, wheel, palette, rubber(), heading=float(rng.random() * 6.28)
+            )
     seat_z = float(rng.uniform(0.42, 0.5))
     sleeve = s.ring(
         [

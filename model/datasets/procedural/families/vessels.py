@@ -349,7 +349,13 @@ def dispenser(rng: np.random.Generator) -> ProceduralObject:
         levels = [s.at(hole, h - 0.002), s.at(plate, h - 0.002), s.at(plate, h), s.at(hole, h)]
         body.add(s.loft(levels, ring=True), skin, "shoulder")
     else:
-        outline = [(0.42 * w, 0), (0.5 * w, 0.01), (0.5 * w, 0.8 * h), (0.3 * w, 0.97 * h), (0.25 * w, h)]
+        outline = [
+            (0.42 * w, 0),
+            (0.5 * w, 0.01),
+            (0.5 * w, 0.8 * h),
+            (0.3 * w, 0.97 * h),
+            (0.25 * w, h),
+        ]
         body.add(s.lathe(shell_profile(outline, 0.002), 30), skin, "body")
     r = 0.016
     body.add(
