@@ -66,13 +66,15 @@ def toilet(rng: np.random.Generator) -> ProceduralObject:
     cut = ring.shaped(
         lambda v: np.column_stack([v[:, 0], np.minimum(v[:, 1], back - 0.05), v[:, 2]])
     )
-    seat = b.hinge("seat", body, (-1, 0, 0), hinge, 0.0, float(rng.uniform(1.45, 1.57)))
+    upright = float(rng.uniform(1.45, 1.57))
+    # Both stop against the cistern; the lid lies behind the seat there.
+    seat = b.hinge("seat", body, (-1, 0, 0), hinge, 0.0, upright - 0.06)
     seat.add(cut, seat_skin, "seat")
     cover = s.loft([at(1.03, h + 0.0215), at(1.03, h + 0.03), at(0.97, h + 0.037)])
     cover = cover.shaped(
         lambda v: np.column_stack([v[:, 0], np.minimum(v[:, 1], back - 0.05), v[:, 2]])
     )
-    lid = b.hinge("lid", body, (-1, 0, 0), hinge, 0.0, float(rng.uniform(1.45, 1.57)))
+    lid = b.hinge("lid", body, (-1, 0, 0), hinge, 0.0, upright)
     lid.add(cover, seat_skin, "lid")
     if rng.random() < 0.6:
         controls.push_button(

@@ -72,7 +72,7 @@ def kettle(rng: np.random.Generator) -> ProceduralObject:
         lid.add(s.along(s.cylinder(0.004, 0.02, segments=12), 1).moved(hinge), dark, "hinge")
         lid.add(s.box((0.012, 0.014, 0.003), (mouth, 0, lid_z + 0.003)), skin, "hinge")
     elif over:
-        lid = b.screw("lid", body, (0, 0, 1), (0, 0, lid_z), 0.045)
+        lid = b.screw("lid", body, (0, 0, 1), (0, 0, lid_z), 0.028)
     else:
         lid = b.slide("lid", body, (0, 0, 1), 0.0, 0.1, (0, 0, lid_z))
     lid.add(plug, skin, "lid")
