@@ -25,6 +25,7 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, load_mlp
+from model.segmentation.plates import Plates, plates_of
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
@@ -69,12 +70,14 @@ class DefaultSession:
         asset: what was encoded.
         encoding: nodes, graph, cells, trees, walks.
         solver: hypotheses and scores for one part.
+        plates: flat polygons of a mesh, None for a cloud.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
         self.asset = asset
         self.encoding = encoding
         self.solver = solver
+        self.plates: Plates | None = None if asset.mesh is None else plates_of(asset.mesh)
         self._states: OrderedDict[bytes, _State] = OrderedDict()
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
@@ -216,6 +219,8 @@ class DefaultSession:
         labels = encoding.nodes.elements.to_elements(of_cell[encoding.cells.of_node])
         if not steps:
             return labels
+        if self.plates is not None:
+            labels = self.plates.whole(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
 
     def _instead(

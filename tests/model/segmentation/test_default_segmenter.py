@@ -110,3 +110,27 @@ def test_progress_rises_and_can_cancel(cloud_cabinet):
 
     with pytest.raises(Cancelled):
         DefaultSegmenter().encode(cloud_cabinet.asset, stop)
+
+
+def test_a_modelled_panel_is_never_cut_along_its_triangles() -> None:
+    """A door of two triangles a side is one part after one click on one of them."""
+    import trimesh
+
+    from model.geometry.asset import Asset
+    from model.geometry.mesh import Mesh
+    from model.segmentation.prompts import Click, Prompts
+    from model.segmentation.registry import load_segmenter
+
+    boxes = []
+    for size, center in (((1, 0.5, 1), (0, 0, 0.5)), ((0.9, 0.02, 0.9), (0, -0.27, 0.5))):
+        box = trimesh.creation.box(size)
+        box.apply_translation(center)
+        boxes.append(box)
+    whole = trimesh.util.concatenate(boxes)
+    mesh = Mesh(whole.vertices, whole.faces)
+    session = load_segmenter().encode(Asset("door", mesh))
+    front = np.flatnonzero(mesh.triangles[:, :, 1].max(axis=1) < -0.279)
+    assert len(front) == 2
+    at = mesh.triangles[front[0]].mean(axis=0)
+    labels = session.segment(Prompts((Click(tuple(at), 1, True, int(front[0])),))).labels
+    assert (labels[front] == 1).all()
