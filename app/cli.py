@@ -230,7 +230,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("root", type=Path, metavar="DIR", help="folder of the data set")
+    add("--root", type=Path, required=True, metavar="DIR", help="folder of the data set")
     add("--data", default="partnet-mobility", metavar="NAME", help="which data set it is")
     add("--predictor", default="geometric", metavar="NAME")
     add("--names", action=argparse.BooleanOptionalAction, default=True,
