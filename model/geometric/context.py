@@ -192,11 +192,26 @@ class PartContext:
         """Whether it is a hand on a dial: called so, or a sliver on the face of a flat disc."""
         if "hand" in self.words:
             return True
-        face = self.base.roundest
-        if face is None or face.half > 0.5 * face.radius or self.shape.slenderness > 0.35:
+        shape, base = self.shape, self.base
+        if shape.slenderness > 0.35 or base.thinness > 0.5:
             return False
-        thin = self.shape.box.axes[:, self.shape.order[0]]
-        return abs(float(thin @ face.axis)) > 0.95 and self.shape.size < 1.2 * face.radius
+        face = base.roundest
+        axis = face.axis if face is not None else base.box.axes[:, base.order[0]]
+        if abs(float(shape.box.axes[:, shape.order[0]] @ axis)) < 0.95:
+            return False
+        if face is not None:
+            return shape.size < 1.2 * face.radius
+        # On a dial that isn't round only two that cross are hands.
+        return 0.1 < shape.size < 0.5 * base.size and any(
+            self.scene.shapes[j].slenderness < 0.35
+            and self.scene.shapes[j].size > 0.1
+            and self.assembly.parent[j] == self.parent
+            and abs(float(self.scene.shapes[j].box.axes[:, self.scene.shapes[j].order[0]] @ axis))
+            > 0.95
+            and self.scene.gap[self.part, j] < 0.02
+            for j in self.scene.others(self.part)
+            if j != self.parent
+        )
 
     def upright(self) -> Array:
         """The part's box axis nearest to +z, pointing up."""

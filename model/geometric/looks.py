@@ -108,7 +108,7 @@ def look(context: PartContext) -> Looks:
         flat=disc.half / max(disc.radius, 1e-6) if disc is not None else 0.0,
         axis_up=axis_up,
         scanned=shape.scanned,
-        ball=sum(r.round for r in shape.roundnesses) >= 3,
+        ball=shape.ball,
         height=float((shape.center[2] - scene.low[2]) / height),
         grounded=float(shape.low[2] - scene.low[2]) < 0.03 * height + 0.005,
         top=float(covers[up]),

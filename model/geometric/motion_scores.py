@@ -14,7 +14,7 @@ from model.geometric.context import PartContext
 from model.geometric.looks import Looks
 from model.geometric.pivots import alike
 from model.geometric.scene import TOUCHING
-from model.geometric.spins import blades
+from model.geometric.shape import blades
 from model.geometric.vocabulary import Mechanism
 
 Scores = dict[Mechanism, float]
@@ -93,9 +93,9 @@ def _round_things(c: _Cues) -> Scores:
         faces_out = abs(float(disc.axis @ k.outward)) > 0.9
         if clear and knob and 0.035 < k.size < 0.3 and k.flat < 1.6 and faces_out:
             spin += 2.2
-        if c.level_disc and k.flat < 1.2 and k.size < 0.6:
+        if c.level_disc and k.flat < 1.2 and k.size < 0.6 and (clear or k.grounded):
             spin += 2.6 if k.grounded else 1.2 * (1 - _step(k.height, 0.5, 0.3))
-        if c.level_disc and k.flat < 0.9:
+        if c.level_disc and k.flat < 0.9 and (clear or k.grounded):
             spin += 1.0
         if k.ball and clear:
             spin += 2.5
@@ -108,6 +108,9 @@ def _round_things(c: _Cues) -> Scores:
         spin += 3.0
     if k.scanned and k.grounded and k.height < 0.2:
         spin += 2.6 * c.small  # a wheel of which a scan shows too little to be round
+    drum = c.level_disc and k.walls >= 4 and k.size > 0.25
+    if drum and disc is not None and abs(float(disc.axis @ k.exit)) > 0.9:
+        spin += 2.5
     return {"press": press, "spin": spin}
 
 
@@ -175,8 +178,8 @@ def _drawers(c: _Cues) -> Scores:
         flat = 1 - _step(k.depth / max(k.face[0], 1e-6), 1.0, 0.4)
         drawer += 2.4 * part.closed * wide * low * c.large * flat
     else:
-        drawer += 0.9 * k.way_out * c.panel * c.standing * wide * low * c.large
-    return {"slide_out": 0.3 + drawer - (2.0 if c.upright_disc else 0.0)}
+        drawer += 1.8 * k.way_out * c.panel * c.standing * wide * low * c.large
+    return {"slide_out": 0.3 + drawer - (2.0 if k.disc is not None else 0.0)}
 
 
 def _arms(c: _Cues) -> Scores:
@@ -187,6 +190,7 @@ def _arms(c: _Cues) -> Scores:
         temple += 0.5 * c.rod * k.end_contact
     middling = (1 - c.small) * (1 - _step(k.size, 0.42, 0.1)) * (0.5 if part.closed else 1.0)
     lever = 0.3 + middling * (1 - c.panel) * (0.9 + 0.8 * k.end_contact)
+    lever += 2.6 * c.small * c.rod * k.end_contact * (1 - c.panel)
     bail, legs = _bail(part, k)
     # A long-legged bow that stands on its parent is pulled out of it.
     return {
@@ -208,7 +212,28 @@ def _pairs(c: _Cues) -> Scores:
         middle = part.shape.order[1]
         held = min(part.covers[middle], part.covers[middle + 3]) > 0.6 and k.walls >= 4
         scores["slide_along" if held else "pivot"] += 3.2 * c.rod
+    elif _caps_the_end(part):
+        scores["slide_along"] += 2.6
     return scores
+
+
+def _caps_the_end(part: PartContext) -> bool:
+    """Whether it sits on one end of a long parent and is as thick: the cap of a pen or a stick."""
+    shape, base = part.shape, part.base
+    thin, middle, long = base.order
+    if base.slenderness > 0.5 or shape.size > 0.8 * base.size:
+        return False
+    axes = base.box.axes
+    step = axes.T @ (shape.center - base.center)
+    reach = np.array([shape.box.reach(axes[:, k]) for k in (thin, middle)])
+    thick = base.box.half[[thin, middle]]
+    return bool(
+        abs(axes[2, long]) < 0.5
+        and abs(step[long]) > 0.6 * base.box.half[long]
+        and np.all(np.abs(step[[thin, middle]]) < 0.35 * thick + 0.005)
+        and np.all(reach > 0.55 * thick)
+        and np.all(reach < 1.6 * thick + 0.005)
+    )
 
 
 def _tallness(context: PartContext) -> float:

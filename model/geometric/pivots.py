@@ -45,7 +45,7 @@ def alike(a: Shape, b: Shape, tolerance: float = 0.25) -> bool:
 
 
 def _crossed_frames(context: PartContext) -> list[Hypothesis]:
-    """Two flat frames that cross like the legs of a folding chair turn about the line they share."""
+    """Flat frames that cross like the legs of a folding chair turn about their common line."""
     shape, base = context.shape, context.base
     if shape.slenderness < 0.3 or shape.thinness > 0.5:
         return []

@@ -155,6 +155,11 @@ class Shape:
         found = [r for r in self.roundnesses if r.round and r.radius > 6 * self.noise]
         return min(found, key=lambda r: (round(r.spread / 0.02), r.half)) if found else None
 
+    @property
+    def ball(self) -> bool:
+        """Whether it is round about three axes."""
+        return sum(r.round for r in self.roundnesses) >= 3
+
     @cached_property
     def order(self) -> tuple[int, int, int]:
         """Indices of the box axes: thin, middle, long."""
@@ -387,6 +392,8 @@ def roundness(points: Array, axis: Array, scanned: bool, noise: float = 0.0) -> 
     center = middle[0] * u + middle[1] * v + axis * (low + high) / 2
     mean = float(radii.mean())
     spread = np.sqrt(max(0.0, float(radii.std()) ** 2 - (1.2 * noise) ** 2))
+    if mean > 0.65 * scale:
+        spread = mean  # a sliver lies well on a huge circle; that isn't round
     return Roundness(axis, center, mean, float(spread / mean), float(high - low) / 2)
 
 
@@ -397,3 +404,43 @@ def _resampled(polygon: Array, count: int) -> Array:
     along = np.concatenate([[0.0], np.cumsum(step)])
     at = np.linspace(0.0, along[-1], count, endpoint=False)
     return np.stack([np.interp(at, along, closed[:, i]) for i in range(2)], 1)
+
+
+def _rim(points: Array, axis: Array) -> float:
+    """Smallest over largest reach around an axis: near 1 for plates and rings, small for blades."""
+    u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    u /= np.linalg.norm(u)
+    v = np.cross(axis, u)
+    a, b = points @ u, points @ v
+    reach = np.zeros(36)
+    np.maximum.at(
+        reach, ((np.arctan2(b, a) / (2 * np.pi) + 0.5) * 36).astype(int) % 36, np.hypot(a, b)
+    )
+    return float(np.quantile(reach, 0.1) / max(reach.max(), 1e-9))
+
+
+def blades(shape: Shape) -> tuple[Array, Array, int] | None:
+    """Axis, centre and number of the blades of a part like a propeller; None for other parts.
+
+    The part is flat, not filled, and lies on itself after a turn by a full turn over 3, 4, 5 or 6.
+    """
+    from scipy.spatial import KDTree
+
+    axis = shape.box.axes[:, shape.order[0]]
+    if shape.roundest is not None or shape.thinness > 0.6 or shape.slenderness < 0.75:
+        return None
+    if shape.panel.fill > 0.8:
+        return None
+    points = shape.points[:: max(1, len(shape.points) // 500)]
+    center = points.mean(0)
+    tree = KDTree(points)
+    radius = float(np.linalg.norm(points - center, axis=1).max())
+    if _rim(points - center, axis) > 0.6:
+        return None
+    spacing = float(np.median(tree.query(points, k=2)[0][:, 1]))
+    for count in (3, 5, 4, 6):
+        turned = (points - center) @ rotation(axis, 2 * np.pi / count).T + center
+        off = float(np.quantile(tree.query(turned)[0], 0.9))
+        if off < 2.5 * spacing + 0.03 * radius:
+            return axis, center, count
+    return None

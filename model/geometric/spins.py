@@ -8,7 +8,7 @@ import numpy.typing as npt
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
 from model.geometric.pivots import crossing
-from model.geometric.shape import Roundness, Shape, rotation, roundness
+from model.geometric.shape import Roundness, Shape, blades, roundness
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
                 note=f"turns about its symmetry axis (outline round to {100 * r.spread:.0f} %)",
             )
         )
-    ball = sum(r.round for r in shape.roundnesses) >= 3 and shape.size > 25 * shape.noise
+    ball = shape.ball and shape.size > 25 * shape.noise
     poles = _poles(context) if ball and not wheel else None
     if poles is not None:
         found.append(
@@ -114,31 +114,6 @@ def _poles(context: PartContext) -> Array | None:
         return None
     high, low = out[along > 0.5 * reach].mean(0), out[along < -0.5 * reach].mean(0)
     return unit(high - low)
-
-
-def blades(shape: Shape) -> tuple[Array, Array, int] | None:
-    """Axis, centre and number of the blades of a part like a propeller; None for other parts.
-
-    The part is flat, not filled, and lies on itself after a turn by a full turn over 3, 4, 5 or 6.
-    """
-    from scipy.spatial import KDTree
-
-    axis = shape.box.axes[:, shape.order[0]]
-    if shape.roundest is not None or shape.thinness > 0.6 or shape.slenderness < 0.75:
-        return None
-    if shape.panel.fill > 0.8:
-        return None
-    points = shape.points[:: max(1, len(shape.points) // 500)]
-    center = points.mean(0)
-    tree = KDTree(points)
-    radius = float(np.linalg.norm(points - center, axis=1).max())
-    spacing = float(np.median(tree.query(points, k=2)[0][:, 1]))
-    for count in (3, 5, 4, 6):
-        turned = (points - center) @ rotation(axis, 2 * np.pi / count).T + center
-        off = float(np.quantile(tree.query(turned)[0], 0.9))
-        if off < 2.5 * spacing + 0.03 * radius:
-            return axis, center, count
-    return None
 
 
 def swivel_hypotheses(context: PartContext) -> list[Hypothesis]:

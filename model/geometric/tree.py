@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.scene import TOUCHING, Scene
+from model.geometric.shape import blades
 from model.geometric.vocabulary import (
     CATEGORY_PARENTS,
     base_score,
@@ -23,7 +24,11 @@ def root_scores(scene: Scene) -> Array:
     shapes = scene.shapes
     size = np.array([s.size for s in shapes])
     volume = np.array([s.box.volume for s in shapes])
-    touching = (scene.gap < TOUCHING).sum(1) - 1
+    touches = (scene.gap < TOUCHING) & ~np.eye(n, dtype=bool)
+    # Large neighbours count by their size; of small ones (keys on a door) many count little.
+    heft = np.minimum(1.0, (size / 0.06) ** 2)
+    touching = 0.5 * (touches @ size) / max(size.sum(), 1e-9)
+    touching += 0.5 * (touches @ heft) / max(heft.sum(), 1e-9)
     low = np.array([s.low[2] for s in shapes]) - scene.low[2]
     height = max(float(scene.high[2] - scene.low[2]), 1e-6)
     named = np.array([base_score(s.name, scene.category) for s in shapes])
@@ -31,12 +36,19 @@ def root_scores(scene: Scene) -> Array:
     out = 1.2 * size / max(size.max(), 1e-9)
     out += 0.8 * (volume / max(volume.max(), 1e-12)) ** (1 / 3)
     out += 0.5 * np.sqrt(area / max(area.max(), 1e-12))
-    out += 1.0 * touching / max(1, n - 1)
+    out += 1.0 * touching
     out += 0.8 * (1 - np.clip(low / height, 0, 1))
     # What stands on the ground holds the rest; wheels do too, but they are small.
     grounded = (low < 0.02) & (size > 0.3 * size.max())
     out += 0.9 * grounded
+    feet = (low < 0.06) & (size < 0.2) & (low < low.max())
+    if feet.sum() >= 3:
+        out += 0.9 * (touches @ feet) / feet.sum()  # it stands on its wheels
     out += 1.5 * named
+    # Balls and propellers are held; they hold nothing.
+    for i, s in enumerate(shapes):
+        if size[i] > 0.3 and low[i] > 0.02 and (s.ball or blades(s) is not None):
+            out[i] -= 1.5
     for i in np.argsort(-out)[: min(3, n)]:
         out[i] += 1.2 * _encloses(scene, int(i))
     return out
@@ -80,7 +92,11 @@ def spanning_parents(scene: Scene, root: int) -> list[int]:
         parent[best[2]] = best[3]
         placed.add(best[2])
     for i, j in held.items():
-        if j is not None and held.get(j) is None and not _below(parent, j, i):
+        # Of two that hold each other the one nearer to the root holds.
+        mutual = j is not None and held.get(j) == i
+        if mutual and (gap[i, root], i) < (gap[j, root], j):
+            continue
+        if j is not None and (mutual or held.get(j) is None) and not _below(parent, j, i):
             parent[i] = j
     return _named_parents(scene, root, parent)
 
@@ -97,7 +113,7 @@ def _holder(scene: Scene, root: int, i: int) -> int | None:
         for j in scene.others(i)
         if j != root
         and scene.gap[i, j] < TOUCHING / 2
-        and scene.shapes[j].size > 0.75 * shape.size
+        and scene.shapes[j].size > 0.6 * shape.size
         and not _alike(scene, i, j)
     ]
     if not near:
