@@ -57,7 +57,7 @@ def _set_up_logging(level: int, debug: bool) -> None:
     if debug:
         return
     warnings.simplefilter("ignore")
-    for package in ("app", "model", "sessions", "artiworld"):
+    for package in ("app", "model", "sessions"):
         logging.getLogger(package).setLevel(level)
 
 
