@@ -66,9 +66,13 @@ def test_bench_ui_measures_a_small_cloud():
 
 def test_evaluate_scores_real_objects(shared_data, tmp_path):
     root = shared_data / "partnet_mobility"
-    done = artiworld("evaluate", "--root", root, "--limit", 2, "--jobs", 1, "--out", tmp_path, "--json")
+    done = artiworld(
+        "evaluate", "--root", root, "--limit", 2, "--jobs", 1, "--out", tmp_path, "--json"
+    )
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["predictor"] == "geometric" and report["summary"]
     assert (tmp_path / "report.md").exists()
-    assert_users_mistake(artiworld("evaluate", "--root", root, "--predictor", "magic"), "magic", "geometric")
+    assert_users_mistake(
+        artiworld("evaluate", "--root", root, "--predictor", "magic"), "magic", "geometric"
+    )
