@@ -34,6 +34,7 @@ from model.datasets.procedural.scan import ScanSettings, View, simulate_scan, vi
 from model.geometry.glb import mesh_to_glb
 from model.geometry.mesh import Mesh
 from model.geometry.readers import read_asset
+from model.geometry.sampling import sample_surface
 from model.geometry.writers import write_cloud
 from model.kinematics.articulated_object import ArticulatedObject
 
@@ -88,8 +89,11 @@ def laptop(rng: np.random.Generator) -> ProceduralObject:
 def oven(rng: np.random.Generator) -> ProceduralObject:
     """A range with six knobs."""
     enamel = plain("enamel", (226, 226, 222))
-    palette = Palette(enamel, enamel, metal("dark"), metal("steel"), plain("panel", (70, 72, 78)))
-    spec = kitchen.OvenSpec(knobs=6, knob_style=1, burners=4, drawer=True, knob_limits=(0.0, 4.71))
+    body = plain("body", (112, 116, 122))
+    palette = Palette(body, enamel, metal("dark"), metal("steel"), plain("panel", (70, 72, 78)))
+    spec = kitchen.OvenSpec(
+        knobs=6, knob_style=1, burners=4, drawer=True, knob_limits=(0.0, 4.71), gap=0.008
+    )
     return kitchen.build_oven(spec, palette, rng)
 
 
@@ -97,7 +101,7 @@ def refrigerator(rng: np.random.Generator) -> ProceduralObject:
     """French doors over a freezer drawer."""
     steel = plain("steel_paint", (172, 178, 186))
     palette = Palette(steel, steel, metal("dark"), metal("steel"), plain("panel", (36, 37, 40)))
-    return cooling.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng)
+    return cooling.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng, gap=0.009)
 
 
 EXAMPLES: Mapping[str, Example] = {
@@ -107,11 +111,12 @@ EXAMPLES: Mapping[str, Example] = {
     "kettle": Example(vessels.kettle),
     "washing_machine": Example(washing.washing_machine),
     "oven_scan": Example(
-        oven, ScanSettings((View(-0.35, 0.32, 1.9), View(0.4, 0.38, 2.0)), 220_000)
+        oven,
+        ScanSettings((View(-0.35, 0.32, 1.9), View(0.4, 0.38, 2.0)), 220_000, depth_noise=0.0005),
     ),
     "refrigerator_scan": Example(
         refrigerator,
-        ScanSettings((View(-0.5, 0.12, 2.9), View(0.35, 0.2, 2.8)), 150_000, depth_noise=0.0007),
+        ScanSettings((View(-0.5, 0.12, 2.9), View(0.35, 0.2, 2.8)), 150_000, depth_noise=0.0003),
     ),
     "desk_lamp": Example(decor.lamp),
 }
@@ -147,7 +152,10 @@ def write_examples(
             scan = simulate_scan(obj, example.scan, rng)
             write_cloud(scan.cloud, path)
             labels, views = scan.part, example.scan.views
-        _write_json(out / f"{name}.prompts.json", prompts(made, views))
+        _write_json(
+            out / f"{name}.prompts.json",
+            prompts(made, views, hidden=example.scan is None, spread=5 if example.scan else 1),
+        )
         _write_json(out / "truth" / f"{name}.json", truth(obj, labels))
         written.append(path)
     return tuple(written)
@@ -209,44 +217,77 @@ def truth(obj: ArticulatedObject, labels: npt.NDArray[np.int32]) -> dict[str, ob
     }
 
 
-def prompts(made: ProceduralObject, views: tuple[View, ...]) -> dict[str, object]:
+def prompts(
+    made: ProceduralObject, views: tuple[View, ...], *, hidden: bool, spread: int = 1
+) -> dict[str, object]:
     """Clicks that a person would make: the middle of each part, and of its handle or rim.
 
     Args:
-        views: from where the person looks; what can't be seen gets no click.
+        views: from where the person looks.
+        hidden: also click solids that can't be seen (a drawer's box), as one does on a mesh after
+            hiding what is before them.
+        spread: clicks on each of the two largest solids of a part; help where seams are faint.
     """
-    obj = made.object
-    seen = visible_elements(obj, views)
     from scipy.spatial import KDTree
 
+    obj = made.object
+    seen = visible_elements(obj, views)
+    inside = _inside(made) if hidden else {}
     clicks: list[dict[str, object]] = []
     named = []
     for number, part in enumerate(obj.parts):
         mine = np.flatnonzero(seen.part == number)
-        if not len(mine):
-            continue
-        others = np.flatnonzero(seen.part != number)
-        piece = made.pieces[part.link][seen.face[mine]]
-        kinds = np.array(made.piece_names[part.link])[piece]
-        tree = KDTree(seen.points[others])
-        inner = tree.query(seen.points[mine])[0]
-        for kind in _worth_clicking(kinds, 4 if number == 0 else 2):
-            rows = np.flatnonzero(kinds == kind)
-            best = mine[rows[np.argmax(inner[rows])]]
-            clicks.append(
-                {"position": _rounded(seen.points[best], 5), "part": number, "positive": True}
-            )
-        if number:
+        names = np.array(made.piece_names[part.link])
+        spots = {}
+        if len(mine):
+            piece = names[made.pieces[part.link][seen.face[mine]]]
+            for kind in _worth_clicking(piece, 4 if number == 0 else 2):
+                spots[kind] = seen.points[mine[piece == kind]]
+        for kind, points in inside.get(number, {}).items():
+            spots.setdefault(kind, points)
+        for rank, (kind, points) in enumerate(spots.items()):
+            # Far from other parts; in a scan, whose seams are faint, also from other solids.
+            rest = seen.part != number
+            if not hidden:
+                piece = names[made.pieces[part.link][seen.face[mine]]]
+                rest[mine] = piece != kind
+            away = KDTree(seen.points[rest])
+            for place in _deep_points(points, away.query(points)[0], spread if rank < 2 else 1):
+                clicks.append({"position": _rounded(place, 5), "part": number, "positive": True})
+        if number and spots:
             named.append({"id": number, "name": part.name})
     clicks.sort(key=lambda c: c["part"] == 0)  # type: ignore[return-value]
     return {"format": FORMAT, "category": obj.category, "parts": named, "clicks": clicks}
 
 
-def _worth_clicking(kinds: npt.NDArray[np.str_], most: int) -> list[str]:
-    """The kinds of piece that cover most of what is seen of a part."""
+def _inside(made: ProceduralObject) -> dict[int, dict[str, npt.NDArray[np.float64]]]:
+    """Part -> kind of solid -> points on it, for kinds that make up a twentieth of the part."""
+    out: dict[int, dict[str, npt.NDArray[np.float64]]] = {}
+    for number, part in enumerate(made.object.parts):
+        assert part.mesh is not None
+        cloud, face = sample_surface(part.mesh, 2000, np.random.default_rng(number))
+        kinds = np.array(made.piece_names[part.link])[made.pieces[part.link][face]]
+        names = _worth_clicking(kinds, 6, 0.05)
+        out[number] = {k: cloud.points[kinds == k].astype(np.float64) for k in names}
+    return out
+
+
+def _deep_points(
+    points: npt.NDArray[np.float64], depth: npt.NDArray[np.float64], count: int
+) -> list[npt.NDArray[np.float64]]:
+    """The point farthest from other parts, then ones as deep and far from those before."""
+    found = [points[int(np.argmax(depth))]]
+    while len(found) < count:
+        apart = np.min([np.linalg.norm(points - f, axis=1) for f in found], axis=0)
+        found.append(points[int(np.argmax(np.minimum(apart, 2 * depth)))])
+    return found
+
+
+def _worth_clicking(kinds: npt.NDArray[np.str_], most: int, least: float = 0.02) -> list[str]:
+    """The kinds of solid that cover most, each at least the share ``least``."""
     names, counts = np.unique(kinds, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    return [str(names[i]) for i in order[:most] if counts[i] >= 0.02 * len(kinds)]
+    return [str(names[i]) for i in order[:most] if counts[i] >= least * len(kinds)]
 
 
 def _rounded(values: npt.ArrayLike, digits: int) -> list[float]:

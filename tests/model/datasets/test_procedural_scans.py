@@ -159,9 +159,9 @@ def test_demo_objects_have_a_truth_and_clicks_that_fit(name: str) -> None:
     assert 0.1 < np.linalg.norm(high - low) < 3 and high[2] > 0
     prompts = json.loads((FOLDER / f"{name}.prompts.json").read_text())
     centers = asset.element_centers
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    tree = cKDTree(centers[labels >= 0]) if asset.mesh is None else None
+    tree = KDTree(centers[labels >= 0]) if asset.mesh is None else None
     for click in prompts["clicks"]:
         assert (np.asarray(click["position"]) >= low - 1e-3).all()
         assert (np.asarray(click["position"]) <= high + 1e-3).all()

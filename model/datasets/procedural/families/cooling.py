@@ -39,12 +39,13 @@ def build_refrigerator(
     rng: np.random.Generator,
     *,
     ajar: float = 0.0,
+    gap: float = 0.004,
 ) -> ProceduralObject:
-    """A refrigerator of one of the layouts that :func:`refrigerator` names."""
+    """A refrigerator of one of the layouts that :func:`refrigerator` names; ``gap`` in metres."""
     b = Builder("Refrigerator", rng)
     w, d, h = size
     body = b.base("refrigerator_body")
-    bottom, wall, thick, gap = 0.04, 0.045, float(rng.uniform(0.045, 0.07)), 0.004
+    bottom, wall, thick = 0.04, 0.045, float(rng.uniform(0.045, 0.07))
     front = -d / 2
     body.add(s.box((0.9 * w, 0.85 * d, bottom), (0, 0.03 * d, bottom / 2)), palette.dark, "plinth")
     cut = {"freezer_top": 0.7, "freezer_bottom": 0.36, "french": 0.38}.get(layout, 0.0)

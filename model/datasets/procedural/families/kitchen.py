@@ -84,6 +84,7 @@ class OvenSpec:
     Attributes:
         size: (x, y, z) metres; knobs: number; burners: 0 for a built-in oven.
         drawer: a warming drawer below the door; knob_limits: radians, None turns without end.
+        gap: metres above and below the door.
     """
 
     size: tuple[float, float, float] = (0.6, 0.6, 0.86)
@@ -97,6 +98,7 @@ class OvenSpec:
     handle: m.HandleStyle = "bar"
     knob_limits: tuple[float, float] | None = None
     door_open: float = 0.0
+    gap: float = 0.003
 
 
 def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> ProceduralObject:
@@ -139,7 +141,7 @@ def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> Pr
     door = m.door(
         b,
         body,
-        m.Opening(-w / 2 + 0.002, w / 2 - 0.002, low, high - 0.001),
+        m.Opening(-w / 2 + 0.002, w / 2 - 0.002, low, high + 0.002 - spec.gap),
         front - 0.002,
         m.DoorSpec(
             "bottom", np.pi / 2, "window", spec.handle, 0.76 * w, 0.045, 0.5, 0.05, thick - 0.002
@@ -147,7 +149,7 @@ def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> Pr
         palette,
     )
     if spec.drawer:
-        _warming_drawer(b, body, w, d, bottom, low, thick, palette)
+        _warming_drawer(b, body, w, d, bottom, low + 0.001 - spec.gap, thick, palette)
     _oven_knobs(b, body, spec, palette, front - thick, bottom + h - spec.fascia / 2)
     if spec.burners:
         _cooktop(body, w, d, bottom + h, spec.burners, palette)
@@ -166,7 +168,7 @@ def _warming_drawer(
 ) -> None:
     front = -d / 2
     part = b.slide("drawer", body, (0, -1, 0), 0.0, 0.3, (0, front, (bottom + low) / 2))
-    r = m.Opening(-w / 2 + 0.002, w / 2 - 0.002, bottom + 0.004, low - 0.004)
+    r = m.Opening(-w / 2 + 0.002, w / 2 - 0.002, bottom + 0.004, low - 0.001)
     m.panel(part, r, front - 0.002, thick - 0.002, "plain", palette)
     grip = m.handle("lip", 0.5 * w, 0.025)
     m.add(
