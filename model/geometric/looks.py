@@ -105,7 +105,8 @@ def look(context: PartContext) -> Looks:
         size=shape.size,
         relative=shape.size / max(base.size, 1e-6),
         disc=disc,
-        flat=disc.half / max(disc.radius, 1e-6) if disc is not None else 0.0,
+        # Noise thickens a thin disc.
+        flat=max(0.0, disc.half - 2.5 * shape.noise) / max(disc.radius, 1e-6) if disc else 0.0,
         axis_up=axis_up,
         scanned=shape.scanned,
         ball=shape.ball,

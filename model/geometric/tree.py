@@ -47,7 +47,7 @@ def root_scores(scene: Scene) -> Array:
     out += 1.5 * named
     # Balls and propellers are held; they hold nothing.
     for i, s in enumerate(shapes):
-        if size[i] > 0.3 and low[i] > 0.02 and (s.ball or blades(s) is not None):
+        if size[i] > 0.3 and low[i] > 0.06 and (s.ball or blades(s) is not None):
             out[i] -= 1.5
     for i in np.argsort(-out)[: min(3, n)]:
         out[i] += 1.2 * _encloses(scene, int(i))
@@ -115,6 +115,7 @@ def _holder(scene: Scene, root: int, i: int) -> int | None:
         and scene.gap[i, j] < TOUCHING / 2
         and scene.shapes[j].size > 0.6 * shape.size
         and not _alike(scene, i, j)
+        and not _both_slivers(scene, root, i, j)
     ]
     if not near:
         return None
@@ -126,6 +127,12 @@ def _holder(scene: Scene, root: int, i: int) -> int | None:
         inside = (shape.points > scene.shapes[best].low) & (shape.points < scene.shapes[best].high)
         return best if mine > 0.5 and roots < 0.1 and inside.all(1).mean() > 0.5 else None
     return best if mine > 0.15 + 2.0 * roots else None
+
+
+def _both_slivers(scene: Scene, root: int, i: int, j: int) -> bool:
+    """Two long thin parts by the root, like the hands of a clock: neither holds the other."""
+    slender = max(scene.shapes[i].slenderness, scene.shapes[j].slenderness) < 0.3
+    return slender and bool(max(scene.gap[i, root], scene.gap[j, root]) < 2 * TOUCHING)
 
 
 def _alike(scene: Scene, i: int, j: int) -> bool:
