@@ -1,0 +1,50 @@
+"""Plug-ins load through the same table as the built-in segmenters."""
+
+from __future__ import annotations
+
+import pytest
+
+from model.errors import ConfigurationError
+from model.segmentation import registry
+from model.segmentation.baselines import nearest_click
+
+
+class _Entry:
+    def __init__(self, name: str, target) -> None:
+        self.name, self.value, self._target = name, f"somewhere:{name}", target
+
+    def load(self):
+        if isinstance(self._target, Exception):
+            raise self._target
+        return self._target
+
+
+@pytest.fixture
+def plug_ins(monkeypatch):
+    entries = [
+        _Entry("mine", nearest_click),
+        _Entry("default", object),
+        _Entry("wrong", object),
+        _Entry("broken", ImportError("no torch")),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    registry._table.cache_clear()
+    yield
+    registry._table.cache_clear()
+
+
+def test_a_plug_in_is_listed_and_loads(plug_ins):
+    assert "mine" in registry.segmenter_names()
+    assert registry.segmenter_names()[0] == "default"
+    assert registry.load_segmenter("mine").name == "nearest"
+
+
+def test_a_plug_in_cannot_replace_the_default(plug_ins):
+    assert registry.load_segmenter().name == "default"
+
+
+def test_bad_plug_ins_are_named(plug_ins):
+    with pytest.raises(ConfigurationError, match=r"wrong.*encode"):
+        registry.load_segmenter("wrong")
+    with pytest.raises(ConfigurationError, match=r"broken.*no torch"):
+        registry.load_segmenter("broken")
