@@ -1,4 +1,4 @@
-"""The command line: ``artiworld serve | segment | predict | export | evaluate | bench | doctor``.
+"""The command line: ``artiworld serve | segment | predict | export | …``.
 
 Exit codes: 0; 2 for the user's mistake, with one line on stderr that says what to do; 1 for our own
 fault, with its details in a log file. Nothing heavy is imported before a command needs it.
@@ -75,6 +75,7 @@ def make_parser() -> argparse.ArgumentParser:
         ("predict", _add_predict, _predict, "predict the joints of a folder of parts"),
         ("export", _add_export, _export, "write an articulated object in another format"),
         ("evaluate", _add_evaluate, _evaluate, "score a predictor on a data set"),
+        ("generate", _add_generate, _generate, "make articulated objects with ground truth"),
         ("bench", _add_bench, _bench, "measure speed and accuracy"),
         ("doctor", _add_doctor, _doctor, "say what is installed, usable and wrong"),
     ):
@@ -245,6 +246,16 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     _add_json(parser)
 
 
+def _add_generate(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--family", nargs="+", default=["all"], metavar="NAME",
+        help="categories of PartNet-Mobility, Composite, or all")  # fmt: skip
+    add("--n", type=_count, default=1, metavar="N", help="objects of each family (default: 1)")
+    add("--seed", type=int, default=0, help="the same seed gives the same objects")
+    add("--out", type=Path, required=True, metavar="DIR", help="gets one folder an object")
+    _add_json(parser)
+
+
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("what", choices=("ui", "segment", "predict"))
@@ -306,6 +317,20 @@ def _export(args: argparse.Namespace) -> int:
     with printing.session(args.json) as show:
         report = headless.export(args.asset, args.format, args.out, progress=show.progress)
     show.result(report, lambda: printing.files_table(report, args.out))
+    return 0
+
+
+def _generate(args: argparse.Namespace) -> int:
+    from app import printing
+    from model.datasets.procedural.generate import GenerateSettings, generate
+
+    settings = GenerateSettings(args.out, tuple(args.family), args.n, args.seed)
+    with printing.session(args.json) as show:
+        folders = generate(settings, show.progress)
+    show.result(
+        {"folders": [str(f) for f in folders]},
+        lambda: print(f"{len(folders)} objects in {args.out}"),
+    )
     return 0
 
 

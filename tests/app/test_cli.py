@@ -26,6 +26,16 @@ from tests.app.run_cli import (
     write_prompts,
 )
 
+COMMANDS = (
+    "serve",
+    "segment",
+    "predict",
+    "export",
+    "evaluate",
+    "generate",
+    "bench",
+    "doctor",
+)
 HEAVY = ("torch", "viser", "open3d", "scipy", "mujoco", "sqlalchemy", "trimesh", "numpy", "rich")
 
 
@@ -86,12 +96,12 @@ def test_help_is_quick():
         done = artiworld("--help")
         times.append(time.perf_counter() - start)
     assert min(times) < 0.5
-    for command in ("serve", "segment", "predict", "export", "evaluate", "bench", "doctor"):
+    for command in COMMANDS:
         assert f"\n    {command} " in done.stdout
 
 
 def test_every_option_is_explained(capsys):
-    for command in ("serve", "segment", "predict", "export", "evaluate", "bench", "doctor"):
+    for command in COMMANDS:
         assert main([command, "--help"]) == 0
         text = capsys.readouterr().out
         assert text.startswith(f"usage: artiworld {command}")
@@ -393,3 +403,15 @@ def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, ca
     assert kept["joints"] == [] and kept["problems"] == ["the model said nothing"]
     monkeypatch.undo()
     assert main(["predict", str(parts), "--out", str(out)]) == 0
+
+
+def test_generate_makes_objects_that_evaluate_reads(tmp_path):
+    done = artiworld("generate", "--family", "Safe", "Laptop", "--n", 1, "--out", tmp_path / "made")
+    assert done.returncode == 0, done.stderr
+    folders = sorted(p.name for p in (tmp_path / "made").iterdir())
+    assert len(folders) == 2
+    scored = artiworld("evaluate", "--root", tmp_path / "made", "--jobs", 1, "--json")
+    assert scored.returncode == 0, scored.stderr
+    assert_users_mistake(
+        artiworld("generate", "--family", "Spaceship", "--out", tmp_path / "x"), "Spaceship"
+    )
