@@ -284,7 +284,8 @@ def _baseline(app: Any, browser: PretendedBrowser, figures: UiFigures) -> None:
     asset = app.object.asset
     before, start = browser.quiet(), time.perf_counter()
     app.scene.show_asset(asset)
-    figures.whole_bytes = browser.quiet() - before
+    _wait(lambda: browser.last > start, "the whole object")
+    figures.whole_bytes = browser.quiet(1.0) - before
     figures.whole_ms = 1000 * (browser.last - start)
 
 
