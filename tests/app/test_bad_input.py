@@ -151,8 +151,9 @@ def test_a_missing_mtl_is_a_note_not_an_end(tmp_path):
     scan.write_text("mtllib nowhere.mtl\nusemtl paint\n" + text)
     prompts = write_prompts(tmp_path / "p.json", [{"position": [0.3, 0.5, 0.4], "part": 1}])
     done = artiworld(
-        "segment", scan, "--prompts", prompts, "--out", tmp_path / "o", "--up-axis", "z"
-    )
+        "segment", scan, "--prompts", prompts, "--out", tmp_path / "o", "--up-axis", "z",
+        "--segmenter", "nearest",
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "nowhere.mtl" in done.stdout
 
@@ -162,7 +163,8 @@ def test_some_nan_points_are_dropped_with_a_note(tmp_path):
     points[::10] = np.nan
     scan = ply(tmp_path / "holes.ply", points)
     prompts = write_prompts(tmp_path / "p.json", [{"position": [0.3, 0.5, 0.4], "part": 1}])
-    done = artiworld("segment", scan, "--prompts", prompts, "--out", tmp_path / "o", "--json")
+    words = ("--out", tmp_path / "o", "--json", "--segmenter", "nearest")
+    done = artiworld("segment", scan, "--prompts", prompts, *words)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["source"]["count"] == 1800
