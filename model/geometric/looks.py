@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP
-from model.geometric.shape import Roundness
+from model.geometric.outline import Roundness
 
 Array = npt.NDArray[np.float64]
 

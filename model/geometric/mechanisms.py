@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import Assembly, PartContext
-from model.geometric.edges import edge_hypotheses, with_swept_limits
+from model.geometric.edge_limits import with_swept_limits
+from model.geometric.edges import edge_hypotheses
 from model.geometric.hypothesis import Hypothesis, unit
 from model.geometric.pivots import (
     lever_hypotheses,

@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
-from model.geometric.shape import Shape, roundness
+from model.geometric.outline import roundness
+from model.geometric.shape import Shape
 from model.geometric.sweep import free_range
 
 Array = npt.NDArray[np.float64]

@@ -12,11 +12,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from model.geometric.outline import Roundness, extent, roundness
 
-ROUND = 0.055
-"""Largest spread of the outline's radius over its mean that still counts as a circle (a hexagon
-has 0.047, a square 0.11)."""
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,28 +42,6 @@ class Box:
     def reach(self, direction: Array) -> float:
         """Half extent along a unit direction."""
         return float(np.abs(self.axes.T @ direction) @ self.half)
-
-
-@dataclass(frozen=True, eq=False)
-class Roundness:
-    """How well the outline seen along ``axis`` is a circle.
-
-    Attributes:
-        axis: (3,) unit. center: (3,) on the axis, at the part's middle. radius: of the circle.
-        spread: standard deviation of the outline's radius over its mean; 0 is a circle.
-        half: half of the part's extent along the axis.
-    """
-
-    axis: Array
-    center: Array
-    radius: float
-    spread: float
-    half: float
-
-    @property
-    def round(self) -> bool:
-        """Whether it counts as a circle."""
-        return self.spread < ROUND
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +88,7 @@ class Shape:
 
     @cached_property
     def _bounds(self) -> Array:
-        return _extent(self.outline, self.scanned)
+        return extent(self.outline, self.scanned)
 
     @property
     def center(self) -> Array:
@@ -279,14 +255,8 @@ def fit_panel(shape: Shape, normal: int | None = None) -> Panel:
     return Panel(k, low, high, beyond(-1.0), beyond(1.0), total / cells**2)
 
 
-def _extent(points: Array, scanned: bool) -> Array:
-    if scanned and len(points) >= 200:
-        return np.quantile(points, [0.004, 0.996], axis=0)
-    return np.stack([points.min(0), points.max(0)])
-
-
 def _box_in(points: Array, axes: Array, scanned: bool) -> Box:
-    low, high = _extent(points @ axes, scanned)
+    low, high = extent(points @ axes, scanned)
     return Box(axes, axes @ ((low + high) / 2), np.maximum((high - low) / 2, 1e-6))
 
 
@@ -356,54 +326,6 @@ def _turned_box(points: Array, coarse: Array, k: int, scanned: bool) -> Box:
     e = np.eye(3)[k]
     # (i, j) is (z, x) reversed for k = 1, so the sense of the turn changes there.
     return _box_in(points, rotation(e, angle if k != 1 else -angle), scanned)
-
-
-def roundness(points: Array, axis: Array, scanned: bool, noise: float = 0.0) -> Roundness | None:
-    """Fit a circle to the convex outline of ``points`` seen along ``axis``.
-
-    What the noise alone would make of a circle is taken off the spread.
-    """
-    from scipy.spatial import ConvexHull, QhullError
-
-    u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    u /= np.linalg.norm(u)
-    v = np.cross(axis, u)
-    flat = points @ np.stack([u, v], 1)
-    if len(flat) < 4:
-        return None
-    if scanned and len(flat) >= 50:
-        middle = np.median(flat, axis=0)
-        r = np.linalg.norm(flat - middle, axis=1)
-        flat = flat[r <= np.quantile(r, 0.985)]
-    try:
-        hull = np.asarray(flat[ConvexHull(flat).vertices], np.float64)
-    except (QhullError, ValueError):
-        return None
-    ring = _resampled(hull, 96)
-    scale = float(np.ptp(ring, axis=0).max())
-    if scale < 1e-9:
-        return None
-    a = np.column_stack([2 * ring, np.ones(len(ring))])
-    solution, *_ = np.linalg.lstsq(a, (ring**2).sum(1), rcond=None)
-    middle = solution[:2]
-    radii = np.linalg.norm(ring - middle, axis=1)
-    along = points @ axis
-    low, high = _extent(along[:, None], scanned)[:, 0]
-    center = middle[0] * u + middle[1] * v + axis * (low + high) / 2
-    mean = float(radii.mean())
-    spread = np.sqrt(max(0.0, float(radii.std()) ** 2 - (1.2 * noise) ** 2))
-    if mean > 0.65 * scale:
-        spread = mean  # a sliver lies well on a huge circle; that isn't round
-    return Roundness(axis, center, mean, float(spread / mean), float(high - low) / 2)
-
-
-def _resampled(polygon: Array, count: int) -> Array:
-    """Evenly spaced points along a closed polygon."""
-    closed = np.vstack([polygon, polygon[:1]])
-    step = np.linalg.norm(np.diff(closed, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(step)])
-    at = np.linspace(0.0, along[-1], count, endpoint=False)
-    return np.stack([np.interp(at, along, closed[:, i]) for i in range(2)], 1)
 
 
 def _rim(points: Array, axis: Array) -> float:

@@ -7,8 +7,9 @@ import numpy.typing as npt
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
+from model.geometric.outline import Roundness, roundness
 from model.geometric.pivots import crossing
-from model.geometric.shape import Roundness, Shape, blades, roundness
+from model.geometric.shape import Shape, blades
 
 Array = npt.NDArray[np.float64]
 
