@@ -10,6 +10,7 @@ import numpy.typing as npt
 from model.segmentation.cells import Cells, groups
 from model.segmentation.hierarchy import TREES, Hierarchy
 from model.segmentation.masks import (
+    FEATURE_NAMES,
     Candidates,
     Clicked,
     MaskDescriber,
@@ -24,6 +25,11 @@ Float = npt.NDArray[np.floating]
 _THINNING = 1.06
 _BIASES = (-0.02, -0.1, -0.25)
 _CHAIN = 40
+_IDLE_CELLS = 2
+_IDLE_PENALTY = 3.0
+_LOSS_PENALTY = 3.0
+_USUAL_OVERLAP = 0.8
+_OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +162,14 @@ class PartSolver:
         both = joined([found, self._finish(joined(more), after, blocked)])
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
-        return Ranked(both, features, scores)
+        # Nobody clicks early to change a cell or two; later that may be all that is wrong.
+        idle = (both.masks ^ state.mask).sum(1) <= _IDLE_CELLS
+        said = len(after.positive) + len(after.negative)
+        early = np.exp(-(said - 2) / 2)
+        # And nobody clicks late to throw away most of what is there.
+        lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
+        penalty = _IDLE_PENALTY * early * idle + _LOSS_PENALTY * (1 - early) * lost
+        return Ranked(both, features, scores - penalty)
 
     def _first_answer(self, after: PartState, cell: int, blocked: Bool | None) -> Ranked:
         clicked = Clicked(after.positive, after.negative, cell, True)
