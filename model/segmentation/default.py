@@ -25,7 +25,7 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, load_mlp
-from model.segmentation.plates import Plates, plates_of
+from model.segmentation.plates import Plates, plates_of, small_shells_of
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
@@ -70,14 +70,17 @@ class DefaultSession:
         asset: what was encoded.
         encoding: nodes, graph, cells, trees, walks.
         solver: hypotheses and scores for one part.
-        plates: flat polygons of a mesh, None for a cloud.
+        groups: faces of a mesh that belong together.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
         self.asset = asset
         self.encoding = encoding
         self.solver = solver
-        self.plates: Plates | None = None if asset.mesh is None else plates_of(asset.mesh)
+        mesh = asset.mesh
+        self.groups: tuple[Plates, ...] = (
+            () if mesh is None else (plates_of(mesh), small_shells_of(mesh))
+        )
         self._states: OrderedDict[bytes, _State] = OrderedDict()
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
@@ -219,8 +222,8 @@ class DefaultSession:
         labels = encoding.nodes.elements.to_elements(of_cell[encoding.cells.of_node])
         if not steps:
             return labels
-        if self.plates is not None:
-            labels = self.plates.whole(labels, steps)
+        for groups in self.groups:
+            labels = groups.whole(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
 
     def _instead(

@@ -1,8 +1,9 @@
-"""Plates: the flat polygons that a modelled mesh is made of.
+"""What a modelled mesh is made of: plates (flat polygons) and small disconnected shells.
 
 A modelled panel is a few coplanar triangles, and the borders between them mean nothing: a part
 takes a plate as a whole or not at all. Larger flat regions come from scans and grids, where a cut
-may well run through.
+may well run through. A small shell among several is a thing of its own (a handle, a drawer's box);
+it is split only where the clicks say so.
 """
 
 from __future__ import annotations
@@ -22,28 +23,36 @@ FLAT = 0.01
 """Radians between faces up to which they count as coplanar."""
 
 MOST_FACES = 12
+SHELL_SHARE = 0.25
+"""Of the mesh's area: larger shells may be several parts that were modelled or scanned as one."""
+
+LEAST_SHELLS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Plates:
-    """The plates of a mesh.
+    """Groups of faces that belong together.
 
     Attributes:
-        of_face: (F,) int32 the plate of each face, -1 for faces that belong to none.
+        of_face: (F,) int32 the group of each face, -1 for faces that belong to none.
         weight: (F,) float64 areas in m².
-        number: of plates.
+        number: of groups.
+        splits: whether prompts of several parts in one group leave it as it is.
     """
 
     of_face: npt.NDArray[np.int32]
     weight: npt.NDArray[np.float64]
     number: int
+    splits: bool = False
 
     def whole(self, labels: npt.NDArray[np.int16], steps: Iterable[Step]) -> npt.NDArray[np.int16]:
-        """Labels (F,) with every plate in one part: that of its last positive click, else the
+        """Labels (F,) with every group in one part: that of its last positive click, else the
         one that has most of its area, among the parts that no click refuses there.
         """
+        steps = tuple(steps)
         if not self.number:
             return labels
+        disputed = self._disputed(steps) if self.splits else None
         on = self.of_face >= 0
         plate, label = self.of_face[on], labels[on].astype(np.int64)
         width = int(max(labels.max(), max((s.part for s in steps), default=0))) + 1
@@ -58,7 +67,24 @@ class Plates:
                 else:
                     row[step.part] = -1.0
         out = labels.copy()
-        out[on] = votes.argmax(axis=1)[plate]
+        winner = votes.argmax(axis=1)[plate]
+        out[on] = winner if disputed is None else np.where(disputed[plate], label, winner)
+        return out
+
+    def _disputed(self, steps: tuple[Step, ...]) -> npt.NDArray[np.bool_]:
+        """(number,) groups in which prompts speak of several parts, or refuse one."""
+        out = np.zeros(self.number, bool)
+        said: dict[int, int] = {}
+        for step in steps:
+            if isinstance(step, ClickStep):
+                group = int(self.of_face[step.element])
+                if group >= 0:
+                    out[group] |= (
+                        not step.positive or said.setdefault(group, step.part) != step.part
+                    )
+            else:
+                groups = self.of_face[step.elements]
+                out[groups[groups >= 0]] = True
         return out
 
 
@@ -79,3 +105,18 @@ def plates_of(mesh: Mesh) -> Plates:
     of_face = np.full(count, -1, np.int32)
     ids, of_face[is_plate] = np.unique(group[is_plate], return_inverse=True)
     return Plates(of_face, np.asarray(mesh.face_areas, np.float64), len(ids))
+
+
+def small_shells_of(mesh: Mesh) -> Plates:
+    """The disconnected shells of ``mesh`` that are small enough to be one thing each."""
+    from model.geometry.topology import connected_shells
+
+    shell = np.asarray(connected_shells(mesh))
+    area = np.asarray(mesh.face_areas, np.float64)
+    total = np.bincount(shell, area)
+    of_face = np.full(len(shell), -1, np.int32)
+    small = (total <= SHELL_SHARE * total.sum())[shell]
+    if len(total) < LEAST_SHELLS or not small.any():
+        return Plates(of_face, area, 0, True)
+    ids, of_face[small] = np.unique(shell[small], return_inverse=True)
+    return Plates(of_face, area, len(ids), True)

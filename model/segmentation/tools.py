@@ -245,8 +245,9 @@ def _fit(session: DefaultSession, model: Bool, other: Bool) -> float:
 def propose(session: DefaultSession, seeds: int = 160, least: float = 0.55) -> PartSegmentation:
     """A first guess of all parts, to start from.
 
-    Masks that a first click on one of many spread cells would take, best first, without
-    overlaps; what none of them takes, and the largest of them, is the base.
+    Masks that a first click on one of many spread cells would take, best first; a small part may
+    sit on a large one, other overlaps are refused. What none of them takes is the base, and so
+    is the largest where it covers most of the object.
 
     Args:
         seeds: cells asked.
@@ -257,17 +258,21 @@ def propose(session: DefaultSession, seeds: int = 160, least: float = 0.55) -> P
     for cell in _spread(cells.center, seeds):
         answer = session.solver.first_answer(int(cell))
         score = 1 / (1 + np.exp(-answer.scores))
-        for index in np.argsort(-score)[:2]:
+        for index in np.argsort(-score)[:4]:
             ranked.append((float(score[index]), answer.candidates.masks[index]))
     ranked.sort(key=lambda pair: -pair[0])
-    taken = np.zeros(len(cells), bool)
     chosen: list[Bool] = []
     for score, mask in ranked:
-        fresh = mask & ~taken
-        if score < least or cells.size[fresh].sum() < 0.9 * cells.size[mask].sum():
-            continue
-        taken |= mask
-        chosen.append(fresh)
+        size = float(cells.size[mask].sum())
+        shared = [float(cells.size[mask & other].sum()) for other in chosen]
+        # Apart from all others, or a small part that sits on one of them: a knob on a panel.
+        fits = all(
+            common < 0.1 * size
+            or (common > 0.9 * size and size < 0.25 * float(cells.size[other].sum()))
+            for common, other in zip(shared, chosen, strict=True)
+        )
+        if score >= least and fits:
+            chosen.append(mask)
     of_cell = np.zeros(len(cells), np.int16)
     chosen.sort(key=lambda m: -float(cells.size[m].sum()))
     if chosen and cells.size[chosen[0]].sum() > 0.4 * cells.size.sum():

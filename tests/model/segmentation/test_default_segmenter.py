@@ -85,8 +85,8 @@ def test_many_more_points_than_nodes(make_cabinet_cloud):
 def test_the_mesh_is_cut_along_its_edges(mesh_cabinet):
     session = DefaultSegmenter().encode(mesh_cabinet.asset)
     centers, truth = mesh_cabinet.asset.element_centers, mesh_cabinet.labels
-    clicks = [click_at(mesh_cabinet, deepest(centers, truth == p), p) for p in (1, 2)]
-    for _ in range(2):
+    clicks = [click_at(mesh_cabinet, deepest(centers, truth == p), p) for p in (0, 1, 2)]
+    for _ in range(4):
         labels = session.segment(Prompts(tuple(clicks))).labels
         found = next_part_click(centers, truth, labels)
         if found is None:
