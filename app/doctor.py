@@ -119,7 +119,7 @@ def _torch() -> Check:
         found = "torch is not installed; nothing here needs it but network predictors"
         return Check("gpu", "note", found, "run: pip install 'artiworld[network]'")
     try:
-        import torch
+        import torch  # pyright: ignore[reportMissingImports]
 
         if torch.cuda.is_available():
             return Check(

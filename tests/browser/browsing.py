@@ -17,7 +17,7 @@ CHROMIUM_FLAGS = (
     "--disable-sync",
     "--no-first-run",
 )
-TIMEOUT = 60.0
+TIMEOUT = 100.0
 
 _PROJECT = """(p) => {
   const m = window.__viserMutable, cam = m.camera, box = m.canvas.getBoundingClientRect();
@@ -60,9 +60,9 @@ class Tab:
     def ready(self) -> Tab:
         """Wait for the object's picture and for clicks to be heard."""
         page = self.page
-        page.wait_for_selector("canvas", state="attached", timeout=60_000)
+        page.wait_for_selector("canvas", state="attached", timeout=150_000)
         page.wait_for_function(
-            "() => window.__viserSceneTree && window.__viserMutable", timeout=60_000
+            "() => window.__viserSceneTree && window.__viserMutable", timeout=150_000
         )
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(
@@ -70,7 +70,7 @@ class Tab:
             "the object is open",
         )
         self.wait_node("/scan")
-        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=60_000)
+        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
         page.wait_for_timeout(400)
         return self
 
@@ -78,7 +78,7 @@ class Tab:
         self.page.wait_for_function(
             "(n) => { const s = window.__viserSceneTree?.getState?.(); return !!s && !!s[n]; }",
             arg=name,
-            timeout=60_000,
+            timeout=150_000,
         )
 
     def pixel(self, point: Any) -> tuple[float, float]:

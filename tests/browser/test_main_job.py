@@ -228,6 +228,7 @@ def test_two_tabs_show_the_same(start: Any, open_tab: Any, cabinet: Any) -> None
     wait_until(lambda: len(one.object.document.prompts) == 1, "the first tab's state")
     first.wait_node("/prompt/0")
     first.wait_node("/tint/1")
+    second.page.close()
     # A reload shows the saved state.
     first.page.reload()
     first.ready()

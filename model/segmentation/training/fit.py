@@ -27,7 +27,7 @@ def fit_mlp(
     Args:
         features: (N, D). target, weight: (N,).
     """
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 
     torch.manual_seed(seed)
     mean = features.mean(0)
@@ -69,7 +69,7 @@ def fit_ranker(
     Args:
         features: (N, D). value: (N,) in [0, 1]. group: (N,) ascending ids.
     """
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 
     torch.manual_seed(seed)
     mean, scale = features.mean(0), np.maximum(features.std(0), 1e-6)
@@ -107,7 +107,7 @@ def fit_ranker(
 
 
 def _layers(width: int, hidden: tuple[int, ...]) -> list[Any]:
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 
     sizes = (width, *hidden, 1)
     layers: list[Any] = []
