@@ -33,6 +33,8 @@ from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
 FIRST_SCORER = "segmentation/first_click.npz"
 LATER_SCORER = "segmentation/later_click.npz"
 _STATES = 256
+_SPECK = 0.002
+_FAR_LARGER = 0.5
 _ALTERNATIVES = 5
 
 Bool = npt.NDArray[np.bool_]
@@ -158,10 +160,10 @@ class DefaultSession:
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
             found = self.solver.answer(own, cell, step.positive, blocked)
-            parts[step.part] = replace(
-                with_click(own, cell, step.positive),
-                mask=self.solver.tidy(found.best, own, cell) & ~blocked,
-            )
+            mask = self.solver.tidy(found.best, own, cell) & ~blocked
+            if step.positive and own.mask is not None:
+                mask = self._not_in_vain(own, mask, cell, blocked)
+            parts[step.part] = replace(with_click(own, cell, step.positive), mask=mask)
             ranked[step.part] = found
         if step.positive:
             taken = parts[step.part].mask
@@ -178,6 +180,28 @@ class DefaultSession:
                 else:
                     parts[q] = replace(yielded, mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
+
+    def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
+        """``mask``, widened where a positive click outside the part brought hardly anything.
+
+        A person who clicks beside the tint means more than a speck: the best first answer there
+        that is neither a speck nor far larger than the part joins it.
+        """
+        size = self.encoding.cells.size
+        total = size.sum()
+        least = _SPECK * total
+        assert own.mask is not None
+        if size[mask & ~own.mask].sum() >= least:
+            return mask
+        most = max(_FAR_LARGER * size[own.mask].sum(), 20 * least)
+        first = self.solver.first_answer(cell)
+        for index in np.argsort(-first.scores, kind="stable"):
+            more = first.candidates.masks[index] & ~blocked
+            if not more[cell] or more[list(own.negative)].any():
+                continue
+            if least <= size[more & ~mask].sum() <= most:
+                return mask | more
+        return mask
 
     def _foreign(self, state: _State, part: int) -> tuple[int, ...]:
         """Cells clicked as something else: negatives of a part that begins."""
