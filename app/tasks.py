@@ -227,7 +227,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         part_names=asset.part_names,
         has_parts=asset.element_part is not None,
         category=asset.category,
-        warnings=tuple(getattr(asset, "warnings", ())),
+        warnings=asset.warnings,
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
     )
 

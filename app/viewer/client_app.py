@@ -477,7 +477,8 @@ class ClientApp:
         self._draw_scene(obj)
         self.annotate_panel.draw(obj)
         self.joints_panel.draw(obj)
-        self.review_panel.draw(obj)
+        if self.stage == "Review":  # it reads the history, which no click should pay for
+            self.review_panel.draw(obj)
 
     def _follow_prediction(self, obj: OpenObject) -> None:
         """A new prediction is what the person waited for: show its joints."""

@@ -13,8 +13,3 @@ def plain(text: str, limit: int = 120) -> str:
     """
     short = text if len(text) <= limit else text[: limit - 1] + "…"
     return "".join(c if c.isalnum() or c in _KEEP else f"&#{ord(c)};" for c in short)
-
-
-def number(value: float, unit: str) -> str:
-    """A number with its unit, as few digits as make sense."""
-    return f"{value:.3g} {unit}" if abs(value) < 100 else f"{value:.0f} {unit}"

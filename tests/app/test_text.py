@@ -3,7 +3,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.text import number, plain
+from app.viewer.text import plain
 
 
 @given(st.text(max_size=200))
@@ -21,8 +21,3 @@ def test_it_reads_as_it_was_typed(text: str) -> None:
 
 def test_long_text_is_cut() -> None:
     assert len(plain("a" * 500, 50)) <= 50 + len("&#8230;")
-
-
-def test_numbers_have_units() -> None:
-    assert number(12.3456, "mm") == "12.3 mm"
-    assert number(1234.5, "mm") == "1234 mm"
