@@ -1,0 +1,1 @@
+"""Arti4URDF: a language model that reads point-cloud tokens and writes a kinematic tree."""
