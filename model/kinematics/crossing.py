@@ -34,6 +34,11 @@ THICK = 10.0
 """Thickness of boards that points of their back don't look through, in tolerances."""
 OUTLIERS = 0.004
 """Share of a part's samples that may be wrong."""
+ASIDE = (0.5, 1.0, 2.0, 4.0)
+"""Steps aside that are tried, in tolerances."""
+ASIDE_POINTS = 64
+ASIDE_SHARE = 0.9
+"""Share of the crossings that a step aside must avoid."""
 BULK = 0.08
 """Reach of a part's bulk about a point, in the part's diagonal."""
 
@@ -69,6 +74,8 @@ class Crossings:
         anchor, normal: (E, 3) of the crossed element in the target's coordinates; the normal
             points the way the point went.
         outliers: how many of them may be chance: stray points, bled labels.
+        aside: metres to step aside so that none of them happens, see :func:`_aside`; infinite
+            where that is much, or can't be told.
     """
 
     q: FloatArray
@@ -76,6 +83,7 @@ class Crossings:
     anchor: FloatArray
     normal: FloatArray
     outliers: int
+    aside: float
 
     def depth(self, target_from_part: FloatArray) -> FloatArray:
         """(K, E) metres beyond the crossed elements at (K, 4, 4) poses; negative is before."""
@@ -144,7 +152,7 @@ def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> C
         best[points], element[points] = fraction[order], hits.element[met][order]
         sign = np.sign(np.einsum("ri,ri->r", n, chords.direction))[:, None]
         normal[points] = (n * sign)[order]
-        anchor[points] = np.where((along[order] <= 0)[:, None], at[0][points], hit[order])
+        anchor[points] = np.where((fraction[order] <= 0)[:, None], at[0][points], hit[order])
         again = np.flatnonzero(~counts & (fraction < best[chords.point]))
         chords = _continued(chords.take(again), t[again], tolerance)
     found = np.flatnonzero(np.isfinite(best))
@@ -155,7 +163,11 @@ def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> C
     q = np.interp(np.maximum(best[found], 0), np.arange(len(path.q)), path.q)
     share = OUTLIERS if target.oriented else OUTLIERS / 2
     outliers = math.floor(share * len(part.points))
-    return Crossings(q, part.points[chosen[found]], anchor[found], normal[found], outliers)
+    aside = math.inf
+    if part.oriented and target.oriented and len(found) > outliers:
+        step = np.clip(best[found].astype(np.int64), 0, len(path.q) - 2)
+        aside = _aside(target, anchor[found], at[step + 1, found] - at[step, found], tolerance)
+    return Crossings(q, part.points[chosen[found]], anchor[found], normal[found], outliers, aside)
 
 
 def _near(
@@ -317,6 +329,43 @@ def _shares(
     return (weight * (beyond > margin)).sum(1), (weight * (beyond < -margin)).sum(1)
 
 
+def _aside(target: Surface, hit: FloatArray, ways: FloatArray, tolerance: float) -> float:
+    """Metres aside, square to (E, 3) ways, that avoid nearly all crossings at (E, 3) ``hit``.
+
+    Two parts that overlap by a hair's breadth along an edge pass each other's whole depth; what
+    is wrong with them is that breadth. It counts only where the opposite step of twice the size
+    avoids nothing: both do at a thin post, which is in the way all the same.
+
+    Returns:
+        Infinite where it is more than the last of :data:`ASIDE`.
+    """
+    chosen = np.linspace(0, len(hit) - 1, min(len(hit), ASIDE_POINTS)).astype(np.int64)
+    hit, ways = hit[chosen], ways[chosen]
+    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)
+    u, v = _across(ways)
+    angles = np.arange(8) * (np.pi / 4)
+    directions = np.cos(angles)[:, None, None] * u + np.sin(angles)[:, None, None] * v
+    steps = np.array([*ASIDE, 2 * ASIDE[-1]]) * tolerance
+    reach = 3.0 * steps[:, None, None, None]  # as in _broad
+    start = hit + steps[:, None, None, None] * directions - reach * ways
+    along = np.broadcast_to(ways, start.shape)
+    distance = target.cast(start.reshape(-1, 3), along.reshape(-1, 3)).distance
+    misses = distance.reshape(start.shape[:-1]) > 2 * reach[..., 0]
+    opposite = np.roll(misses, 4, axis=1)
+    ever = np.maximum.accumulate(opposite, axis=0)
+    clear = misses[:-1] & ~ever[1:]
+    first = np.where(clear, steps[:-1, None, None], np.inf).min(axis=(0, 1))
+    return float(np.sort(first)[math.ceil(ASIDE_SHARE * len(first)) - 1])
+
+
+def _across(ways: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two (R, 3) unit vectors square to (R, 3) unit vectors and to each other."""
+    helper = np.eye(3)[np.argmin(np.abs(ways), axis=1)]
+    u: FloatArray = np.cross(ways, helper)
+    u = u / np.linalg.norm(u, axis=1, keepdims=True)
+    return u, np.asarray(np.cross(ways, u), np.float64)
+
+
 def _broad(
     target: Surface, hit: FloatArray, ways: FloatArray, sidestep: float
 ) -> npt.NDArray[np.bool_]:
@@ -324,10 +373,7 @@ def _broad(
 
     Where it isn't, a step aside avoids the target: parts that touch along an edge or a face.
     """
-    helper = np.eye(3)[np.argmin(np.abs(ways), axis=1)]
-    u = np.cross(ways, helper)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(ways, u)
+    u, v = _across(ways)
     reach = 3.0 * sidestep  # a surface as flat as GRAZING allows is met that much later
     out = np.ones(len(hit), bool)
     for angle in np.arange(SIDESTEPS) * (2 * np.pi / SIDESTEPS):

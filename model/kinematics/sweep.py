@@ -6,23 +6,34 @@ Penetration is measured beyond what is there at rest; see ``crossing`` for what 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from model.errors import KinematicsError
 from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.crossing import Crossings, Path, crossings, inverse, moved
-from model.kinematics.joint import Joint, motion
+from model.kinematics.joint import Joint
 from model.kinematics.surface import POINTS, Surface, surface_of
 from model.kinematics.tree import KinematicTree
+from model.kinematics.ways import (
+    LinkContact,
+    Poses,
+    Way,
+    contacts_along,
+    follows,
+    joint_poses,
+    tree_poses,
+)
 
 TOLERANCE = 0.005
 """Penetration that is no collision yet, in the object's diagonal."""
 CHORD = math.radians(6.0)
 """Longest arc between two poses of the sweep."""
+SLIDE_STEPS = 16
+FINE = 129
+"""Poses at which the first collision is looked for."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,10 +45,13 @@ class Sweep:
     Attributes:
         joint: its name.
         q: (S,) joint values in radians or metres, ascending.
-        depth: (S,) metres beyond the penetration at rest; 0 where nothing is touched.
+        depth: (S,) metres beyond the penetration at rest, and no more than the step aside that
+            avoids it; 0 where nothing is touched.
         where: (S, 3) the deepest point at that pose, object frame; NaN where nothing is touched.
         others: (S,) link that is penetrated, or None.
         tolerance: metres that the surfaces' noise may cause.
+        free: the joint values, at most the limits and 0, between which nothing is deeper than the
+            tolerance.
     """
 
     joint: str
@@ -46,6 +60,7 @@ class Sweep:
     where: FloatArray
     others: tuple[str | None, ...]
     tolerance: float
+    free: tuple[float, float]
 
     @property
     def collides(self) -> npt.NDArray[np.bool_]:
@@ -54,13 +69,19 @@ class Sweep:
 
 
 @dataclass(frozen=True, eq=False)
-class _Contact:
-    """Crossings between two links in one direction of a joint; ``forward`` tells whose points."""
+class WaySweep:
+    """Penetration between links along a way through joint space.
 
-    moving: str
-    still: str
-    forward: bool
-    found: Crossings
+    Attributes:
+        depth, where: as in :class:`Sweep`, (K,) and (K, 3).
+        pairs: (K,) the two links that meet, or None.
+        tolerance: as in :class:`Sweep`.
+    """
+
+    depth: FloatArray
+    where: FloatArray
+    pairs: tuple[tuple[str, str] | None, ...]
+    tolerance: float
 
 
 def sweep_joint(
@@ -87,17 +108,22 @@ def sweep_joint(
     lower, upper = (moving.lower, moving.upper) if moving.limited else (-math.pi, math.pi)
     assert lower is not None and upper is not None
     q = np.linspace(lower, upper, samples)
-    surfaces = _surfaces(obj, points)
-    scale = _tolerance(surfaces, tolerance)
-    depth, where = np.zeros(samples), np.full((samples, 3), np.nan)
-    others: list[str | None] = [None] * samples
-    for end in (min(lower, 0.0), max(upper, 0.0)):
+    surfaces = surfaces_of(obj, points)
+    scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9
+    found = _Deepest(samples)
+    free = [0.0, 0.0]
+    for k, end in enumerate((min(lower, 0.0), max(upper, 0.0))):
         if end == 0.0:
             continue
-        for contact in _contacts(tree, moving, surfaces, end, scale):
-            mine = np.flatnonzero((q * end > 0) & (abs(end) >= np.abs(q)))
-            _deepen(tree, moving, contact, q, mine, depth, where, others)
-    return Sweep(moving.name, q, depth, where, tuple(others), scale)
+        contacts = contacts_along(_joint_way(tree, moving, end), surfaces, scale)
+        mine = np.flatnonzero((q * end > 0) & (abs(end) >= np.abs(q)))
+        if contacts and len(mine):
+            poses = joint_poses(tree, moving, q[mine])
+            for contact in contacts:
+                found.enter(contact, poses, q[mine], mine)
+        free[k] = _first_collision(tree, moving, contacts, end, scale)
+    others = tuple(None if p is None else p[1] for p in found.pairs)
+    return Sweep(moving.name, q, found.depth, found.where, others, scale, (free[0], free[1]))
 
 
 def free_range(
@@ -123,15 +149,80 @@ def free_range(
         KinematicsError: as :func:`sweep_joint`.
     """
     tree, moving = _tree_with(obj, joint)
-    surfaces = _surfaces(obj, points)
+    surfaces = surfaces_of(obj, points)
     if maximum is None:
-        maximum = math.pi if moving.rotates else _diagonal(surfaces)
-    scale = _tolerance(surfaces, tolerance)
-    free = [
-        _first_collision(tree, moving, _contacts(tree, moving, surfaces, end, scale), end, scale)
-        for end in (-maximum, maximum)
-    ]
+        maximum = math.pi if moving.rotates else diagonal_of(surfaces)
+    scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9
+    free = []
+    for end in (-maximum, maximum):
+        contacts = contacts_along(_joint_way(tree, moving, end), surfaces, scale)
+        free.append(_first_collision(tree, moving, contacts, end, scale))
     return min(free[0], 0.0), max(free[1], 0.0)
+
+
+def sweep_way(
+    obj: ArticulatedObject,
+    values: Sequence[Mapping[str, float]],
+    *,
+    pairs: Collection[frozenset[str]] | None = None,
+    tolerance: float | None = None,
+    points: int = POINTS,
+) -> WaySweep:
+    """Move several joints at once and see which links run into each other.
+
+    Args:
+        values: (K,) joint values in small steps; the first must be rest. Missing joints are at 0.
+        pairs: the links to look at; all that move against each other by default.
+        tolerance, points: as in :func:`sweep_joint`.
+
+    Raises:
+        KinematicsError: for a joint that isn't there.
+    """
+    surfaces = surfaces_of(obj, points)
+    scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9
+    way = Way(np.arange(len(values), dtype=np.float64), tree_poses(obj.tree, values))
+    found = _Deepest(len(values))
+    for contact in contacts_along(way, surfaces, scale, pairs):
+        found.enter(contact, way.poses, way.q, np.arange(len(values)))
+    return WaySweep(found.depth, found.where, tuple(found.pairs), scale)
+
+
+def surfaces_of(obj: ArticulatedObject, points: int = POINTS) -> dict[str, Surface]:
+    """Link → surface of its part; parts without geometry have none."""
+    found = {p.link: surface_of(p, points) for p in obj.parts}
+    return {link: s for link, s in found.items() if s is not None}
+
+
+def diagonal_of(surfaces: Mapping[str, Surface]) -> float:
+    """Diagonal of the box around all surfaces in metres."""
+    each = np.stack([s.bounds for s in surfaces.values()])
+    return float(np.linalg.norm(each[:, 1].max(0) - each[:, 0].min(0)))
+
+
+def sweep_tolerance(surfaces: Mapping[str, Surface]) -> float:
+    """Metres: :data:`TOLERANCE` of the diagonal, and no less than the spacing of a cloud."""
+    if not surfaces:
+        return 1e-9
+    finest = max(s.resolution for s in surfaces.values())
+    return max(TOLERANCE * diagonal_of(surfaces), finest, 1e-9)
+
+
+class _Deepest:
+    """The deepest contact at each of ``count`` poses."""
+
+    def __init__(self, count: int) -> None:
+        self.depth, self.where = np.zeros(count), np.full((count, 3), np.nan)
+        self.pairs: list[tuple[str, str] | None] = [None] * count
+
+    def enter(
+        self, contact: LinkContact, poses: Poses, q: FloatArray, index: npt.NDArray[np.int64]
+    ) -> None:
+        """Take over a contact's depths at (K,) ``q`` where they exceed those at (K,) ``index``."""
+        depth, crossing = contact.depth(poses, q)
+        for k in np.flatnonzero(depth > self.depth[index]):
+            i = int(index[k])
+            self.depth[i], self.pairs[i] = depth[k], (contact.moving, contact.still)
+            self.where[i] = contact.place(poses, int(k), int(crossing[k]))
 
 
 def _tree_with(obj: ArticulatedObject, joint: str | Joint) -> tuple[KinematicTree, Joint]:
@@ -148,124 +239,27 @@ def _tree_with(obj: ArticulatedObject, joint: str | Joint) -> tuple[KinematicTre
     return tree, joint
 
 
-def _diagonal(surfaces: Mapping[str, Surface]) -> float:
-    each = np.stack([s.bounds for s in surfaces.values()])
-    return float(np.linalg.norm(each[:, 1].max(0) - each[:, 0].min(0)))
-
-
-def _tolerance(surfaces: Mapping[str, Surface], tolerance: float | None) -> float:
-    if tolerance is not None or not surfaces:
-        return tolerance or 1e-9
-    finest = max(s.resolution for s in surfaces.values())
-    return max(TOLERANCE * _diagonal(surfaces), finest, 1e-9)
-
-
-def _surfaces(obj: ArticulatedObject, points: int) -> dict[str, Surface]:
-    found = {p.link: surface_of(p, points) for p in obj.parts}
-    return {link: s for link, s in found.items() if s is not None}
-
-
-def _followers(tree: KinematicTree, joint: Joint) -> bool:
-    return joint.mimic is not None or any(j.mimic is not None for j in tree.joints)
-
-
 def _steps(joint: Joint, end: float) -> FloatArray:
-    count = math.ceil(abs(end) / CHORD) if joint.rotates else 16
+    count = math.ceil(abs(end) / CHORD) if joint.rotates else SLIDE_STEPS
     return np.linspace(0.0, end, max(count, 1) + 1)
 
 
-def _poses(
-    tree: KinematicTree, joint: Joint, q: Sequence[float] | FloatArray
-) -> dict[str, FloatArray]:
-    """Link → (K, 4, 4) ``posed_from_rest`` of the links that ``joint`` moves."""
-    if not _followers(tree, joint):
-        here = np.stack([motion(joint, float(v)) for v in q])
-        return dict.fromkeys(tree.descendants(joint.child), here)
-    # Followers move too, and a follower that is dragged by hand leaves its leader alone.
-    if joint.mimic is not None:
-        tree = tree.with_joint(replace(joint, mimic=None))
-    all_ = [tree.pose({joint.name: float(v)}) for v in q]
-    stacked = {link: np.stack([p[link] for p in all_]) for link in tree.links}
-    return {k: v for k, v in stacked.items() if not np.allclose(v, np.eye(4), atol=1e-12)}
-
-
-def _contacts(
-    tree: KinematicTree, joint: Joint, surfaces: dict[str, Surface], end: float, tolerance: float
-) -> list[_Contact]:
-    """Crossings of every pair of links that move against each other from rest to ``end``."""
+def _joint_way(tree: KinematicTree, joint: Joint, end: float) -> Way:
+    """From rest to ``end``."""
     q = _steps(joint, end)
-    poses = _poses(tree, joint, q)
-    straight = not joint.rotates and not _followers(tree, joint)
-    still = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    out: list[_Contact] = []
-    moving = [link for link in poses if link in surfaces]
-    for i, a in enumerate(moving):
-        for b in [*(link for link in surfaces if link not in poses), *moving[i + 1 :]]:
-            b_from_a = inverse(poses.get(b, still)) @ poses[a]
-            if np.allclose(b_from_a, b_from_a[0], atol=1e-12):
-                continue
-            there = Path(q, b_from_a, straight)
-            back = Path(q, inverse(b_from_a), straight)
-            for part, target, path in ((a, b, there), (b, a, back)):
-                found = crossings(surfaces[part], surfaces[target], path, tolerance)
-                if len(found.q) > found.outliers:
-                    out.append(_Contact(a, b, part == a, found))
-    return out
-
-
-def _relative(poses: dict[str, FloatArray], contact: _Contact, count: int) -> FloatArray:
-    """(K, 4, 4) from the points' link to the crossed one."""
-    still = np.broadcast_to(np.eye(4), (count, 4, 4))
-    a, b = poses.get(contact.moving, still), poses.get(contact.still, still)
-    return inverse(b) @ a if contact.forward else inverse(a) @ b
-
-
-def _deepen(
-    tree: KinematicTree,
-    joint: Joint,
-    contact: _Contact,
-    q: FloatArray,
-    index: npt.NDArray[np.int64],
-    depth: FloatArray,
-    where: FloatArray,
-    others: list[str | None],
-) -> None:
-    """Enter a contact's depths at ``q[index]`` where they exceed those found before."""
-    poses = _poses(tree, joint, q[index])
-    each = contact.found.depth(_relative(poses, contact, len(index)))
-    each[np.abs(q[index])[:, None] < np.abs(contact.found.q)] = 0.0
-    rank = np.argpartition(-each, contact.found.outliers, axis=1)[:, contact.found.outliers]
-    link = contact.moving if contact.forward else contact.still
-    for row, i in enumerate(index):
-        worst = each[row, rank[row]]
-        if worst > depth[i]:
-            place = contact.found.points[rank[row]][None]
-            object_from_link = poses[link][row : row + 1] if link in poses else np.eye(4)[None]
-            depth[i], others[i] = worst, contact.still
-            where[i] = moved(object_from_link, place)[0, 0]
+    straight = not joint.rotates and not follows(tree, joint)
+    return Way(q, joint_poses(tree, joint, q), straight)
 
 
 def _first_collision(
-    tree: KinematicTree, joint: Joint, contacts: list[_Contact], end: float, tolerance: float
+    tree: KinematicTree, joint: Joint, contacts: list[LinkContact], end: float, tolerance: float
 ) -> float:
     """The joint value where the surfaces meet that penetrate beyond the tolerance first."""
     if not contacts:
         return end
     q = _steps(joint, end)
-    fine = np.unique(np.concatenate([np.interp(np.linspace(0, 1, 129), [0, 1], [0, end]), q]))
+    fine = np.unique(np.concatenate([np.interp(np.linspace(0, 1, FINE), [0, 1], [0, end]), q]))
     fine = fine if end > 0 else fine[::-1]
-    poses = _poses(tree, joint, fine)
-    first = abs(end)
-    for contact in contacts:
-        each = contact.found.depth(_relative(poses, contact, len(fine))) > tolerance
-        each &= np.abs(fine)[:, None] >= np.abs(contact.found.q)
-        beyond = each.any(axis=0)
-        if beyond.sum() <= contact.found.outliers:
-            continue
-        when = np.abs(fine)[each.argmax(axis=0)]
-        when[~beyond] = np.inf
-        settled = np.partition(when, contact.found.outliers)[contact.found.outliers]
-        onsets = np.abs(contact.found.q)[when <= settled]
-        rank = min(contact.found.outliers, len(onsets) - 1)
-        first = min(first, float(np.partition(onsets, rank)[rank]))
-    return math.copysign(first, end)
+    poses = joint_poses(tree, joint, fine)
+    first = min(contact.onset(poses, fine, tolerance) for contact in contacts)
+    return math.copysign(min(first, abs(end)), end)

@@ -14,7 +14,7 @@ from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint, Mimic
-from model.kinematics.sweep import free_range, sweep_joint
+from model.kinematics.sweep import free_range, sweep_joint, sweep_way
 from model.kinematics.tree import KinematicTree
 
 KINDS = ("mesh", "badly wound", "cloud")
@@ -179,6 +179,52 @@ def test_a_thin_post_is_met_between_the_samples_of_the_mover():
     door = part("link_1", "mesh", box([0, -0.01, -1], [0.9, 0, 1]))
     found = free_range(two(joint, part("link_0", "mesh", post), door), "j")[1]
     assert found == pytest.approx(math.atan2(0.5, 0.31), abs=0.01)
+
+
+def lid_in_a_rim(overlap: float) -> ArticulatedObject:
+    """A round lid that lifts out of a tight rim which reaches ``overlap`` over its edge."""
+    lid = trimesh.creation.cylinder(0.1, 0.03, sections=64).apply_translation([0, 0, 0.115])
+    rim = trimesh.creation.annulus(0.1 - overlap, 0.13, 0.01, sections=64)
+    rim.apply_translation([0, 0, 0.145])
+    floor = box([-0.15, -0.15, 0], [0.15, 0.15, 0.1])
+    joint = Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.1)
+    return two(joint, part("link_0", "mesh", floor, rim), part("link_1", "mesh", lid))
+
+
+def test_an_overlap_by_a_hairs_breadth_is_that_deep_and_no_more():
+    """Lifted out, the lid is far beyond the rim that it passed; wrong with it is the breadth."""
+    narrow = sweep_joint(lid_in_a_rim(0.0008), "j")
+    assert not narrow.collides.any()
+    assert narrow.free == (0.0, 0.1)
+    wide = sweep_joint(lid_in_a_rim(0.015), "j")
+    assert wide.collides[-1]
+    assert wide.depth[-1] > 0.05
+    assert wide.free[1] == pytest.approx(0.01, abs=1e-3)
+
+
+def test_a_way_through_joint_space_meets_what_no_joint_meets_alone():
+    """Two doors that slide towards each other: each alone is free, both together are not."""
+    floor = part("base", "mesh", box([-1, -1, -0.2], [1, 1, -0.1]))
+    left = part("link_1", "mesh", box([-0.8, 0, 0], [-0.05, 0.02, 1]))
+    right = part("link_2", "mesh", box([0.05, 0, 0], [0.8, 0.02, 1]))
+    tree = KinematicTree(
+        ("base", "link_1", "link_2"),
+        (
+            Joint("a", "prismatic", "base", "link_1", (1, 0, 0), lower=0, upper=0.09),
+            Joint("b", "prismatic", "base", "link_2", (-1, 0, 0), lower=0, upper=0.09),
+        ),
+    )
+    obj = ArticulatedObject("x", (floor, left, right), tree)
+    assert not sweep_joint(obj, "a").collides.any()
+    assert not sweep_joint(obj, "b").collides.any()
+    way = [{"a": t, "b": t} for t in np.linspace(0, 0.09, 10)]
+    found = sweep_way(obj, way)
+    assert found.pairs[-1] == ("link_1", "link_2")
+    assert found.depth[-1] == pytest.approx(0.08, abs=1e-3)
+    assert found.depth[4] == 0
+    assert abs(found.where[-1][0]) < 0.05
+    other = sweep_way(obj, way, pairs={frozenset(("base", "link_1"))})
+    assert other.pairs == (None,) * 10
 
 
 def test_what_hangs_on_the_joint_moves_along():
