@@ -7,12 +7,14 @@ be cut back to an earlier length, and its rows can be reordered and multiplied f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
+
+from model.arti4urdf.key_value_cache import BLOCK, KeyValueCache
 
 
 @dataclass(frozen=True)
@@ -55,116 +57,6 @@ QWEN3_1_7B = DecoderConfig(151_936, 2048, 6144, 28, 16, 8)
 QWEN3_4B = DecoderConfig(151_936, 2560, 9728, 36, 32, 8)
 QWEN3_8B = DecoderConfig(151_936, 4096, 12288, 36, 32, 8, tied=False)
 QWEN3 = {"0.6b": QWEN3_0_6B, "1.7b": QWEN3_1_7B, "4b": QWEN3_4B, "8b": QWEN3_8B}
-
-_BLOCK = 256
-"""Slots by which a cache grows."""
-
-
-class KeyValueCache:
-    """Keys and values of the tokens read so far, one row a sequence.
-
-    Rows may hold tokens that don't count (``valid`` of :meth:`Decoder.forward`), so that sequences
-    of different lengths share a batch: such a slot is attended by nobody and takes no position.
-
-    Args:
-        config: of the decoder.
-        batch: rows.
-        capacity: slots to begin with; it grows by itself.
-        device: where the tensors live.
-        dtype: of the decoder's weights.
-    """
-
-    def __init__(
-        self,
-        config: DecoderConfig,
-        batch: int = 1,
-        *,
-        capacity: int = _BLOCK,
-        device: torch.device | str = "cpu",
-        dtype: torch.dtype = torch.float32,
-    ) -> None:
-        shape = (config.layers, batch, config.kv_heads, max(1, capacity), config.head_dim)
-        self._keys = torch.empty(shape, device=device, dtype=dtype)
-        self._values = torch.empty_like(self._keys)
-        self._valid: Tensor | None = None
-        self._length = 0
-
-    @property
-    def length(self) -> int:
-        """Slots in use."""
-        return self._length
-
-    @property
-    def batch(self) -> int:
-        """Rows."""
-        return self._keys.shape[1]
-
-    def truncate(self, length: int) -> None:
-        """Forget everything after the first ``length`` slots."""
-        if not 0 <= length <= self._length:
-            raise ValueError(f"can't cut a cache of {self._length} slots to {length}")
-        self._length = length
-        if self._valid is not None:
-            self._valid = self._valid[:, :length]
-
-    def reorder(self, rows: Tensor) -> None:
-        """Row *i* becomes what row ``rows[i]`` was; rows may repeat, so their number may change.
-
-        Args:
-            rows: (new batch,) int64.
-        """
-        rows = rows.to(self._keys.device)
-        if len(rows) == self.batch and bool(
-            (rows == torch.arange(self.batch, device=rows.device)).all()
-        ):
-            return
-        used = slice(0, self._length)
-        keys = self._keys.new_empty((self._keys.shape[0], len(rows)) + self._keys.shape[2:])
-        values = torch.empty_like(keys)
-        keys[:, :, :, used] = self._keys[:, :, :, used].index_select(1, rows)
-        values[:, :, :, used] = self._values[:, :, :, used].index_select(1, rows)
-        self._keys, self._values = keys, values
-        if self._valid is not None:
-            self._valid = self._valid.index_select(0, rows)
-
-    def copy(self) -> KeyValueCache:
-        """An independent cache with the same content."""
-        twin = object.__new__(KeyValueCache)
-        twin._keys, twin._values = self._keys.clone(), self._values.clone()
-        twin._valid, twin._length = self._valid, self._length
-        return twin
-
-    def _begin(self, count: int, valid: Tensor | None) -> tuple[Tensor | None, Tensor | None]:
-        """Make room for ``count`` slots; their positions and who may be attended.
-
-        Returns:
-            (B, count) positions and (B, slots) validity; None twice where every slot counts.
-        """
-        before = self._length
-        room = self._keys.shape[3]
-        if before + count > room:
-            more = max(before + count - room, _BLOCK, room // 2)
-            self._keys = functional.pad(self._keys, (0, 0, 0, more))
-            self._values = functional.pad(self._values, (0, 0, 0, more))
-        self._length = before + count
-        if valid is None and self._valid is None:
-            return None, None
-        like = {"device": self._keys.device, "dtype": torch.bool}
-        old = self._valid
-        if old is None:
-            old = torch.ones(self.batch, before, **like)
-        new = torch.ones(self.batch, count, **like) if valid is None else valid.to(**like)
-        self._valid = torch.cat([old, new], dim=1)
-        positions = self._valid.long().cumsum(1)[:, before:] - 1
-        return positions.clamp_min(0), self._valid
-
-    def _append(self, layer: int, keys: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-        """Write a layer's (B, H, T, D) into the slots :meth:`_begin` made; all slots come back."""
-        span = slice(self._length - keys.shape[2], self._length)
-        self._keys[layer, :, :, span] = keys
-        self._values[layer, :, :, span] = values
-        used = slice(0, self._length)
-        return self._keys[layer, :, :, used], self._values[layer, :, :, used]
 
 
 @dataclass(frozen=True)
@@ -230,7 +122,7 @@ class _Attention(nn.Module):
         keys = _rotate(self.k_norm(self.k_proj(hidden).view(split)).transpose(1, 2), shared)
         values = self.v_proj(hidden).view(split).transpose(1, 2)
         if shared.cache is not None:
-            keys, values = shared.cache._append(layer, keys, values)
+            keys, values = shared.cache.append(layer, keys, values)
         mixed = _attend(queries, keys, values, shared)
         return self.o_proj(mixed.transpose(1, 2).reshape(batch, count, -1))
 
@@ -258,6 +150,15 @@ class _Layer(nn.Module):
     def forward(self, hidden: Tensor, shared: _Pass) -> Tensor:
         hidden = hidden + self.self_attn(self.input_layernorm(hidden), shared, self.index)
         return hidden + self.mlp(self.post_attention_layernorm(hidden))
+
+
+def grown_rows(table: Tensor, size: int, known: int) -> Tensor:
+    """(size, D): the first ``known`` rows of ``table``, then their mean."""
+    table = table.detach()
+    grown = table.new_empty(size, table.shape[1])
+    grown[:known] = table[:known]
+    grown[known:] = table[:known].float().mean(0).to(table.dtype)
+    return grown
 
 
 class _Body(nn.Module):
@@ -289,7 +190,7 @@ class Decoder(nn.Module):
         """(B, T) token ids → (B, T, hidden_size)."""
         return self.model.embed_tokens(ids)
 
-    def new_cache(self, batch: int = 1, *, capacity: int = _BLOCK) -> KeyValueCache:
+    def new_cache(self, batch: int = 1, *, capacity: int = BLOCK) -> KeyValueCache:
         """An empty cache on the device and in the type of the weights."""
         weight = self.model.norm.weight
         return KeyValueCache(
@@ -331,6 +232,29 @@ class Decoder(nn.Module):
             return functional.linear(hidden, self.model.embed_tokens.weight)
         return self.lm_head(hidden)
 
+    def resize_vocabulary(self, size: int, *, known: int | None = None) -> None:
+        """Make room for ``size`` tokens; rows that were never trained start at the mean embedding.
+
+        Args:
+            size: rows of the embedding (and of the output matrix where it is untied) afterwards.
+            known: rows that hold a trained token, all by default; published vocabularies end in
+                rows that no token uses.
+        """
+        known = min(self.config.vocab_size if known is None else known, size)
+        if known < 1:
+            raise ValueError("a vocabulary needs at least one known token")
+        tables: list[nn.Embedding | nn.Linear] = [self.model.embed_tokens]
+        if self.lm_head is not None:
+            tables.append(self.lm_head)
+        for table in tables:
+            table.weight = nn.Parameter(
+                grown_rows(table.weight, size, known), requires_grad=table.weight.requires_grad
+            )
+        self.model.embed_tokens.num_embeddings = size
+        if self.lm_head is not None:
+            self.lm_head.out_features = size
+        self.config = replace(self.config, vocab_size=size)
+
     def _prepare(self, embeds: Tensor, cache: KeyValueCache | None, valid: Tensor | None) -> _Pass:
         count = embeds.shape[1]
         if cache is None:
@@ -340,7 +264,7 @@ class Decoder(nn.Module):
             # Padding at the right comes after every token that counts: the diagonal hides it.
             return _Pass(cosine, sine, None, True, None)
         before = cache.length
-        positions, attended = cache._begin(count, valid)
+        positions, attended = cache.begin(count, valid)
         cosine, sine = self._rotation(embeds, before, cache.length, positions)
         if before == 0 and attended is None:
             return _Pass(cosine, sine, None, True, cache)
@@ -360,7 +284,7 @@ class Decoder(nn.Module):
         """Cosine and signed sine of slots ``begin:end``, or of ``positions`` (B, T)."""
         table = self._angles
         if table is None or len(table[0]) < end or table[0].device != like.device:
-            self._angles = table = self._angle_table(max(end, 2 * _BLOCK), like.device)
+            self._angles = table = self._angle_table(max(end, 2 * BLOCK), like.device)
         if positions is None:
             cosine, sine = (part[None, None, begin:end] for part in table)
         else:

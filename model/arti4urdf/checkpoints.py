@@ -1,0 +1,205 @@
+"""Our own checkpoint folders, and strict loading that says what doesn't fit.
+
+A checkpoint is a folder of two files: ``config.json`` (with a format number) and
+``weights.safetensors``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from model.errors import InputFileError
+
+FORMAT = 1
+CONFIG_FILE = "config.json"
+WEIGHTS_FILE = "weights.safetensors"
+MAX_CONFIG_BYTES = 50_000_000
+
+D = TypeVar("D")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a checkpoint folder holds.
+
+    Attributes:
+        folder: where it was read.
+        config: everything of ``config.json`` but the format.
+        state: name → tensor.
+    """
+
+    folder: Path
+    config: Mapping[str, Any]
+    state: Mapping[str, Tensor]
+
+
+def save_checkpoint(
+    folder: Path,
+    config: Mapping[str, Any],
+    state: Mapping[str, Tensor],
+    *,
+    dtype: torch.dtype = torch.bfloat16,
+) -> None:
+    """Write a checkpoint folder; each file appears whole or not at all.
+
+    Matrices are written as ``dtype``; vectors (norms, biases: next to nothing in size) keep their
+    precision. Tensors that share memory are written apart.
+
+    Raises:
+        InputFileError: where the folder can't be written.
+    """
+    small = {
+        name: (value.to(dtype) if value.is_floating_point() and value.ndim > 1 else value)
+        .detach()
+        .cpu()
+        .contiguous()
+        .clone()
+        for name, value in state.items()
+    }
+    text = json.dumps({"format": FORMAT, **config}, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        weights = folder / f".{WEIGHTS_FILE}.{os.getpid()}"
+        save_file(small, weights, metadata={"format": "pt"})
+        weights.replace(folder / WEIGHTS_FILE)
+        draft = folder / f".{CONFIG_FILE}.{os.getpid()}"
+        draft.write_text(text + "\n")
+        draft.replace(folder / CONFIG_FILE)
+    except (OSError, SafetensorError) as error:
+        raise InputFileError(folder, f"the checkpoint can't be written: {error}") from error
+
+
+def load_checkpoint(folder: Path) -> Checkpoint:
+    """Read what :func:`save_checkpoint` wrote.
+
+    Raises:
+        InputFileError: where a file is absent, damaged or of a newer format.
+    """
+    path = folder / CONFIG_FILE
+    config = read_json(path)
+    found = config.pop("format", None)
+    if found != FORMAT:
+        raise InputFileError(
+            path, f"checkpoint format {found!r}", f"this version reads format {FORMAT}"
+        )
+    return Checkpoint(folder, config, read_safetensors(folder / WEIGHTS_FILE))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+        InputFileError: where the file is absent, huge or no JSON object.
+    """
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise InputFileError(path, "is far too large for a configuration")
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputFileError(path, f"can't be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputFileError(path, f"is not JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise InputFileError(path, "is not a JSON object")
+    return value
+
+
+def read_safetensors(path: Path) -> dict[str, Tensor]:
+    """All tensors of a safetensors file, on the CPU.
+
+    Raises:
+        InputFileError: where the file is absent or damaged.
+    """
+    if not path.is_file():
+        raise InputFileError(path, "no such file", "give a complete folder of weights")
+    try:
+        return load_file(path)
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputFileError(path, f"is no safetensors file, or a damaged one ({error})") from error
+
+
+def from_config(kind: type[D], values: object, path: Path) -> D:
+    """A configuration dataclass from the values that ``dataclasses.asdict`` gave.
+
+    Raises:
+        InputFileError: where a value is missing, unknown or refused by the class.
+    """
+    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(values, Mapping):
+        raise InputFileError(path, f"has no {kind.__name__}, but {str(values)[:40]!r}")
+    unknown = sorted(set(values) - set(fields))
+    if unknown:
+        raise InputFileError(
+            path, f"unknown {kind.__name__} values {', '.join(unknown)}", "is this version too old?"
+        )
+    required = (n for n, f in fields.items() if f.default is dataclasses.MISSING)
+    missing = sorted(set(required) - set(values))
+    if missing:
+        raise InputFileError(path, f"{kind.__name__} lacks {', '.join(missing)}")
+    try:
+        return kind(**values)
+    except (TypeError, ValueError) as error:
+        raise InputFileError(path, f"{kind.__name__}: {error}") from error
+
+
+def strict_load(
+    module: nn.Module, state: Mapping[str, Tensor], path: Path, *, dtype: torch.dtype | None = None
+) -> None:
+    """Put ``state`` into ``module``, every name and shape as expected, all numbers finite.
+
+    Args:
+        module: may be on the meta device: the tensors of ``state`` then become its own.
+        state: name → tensor.
+        path: where it comes from, for the error.
+        dtype: of the weights afterwards; None keeps the module's, or on the meta device the file's.
+
+    Raises:
+        InputFileError: naming what is missing, unknown, of another shape or not finite.
+    """
+    expected = module.state_dict()
+    problems = _differences(expected, state)
+    if problems:
+        raise InputFileError(path, "; ".join(problems), "give weights of this architecture")
+    broken = [n for n, v in state.items() if v.is_floating_point() and not v.isfinite().all()]
+    if broken:
+        raise InputFileError(path, f"numbers that are not finite in {_some(broken)}")
+    if dtype is not None:
+        state = {n: v.to(dtype) if v.is_floating_point() else v for n, v in state.items()}
+    on_meta = any(value.is_meta for value in expected.values())
+    module.load_state_dict(state, strict=True, assign=on_meta)
+    if dtype is not None:
+        module.to(dtype)
+
+
+def _differences(expected: Mapping[str, Tensor], state: Mapping[str, Tensor]) -> list[str]:
+    out = []
+    missing = [name for name in expected if name not in state]
+    unknown = [name for name in state if name not in expected]
+    other = [
+        f"{name} {list(state[name].shape)} instead of {list(value.shape)}"
+        for name, value in expected.items()
+        if name in state and state[name].shape != value.shape
+    ]
+    if missing:
+        out.append(f"missing {_some(missing)}")
+    if unknown:
+        out.append(f"unknown {_some(unknown)}")
+    if other:
+        out.append(f"of another shape: {_some(other)}")
+    return out
+
+
+def _some(names: Iterable[str], shown: int = 4) -> str:
+    names = list(names)
+    more = f" and {len(names) - shown} more" if len(names) > shown else ""
+    return ", ".join(names[:shown]) + more
