@@ -85,7 +85,7 @@ def _read_torch(path: Path) -> Any:
         with torch.serialization.safe_globals(harmless):
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        why = re.search(r"Unsupported (?:global|class)[^\n]*?: ?(?:GLOBAL )?([\w.]+)", str(error))
+        why = re.search(r"GLOBAL ([\w.]+)", str(error))
         problem = f"wants to run {why.group(1)}" if why else "is damaged or no torch file"
         raise InputFileError(path, problem, "only tensors and plain values are read") from error
     except (
