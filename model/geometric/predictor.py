@@ -59,13 +59,13 @@ class GeometricPredictor:
                 continue
             context = PartContext(assembly, i)
             found = propose(context, mechanisms[i])
-            built = _joints_of(scene, links, i, parent[i], found[0])
+            built = joints_of(scene, links, i, parent[i], found[0])
             joints += built
             helpers += [j.child for j in built[:-1]]
             sure[links[i]] = round(sureness[i] * confidence(_distinct(found)), 4)
             notes[links[i]] = f"{reasons[i]}; {found[0].note}"
             problems += _problems(context)
-        tree, trouble = _assemble(tuple(links), tuple(helpers), joints, locked)
+        tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
         sure.update({j.child: 1.0 for j in locked})
         notes.update({j.child: "settled by the person" for j in locked})
         progress(1.0, "done")
@@ -115,7 +115,7 @@ def _break_cycles(parent: list[int], root: int, settled: set[int]) -> None:
                 parent[loose] = root
 
 
-def _joints_of(scene: Scene, links: list[str], i: int, parent: int, h: Hypothesis) -> list[Joint]:
+def joints_of(scene: Scene, links: list[str], i: int, parent: int, h: Hypothesis) -> list[Joint]:
     """The hypothesis as joints in the object's frame: one, or a helper's and the part's own."""
     frame = scene.frame
     axis = frame.direction_in_object(h.axis)
@@ -181,7 +181,7 @@ def _problems(context: PartContext) -> list[str]:
     return out
 
 
-def _assemble(
+def assemble(
     links: tuple[str, ...], helpers: tuple[str, ...], joints: list[Joint], locked: tuple[Joint, ...]
 ) -> tuple[KinematicTree | None, list[str]]:
     """One tree of predicted and settled joints."""

@@ -191,8 +191,8 @@ class Scene:
         return float((theirs[seen] > mine[seen] + 0.004).mean())
 
 
-def make_scene(segmented: SegmentedObject, seed: int = 0) -> Scene:
-    """Sample the parts and turn them into the working frame.
+def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPLE_BUDGET) -> Scene:
+    """Sample the parts (``budget`` points in all) and turn them into the working frame.
 
     The sampling depends on each part's geometry alone, not on the order of the parts.
     """
@@ -202,7 +202,7 @@ def make_scene(segmented: SegmentedObject, seed: int = 0) -> Scene:
     parts = segmented.parts
     rough = np.array([_rough_area(p.bounds) for p in parts])
     share = np.sqrt(rough + 1e-12)
-    counts = np.clip(SAMPLE_BUDGET * share / share.sum(), 160, 6000).astype(int)
+    counts = np.clip(budget * share / share.sum(), 160, 6000).astype(int)
     sampled = [part_surface(p, int(c), seed) for p, c in zip(parts, counts, strict=True)]
     normals = np.concatenate([s.normals for s in sampled])
     weights = np.concatenate(

@@ -1,0 +1,204 @@
+"""Arti4URDF behind the Predictor protocol: the network, alone or with geometry beside it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arti4urdf import vocabulary as v
+from model.arti4urdf.answer import joints_of_decision, write_answer
+from model.arti4urdf.decoding import Answer, decode
+from model.arti4urdf.grammar import Lock
+from model.arti4urdf.network import ArtiModel, Prompt
+from model.arti4urdf.structure import Structure, read_structure, structure_arrays
+from model.geometric.predictor import assemble
+from model.kinematics.articulated_object import Prediction, SegmentedObject
+from model.kinematics.joint import Joint
+from model.progress import Progress, no_progress
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HybridSettings:
+    """Where geometry leads.
+
+    Attributes:
+        tree: geometry's tree is kept where the network gives another parent less than this
+            probability; 0 never asks geometry, 1 always does.
+    """
+
+    tree: float = 0.9
+
+
+class Arti4UrdfPredictor:
+    """The small model with its shipped weights, or weights from a folder.
+
+    Args:
+        model: in evaluation mode.
+        name: as registered. hybrid: None is the network alone.
+        version: of the weights, for the record.
+    """
+
+    def __init__(
+        self,
+        model: ArtiModel,
+        *,
+        name: str = "arti4urdf",
+        hybrid: HybridSettings | None = None,
+        version: str = "",
+    ) -> None:
+        self.name = name
+        self.hybrid = hybrid
+        self._model = model.eval()
+        self._version = version
+
+    def predict(
+        self,
+        segmented: SegmentedObject,
+        *,
+        locked: tuple[Joint, ...] = (),
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> Prediction:
+        """See :class:`model.predictor.Predictor`."""
+        start = time.perf_counter()
+        progress(0.0, "finding candidates")
+        structure = read_structure(segmented, seed)
+        progress(0.6, "reading shapes")
+        prompt = make_prompt(structure, segmented, seed)
+        links = [s.link for s in structure.scene.shapes]
+        locks, problems = _locks(locked, links)
+        answer = decode(self._model, prompt, locked=locks)
+        progress(0.8, "writing the tree")
+        if self.hybrid is not None:
+            answer = self._with_tree(answer, prompt, structure, locks)
+        joints: list[Joint] = []
+        helpers: list[str] = []
+        sure: dict[str, float] = {}
+        notes: dict[str, str] = {}
+        kept = {j.child for j in locked}
+        for i, link in enumerate(links):
+            if i == answer.root or link in kept or answer.decisions[i].parent < 0:
+                continue
+            built = joints_of_decision(structure, i, answer.decisions[i])
+            joints += built
+            helpers += [j.child for j in built[:-1]]
+            sure[link] = joint_confidence(answer, i)
+            notes[link] = _note(structure, answer, i)
+        tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
+        sure.update({j.child: 1.0 for j in locked})
+        notes.update({j.child: "settled by the person" for j in locked})
+        text = write_answer(tree, segmented) if tree is not None else ""
+        progress(1.0, "done")
+        return Prediction(
+            tree,
+            (*problems, *trouble),
+            sure,
+            f"{self.name} {self._version}".strip(),
+            seed,
+            time.perf_counter() - start,
+            text,
+            notes,
+        )
+
+    def _with_tree(
+        self, answer: Answer, prompt: Prompt, structure: Structure, locks: dict[int, Lock]
+    ) -> Answer:
+        """Decode again with geometry's tree where the network is unsure of its own."""
+        assert self.hybrid is not None
+        parents = structure.assembly.parent
+        doubtful = any(
+            answer.decisions[i].parent != parents[i]
+            and parent_confidence(answer, i) < self.hybrid.tree
+            for i in range(len(parents))
+        )
+        if not doubtful:
+            return answer
+        settled = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
+        return decode(self._model, prompt, locked=settled | locks)
+
+
+def make_prompt(structure: Structure, segmented: SegmentedObject, seed: int) -> Prompt:
+    """What the network reads of an object."""
+    arrays = structure_arrays(structure, np.random.default_rng(seed))
+    names = tuple(v.name_ids(s.name) for s in structure.scene.shapes)
+    return Prompt(arrays, v.category_id(segmented.category), names, np.arange(len(arrays)))
+
+
+def _locks(locked: tuple[Joint, ...], links: list[str]) -> tuple[dict[int, Lock], list[str]]:
+    """Settled joints as forced spans; joints below helper links count from the part above."""
+    index = {link: i for i, link in enumerate(links)}
+    above = {j.child: j.parent for j in locked}
+    out: dict[int, Lock] = {}
+    problems: list[str] = []
+    for joint in locked:
+        if joint.child not in index:
+            if joint.child not in above.values():
+                problems.append(f"locked joint {joint.name!r} names a link that isn't there")
+            continue
+        parent = joint.parent
+        while parent not in index and parent in above:
+            parent = above[parent]
+        if parent in index:
+            out[index[joint.child]] = Lock(index[parent], v.TYPES.index(joint.type))
+    return out, problems
+
+
+def parent_confidence(answer: Answer, part: int) -> float:
+    """Probability that the part hangs where it was put (or is the root)."""
+    if part == answer.root:
+        made = [m for m in answer.made if m.kind == "root"]
+        return made[0].probability if made else 1.0
+    parent = answer.decisions[part].parent
+    found = 1.0
+    for m in answer.made:
+        if m.kind == "child" and m.part == parent:
+            siblings = [k for k, d in enumerate(answer.decisions) if d.parent == parent]
+            mass = float(m.parts[siblings].sum())
+            if m.pointed == part:
+                found = min(found, mass)
+    return found
+
+
+def joint_confidence(answer: Answer, part: int) -> float:
+    """Product of the probabilities of what was decided about one part, 0..1."""
+    out = parent_confidence(answer, part)
+    for kind in ("type", "slot", "lower"):
+        for m in answer.choices(part, kind):
+            # Neighbouring levels share a limit's probability; its own share says little.
+            out *= m.probability if kind != "lower" else m.probability**0.5
+    return round(float(out), 4)
+
+
+def _note(structure: Structure, answer: Answer, part: int) -> str:
+    decision = answer.decisions[part]
+    kind = v.TYPES[decision.type]
+    asked = answer.choices(part, "type")
+    said = f"{kind} {asked[0].probability:.0%}" if asked else kind
+    if decision.slot < 0:
+        return said
+    offered = (
+        structure.slots[part][decision.slot] if decision.slot < len(structure.slots[part]) else None
+    )
+    where = offered.note if offered is not None else "no candidate fitted: axis and line in numbers"
+    limits = "" if decision.lower >= 0 else "; range by the motion sweep"
+    return f"{said}; {where}{limits if kind != 'continuous' else ''}"
+
+
+def load_arti4urdf(
+    folder: Path | None = None, *, name: str = "arti4urdf", hybrid: HybridSettings | None = None
+) -> Arti4UrdfPredictor:
+    """The predictor with the shipped weights, or those of a checkpoint folder.
+
+    Raises:
+        InputFileError: where the weights are absent or damaged.
+    """
+    from model.arti4urdf.weights import SHIPPED, load_weights
+
+    model, version = load_weights(folder or SHIPPED)
+    return Arti4UrdfPredictor(model, name=name, hybrid=hybrid, version=version)

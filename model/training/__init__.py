@@ -1,0 +1,1 @@
+"""Training of Arti4URDF: labels, samples, the loop."""

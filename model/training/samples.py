@@ -1,0 +1,180 @@
+"""Training samples: procedural objects, corrupted, with their structure prompts and labels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arti4urdf.structure import StructureArrays, read_structure, structure_arrays
+from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
+from model.datasets.procedural.generate import COMPOSITE, family_names, make
+from model.datasets.protocol import GroundTruth
+from model.errors import ConfigurationError
+from model.progress import Progress, no_progress
+from model.training.labels import Labels, label
+
+HELD_OUT = ("Display", "Suitcase", "Pliers", "Kettle", "Oven")
+"""The paper's five categories that are never trained on."""
+VERSION = 1
+BUDGET = 12000
+MOST_PARTS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One object as the network sees it, with its labels.
+
+    Attributes:
+        id: family, seed and index.
+        category, names: "" where they are not given.
+    """
+
+    id: str
+    category: str
+    names: tuple[str, ...]
+    arrays: StructureArrays
+    labels: Labels
+
+
+def training_families() -> tuple[str, ...]:
+    """All families but those held out; composites are drawn more often."""
+    return tuple(f for f in family_names() if f not in HELD_OUT)
+
+
+def draw_truth(family: str, seed: int, index: int) -> tuple[GroundTruth, bool]:
+    """A procedural object, one time in three clean, else corrupted, and whether it has names."""
+    rng = np.random.default_rng([seed, index, 7])
+    made = make(family, seed, index)
+    named = bool(rng.random() < 0.5)
+    if rng.random() < 0.35:
+        return GroundTruth(f"{family}_{seed}_{index}", made.object), named
+    settings = sometimes(MIXED, rng)
+    return corrupted(made, settings, rng, name=f"{family}_{seed}_{index}"), named
+
+
+def make_sample(truth: GroundTruth, *, named: bool, seed: int) -> Sample | None:
+    """The structure prompt and labels of one object; None where it can't serve."""
+    segmented = truth.segmented(names=named)
+    if not 2 <= len(segmented.parts) <= MOST_PARTS:
+        return None
+    rng = np.random.default_rng(seed)
+    structure = read_structure(segmented, seed, budget=BUDGET)
+    labels = label(structure, truth.object)
+    if labels is None:
+        return None
+    arrays = structure_arrays(structure, rng)
+    names = tuple(s.name or "" for s in structure.scene.shapes)
+    return Sample(truth.id, segmented.category or "", names, arrays, labels)
+
+
+def generate_samples(
+    families: Sequence[str], seed: int, indices: Sequence[int]
+) -> Iterator[Sample | None]:
+    """Samples one by one: composites every fourth, the families in turn; None for a failure."""
+    for index in indices:
+        family = COMPOSITE if index % 4 == 3 else families[index % len(families)]
+        truth, named = draw_truth(family, seed, index)
+        yield make_sample(truth, named=named, seed=index)
+
+
+_ARRAYS = tuple(f.name for f in fields(StructureArrays))
+_LABELS = tuple(f.name for f in fields(Labels))
+
+
+def write_shard(samples: Sequence[Sample], path: Path) -> None:
+    """Write samples as one file; it appears whole or not at all."""
+    out: dict[str, npt.NDArray[np.generic]] = {
+        "version": np.array(VERSION),
+        "sizes": np.array([len(s.arrays) for s in samples]),
+        "ids": np.array([s.id for s in samples]),
+        "categories": np.array([s.category for s in samples]),
+        "names": np.array(["|".join(s.names) for s in samples]),
+    }
+    for name in _ARRAYS:
+        values = [getattr(s.arrays, name) for s in samples]
+        if name == "relations":
+            values = [v.reshape(-1, v.shape[-1]) for v in values]
+        out[f"arrays.{name}"] = _compact(np.concatenate(values))
+    for name in _LABELS:
+        out[f"labels.{name}"] = np.concatenate([getattr(s.labels, name) for s in samples])
+    part = path.with_suffix(".part")
+    with part.open("wb") as stream:
+        np.savez(stream, **out)  # type: ignore[arg-type]
+    part.replace(path)
+
+
+def _compact(values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    return values.astype(np.float16) if values.dtype == np.float32 else values
+
+
+def read_shard(path: Path) -> list[Sample]:
+    """Read what :func:`write_shard` wrote.
+
+    Raises:
+        ConfigurationError: where the file is of another version.
+    """
+    with np.load(path, allow_pickle=False) as data:
+        if int(data["version"]) != VERSION:
+            raise ConfigurationError(
+                f"{path} has version {int(data['version'])}, this is {VERSION}: make it again"
+            )
+        columns = {k: data[k] for k in data.files}
+    ends = np.cumsum(columns["sizes"])
+    squares = np.cumsum(columns["sizes"] ** 2)
+    out: list[Sample] = []
+    for k, size in enumerate(columns["sizes"]):
+        rows = slice(ends[k] - size, ends[k])
+        values = {}
+        for name in _ARRAYS:
+            whole = columns[f"arrays.{name}"]
+            if name == "relations":
+                cut = whole[squares[k] - size**2 : squares[k]].reshape(size, size, -1)
+            else:
+                cut = whole[rows]
+            values[name] = cut.astype(np.float32) if cut.dtype == np.float16 else cut
+        labels = Labels(**{name: columns[f"labels.{name}"][rows] for name in _LABELS})
+        out.append(
+            Sample(
+                str(columns["ids"][k]),
+                str(columns["categories"][k]),
+                tuple(str(columns["names"][k]).split("|")),
+                StructureArrays(**values),
+                labels,
+            )
+        )
+    return out
+
+
+def write_shards(
+    folder: Path,
+    count: int,
+    *,
+    seed: int = 0,
+    shard: int = 100,
+    families: Sequence[str] | None = None,
+    progress: Progress = no_progress,
+) -> int:
+    """Fill ``folder`` with shards of ``shard`` objects; those that are there are kept.
+
+    Returns:
+        Objects written now.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    families = families or training_families()
+    written = 0
+    for first in range(math.ceil(count / shard)):
+        path = folder / f"{seed:04d}_{first:05d}.npz"
+        if path.exists():
+            continue
+        indices = range(first * shard, min(count, (first + 1) * shard))
+        found = [s for s in generate_samples(families, seed, indices) if s is not None]
+        if found:
+            write_shard(found, path)
+        written += len(found)
+        progress((first + 1) * shard / count, f"{written} objects")
+    return written
