@@ -230,19 +230,9 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--root", type=Path, required=True, metavar="DIR", help="folder of the data set")
-    add("--data", default="partnet-mobility", metavar="NAME", help="which data set it is")
-    add("--predictor", default="geometric", metavar="NAME")
-    add("--names", action=argparse.BooleanOptionalAction, default=True,
-        help="tell the predictor part names and category")  # fmt: skip
-    add("--scan", action="store_true", help="one-sided noisy clouds, turned at random")
-    add("--yaw", action="store_true", help="turn each object at random")
-    add("--noise", type=float, default=0.003, help="of --scan, in diagonals (default: 0.003)")
-    add("--jobs", type=int, default=2, help="processes (default: 2)")
-    add("--limit", type=int, help="at most this many objects")
-    add("--seed", type=int, default=0)
-    add("--out", type=Path, metavar="DIR", help="folder for the report")
+    from app.evaluate_command import add_options
+
+    add_options(parser)
     _add_json(parser)
 
 
@@ -335,27 +325,9 @@ def _generate(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    from app import printing
-    from model.evaluation.corruption import Corruption
-    from model.evaluation.run import EvaluationConfig, evaluate
-    from model.evaluation.table import print_report
+    from app.evaluate_command import run_evaluate
 
-    turned = args.yaw or args.scan
-    config = EvaluationConfig(
-        args.root,
-        args.data,
-        args.predictor,
-        args.names,
-        Corruption(yaw=None if turned else 0.0, scan=args.scan, noise=args.noise),
-        args.jobs,
-        args.limit,
-        args.seed,
-        out=args.out,
-    )
-    with printing.session(args.json) as show:
-        report = evaluate(config, progress=show.progress)
-    show.result(report.to_json(), lambda: print_report(report))
-    return 0
+    return run_evaluate(args)
 
 
 def _bench(args: argparse.Namespace) -> int:

@@ -8,18 +8,31 @@ merged, and only parts that take part in articulation are kept", ArtiWorld, sect
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
 from model.errors import InputFileError
-from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import load_part
 from model.kinematics.urdf_model import UrdfModel
 from model.kinematics.urdf_reader import read_urdf_model
+
+_TURNS, _STAYS = frozenset({"revolute", "continuous"}), frozenset({"fixed"})
+_SAID = {
+    "hinge": _TURNS,
+    "slider": frozenset({"prismatic"}),
+    "heavy": _STAYS,
+    "free": _STAYS,
+    "static": _STAYS,
+    "junk": _STAYS,
+}
+"""Words of ``mobility_v2.json`` → joint types that fit them."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +57,10 @@ class PartNetMobility:
             )
         return found
 
+    def category(self, object_id: str) -> str | None:
+        """See :class:`~model.datasets.protocol.Dataset`."""
+        return partnet_category(Path(self.root) / object_id)
+
     def load(self, object_id: str) -> GroundTruth:
         """Read one object: see :func:`read_partnet_mobility`."""
         return read_partnet_mobility(Path(self.root) / object_id)
@@ -61,72 +78,72 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
     folder = Path(folder)
     model = read_urdf_model(folder / "mobility.urdf")
     names = _semantic_names(folder)
-    notes = list(model.notes)
-    parts: list[Part] = []
-    rename: dict[str, str] = {}
-    for head, links in _rigid_groups(model.tree).items():
-        visuals = [v for link in links for v in model.by_link.get(link, ())]
-        if not visuals:
-            rename[head] = head
-            continue
-        shown = [link for link in links if link in model.by_link]
-        # The part is called after the link that the annotators named, else its first link.
-        link = next((n for n in links if n in names), shown[0])
-        rename[head] = link if link.startswith("link_") else f"link_{link}"
-        parts.append(replace(load_part(rename[head], visuals), name=names.get(link)))
-        if len(shown) > 1:
-            notes.append(f"{rename[head]}: merged from {', '.join(shown)}")
+    parts = {
+        link: replace(load_part(link, visuals), name=None)
+        for link, visuals in model.by_link.items()
+    }
     if not parts:
         raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
-    tree = _moving_tree(model, rename)
+    obj, merged = merge_rigid(
+        folder.name, model.tree, parts, names=names, category=partnet_category(folder)
+    )
+    notes = (*model.notes, *merged, *_disagreements(folder, model))
+    return GroundTruth(folder.name, obj, notes)
+
+
+def partnet_category(folder: Path) -> str | None:
+    """What ``meta.json`` says that the object is."""
     meta = _json(folder / "meta.json")
     category = meta.get("model_cat") if isinstance(meta, dict) else None
-    obj = ArticulatedObject(
-        folder.name, tuple(sorted(parts, key=lambda p: _natural(p.link))), tree, category
-    )
-    return GroundTruth(folder.name, obj, tuple(notes))
+    return category if isinstance(category, str) else None
 
 
-def _rigid_groups(tree: KinematicTree) -> dict[str, list[str]]:
-    """The topmost link of each rigid group → its links, parents first."""
-    head: dict[str, str] = {}
-    out: dict[str, list[str]] = {}
-    for link in tree.order:
-        joint = tree.joint_of.get(link)
-        fixed = joint is not None and not joint.moves
-        head[link] = head[joint.parent] if joint is not None and fixed else link
-        out.setdefault(head[link], []).append(link)
+def _disagreements(folder: Path, model: UrdfModel) -> tuple[str, ...]:
+    """Where ``mobility_v2.json`` tells another motion than the URDF, which is what counts."""
+    nodes = _json(folder / "mobility_v2.json")
+    out: list[str] = []
+    for node in nodes if isinstance(nodes, list) else ():
+        link, said = f"link_{node.get('id')}", node.get("joint")
+        chain = _chain(model.tree, link)
+        if not chain or said not in _SAID:
+            continue
+        fitting = [j for j in chain if j.type in _SAID[said]]
+        if not fitting:
+            shown = ", ".join(sorted({j.type for j in chain} - {"fixed"})) or "fixed"
+            out.append(f"{link}: mobility_v2.json says {said}, the URDF {shown}; the URDF counts")
+        elif fitting[0].limited and not _same_range(fitting[0], node):
+            out.append(f"{link}: mobility_v2.json has another range; the URDF's counts")
+    return tuple(out)
+
+
+def _chain(tree: KinematicTree, link: str) -> list[Joint]:
+    """The joints between ``link`` and the next link that is one of the file's parts."""
+    out: list[Joint] = []
+    joint = tree.joint_of.get(link)
+    while joint is not None:
+        out.append(joint)
+        joint = None if joint.parent.startswith("link_") else tree.joint_of.get(joint.parent)
     return out
 
 
-def _moving_tree(model: UrdfModel, rename: Mapping[str, str]) -> KinematicTree:
-    """The tree over rigid groups, without an empty root that only carries the whole object."""
-    group = {link: head for head, links in _rigid_groups(model.tree).items() for link in links}
-    joints = [
-        replace(j, parent=rename[group[j.parent]], child=rename[group[j.child]])
-        for j in model.tree.joints
-        if j.moves
-    ]
-    links = list(rename.values())
-    root = rename[group[model.tree.root]]
-    below = [j for j in joints if j.parent == root]
-    if not root.startswith("link_") and len(below) == 1:
-        links.remove(root)
-        joints.remove(below[0])
-    return KinematicTree(tuple(links), tuple(_unmimicked(joints)))
-
-
-def _unmimicked(joints: list[Joint]) -> list[Joint]:
-    """Without mimics whose leader was dropped."""
-    names = {j.name for j in joints}
-    return [
-        j if j.mimic is None or j.mimic.joint in names else replace(j, mimic=None) for j in joints
-    ]
-
-
-def _natural(name: str) -> tuple[int, str]:
-    digits = name.removeprefix("link_")
-    return (int(digits), "") if digits.isdigit() else (1 << 30, name)
+def _same_range(joint: Joint, node: Mapping[str, Any]) -> bool:
+    """Whether the node's limits are the joint's, up to the axis' sign and whole turns."""
+    limit = (node.get("jointData") or {}).get("limit")
+    if not limit:
+        return True
+    if limit.get("noLimit"):
+        return False
+    assert joint.lower is not None and joint.upper is not None
+    scale = math.pi / 180 if joint.rotates else 1.0
+    low, high = sorted((limit["a"] * scale, limit["b"] * scale))
+    tolerance = 0.02 * max(1.0 if joint.rotates else 0.1, high - low)
+    turns = (-2, -1, 0, 1, 2) if joint.rotates else (0,)
+    return any(
+        abs(joint.lower - a - 2 * math.pi * k) <= tolerance
+        and abs(joint.upper - b - 2 * math.pi * k) <= tolerance
+        for a, b in ((low, high), (-high, -low))
+        for k in turns
+    )
 
 
 def _json(path: Path) -> object:

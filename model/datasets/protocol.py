@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
@@ -45,9 +44,8 @@ class Dataset(Protocol):
         """Of the data set, as on the command line."""
         ...
 
-    @property
-    def root(self) -> Path:
-        """Its folder."""
+    def category(self, object_id: str) -> str | None:
+        """What an object is, without reading its geometry; None where nobody says."""
         ...
 
     def ids(self) -> tuple[str, ...]:

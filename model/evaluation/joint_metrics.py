@@ -1,34 +1,42 @@
 """Joints of a prediction against the truth: the paper's figures and sounder ones beside them.
 
-Everything is compared in the world frame, the object's rest frame (metres, radians, +z up). A part
-is the same part in truth and prediction where the link names agree. A joint belongs to its child
-part: the joints between a part and the next part above it are one chain (helper links lie inside
-it), and chains are matched joint by joint, equal types first.
+Everything is compared in the world frame, the object's rest frame (metres, radians, +z up). The
+prediction comes with the truth's link names: given, where the parts were given, else found by
+geometry (:mod:`model.evaluation.part_matching`). A joint belongs to its child part: the joints
+between a part and the next part above it are one chain (helper links lie inside it), and chains are
+matched joint by joint, equal types first.
 
 Sources: *ArtiWorld* (CVPR 2026) for TC, APD, OPD, ALD, DLD and usability; S2O (Iliash et al.,
-2024) for the unsigned axis error and the point-to-line origin error over a diagonal. Choices that
-the paper leaves open are made here, once:
+2024) for the unsigned axis error, the point-to-line origin error over a diagonal, and what counts
+as a hit. Choices that the paper leaves open are made here, once:
 
-* An axis and its opposite are one line, so APD is unsigned; which way a joint opens shows in the
-  limits, which are compared after the predicted axis was turned to the true side.
+* An axis and its opposite are one line, so APD is unsigned (a knob may be turned either way); which
+  way a joint opens shows in the limits, which are compared after the predicted axis was turned to
+  the true side.
 * A prismatic joint's origin and a continuous joint's limits mean nothing and are not scored.
-* A missing joint (a part that should move and doesn't, or the whole prediction) is no type match
-  and not usable; the means exist with it, at the worst value, and without it. An extra joint (a
-  part that shouldn't move) makes the object unusable and lowers type precision.
+* Limits that were written in the wrong order are compared as written.
+* A missing joint (a part that should move and doesn't, is not there, or the whole prediction) and
+  one that couldn't be read are no type match and not usable; the means exist with them, at the
+  worst value, and without. An extra joint (a part that shouldn't move) makes the object unusable
+  and lowers precision.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from model.evaluation.part_matching import PartMatch
+from model.evaluation.tree_metrics import chain, parents, tree_edits
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 
+ABSENT = ("missing", "unparseable")
+"""What stands for the type of a joint that isn't there, or couldn't be read."""
 WORST_ANGLE = math.pi / 2
 """Axis error of a missing joint (rad): an unsigned angle can't be larger."""
 WORST_DISTANCE = 1.0
@@ -61,16 +69,20 @@ class JointScore:
 
     Attributes:
         child: the part that moves.
-        true_type, type: joint types; ``type`` is "missing" where there is no joint.
+        true_type, type: joint types; ``type`` is one of :data:`ABSENT` where there is no joint.
         parent_right: the part above it is the true one.
         apd: angle between the axis lines in [0, pi/2] rad; None where the prediction has no axis.
         opd: distance of the two origins (m), the paper's OPD; rotating joints only.
         opd_line: distance of the predicted origin to the true axis line over the object's
             diagonal; rotating joints only.
+        opd_part: the same over the moving part's diagonal (S2O).
         ald: mean error of the two limits (rad), revolute in both.
         dld: mean error of the two limits (m), prismatic in both.
+        still: the mean error of the two limits if the joint didn't move (rad or m); what a missing
+            joint counts in the means with missing ones. None for continuous joints.
         range_iou: overlap of the ranges, both limited and of one type.
         range_right, usable: see :class:`UsableLimits`.
+        confidence: the predictor's, 0..1, or None.
     """
 
     child: str
@@ -80,16 +92,29 @@ class JointScore:
     apd: float | None = None
     opd: float | None = None
     opd_line: float | None = None
+    opd_part: float | None = None
     ald: float | None = None
     dld: float | None = None
+    still: float | None = None
     range_iou: float | None = None
     range_right: bool = False
     usable: bool = False
+    confidence: float | None = None
 
     @property
     def type_right(self) -> bool:
         """Whether the joint type is the true one."""
         return self.type == self.true_type
+
+    @property
+    def present(self) -> bool:
+        """Whether there is a joint to compare."""
+        return self.type not in ABSENT
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the true joint turns."""
+        return self.true_type in ("revolute", "continuous")
 
 
 @dataclass(frozen=True)
@@ -98,9 +123,14 @@ class ObjectScore:
 
     Attributes:
         joints: one entry for each true joint that moves.
-        extra: parts that move in the prediction and not in truth, with the joint's type.
+        extra: moving joints of the prediction that are no true joint: child and type.
         tree_right: every part has its true parent, and the root is the true root.
         problem: why there is no prediction, or "".
+        diagonal: of the true object (m).
+        tree_edits: see :func:`model.evaluation.tree_metrics.tree_edits`.
+        part_iou: mean over the true parts, 0 for unmatched ones; None where parts were given.
+        parts, matched: how many true parts there are, and how many of them were found.
+        note: what was odd about the prediction, for people.
     """
 
     object_id: str
@@ -109,24 +139,17 @@ class ObjectScore:
     extra: tuple[tuple[str, str], ...] = ()
     tree_right: bool = False
     problem: str = ""
+    diagonal: float = 1.0
+    tree_edits: int = 0
+    part_iou: float | None = None
+    parts: int = 0
+    matched: int = 0
+    note: str = ""
 
     @property
     def usable(self) -> bool:
         """Every joint usable, none missing, none extra (the paper's usability)."""
         return not self.problem and not self.extra and all(j.usable for j in self.joints)
-
-
-def chain(tree: KinematicTree, part: str, parts: frozenset[str]) -> tuple[str, tuple[Joint, ...]]:
-    """The moving joints between ``part`` and the part above it, and that part ("" at the root)."""
-    joints: list[Joint] = []
-    link = part
-    while (joint := tree.joint_of.get(link)) is not None:
-        if joint.moves:
-            joints.append(joint)
-        link = joint.parent
-        if link in parts:
-            return link, tuple(reversed(joints))
-    return "", tuple(reversed(joints))
 
 
 def score_object(
@@ -135,99 +158,147 @@ def score_object(
     *,
     limits: UsableLimits | None = None,
     problem: str = "",
+    matches: Sequence[PartMatch] | None = None,
+    faulty: Collection[str] = (),
+    swapped: Collection[str] = (),
+    confidence: Mapping[str, float] | None = None,
+    unmatched_parts: int = 0,
 ) -> ObjectScore:
     """Compare a predicted tree with the truth.
 
     Args:
         truth: the object in its rest frame.
-        predicted: a tree over the same link names, in the same frame; None where there is none.
+        predicted: a tree with the truth's link names, in the same frame; None where there is none.
         limits: what counts as usable.
         problem: recorded where ``predicted`` is None.
+        matches: which parts were found by geometry; None where the parts were given.
+        faulty: names of joints that couldn't be read.
+        swapped: names of joints whose limits were written in the wrong order.
+        confidence: child → 0..1.
+        unmatched_parts: predicted parts that are no true part.
     """
     limits = limits or UsableLimits()
     parts = frozenset(p.link for p in truth.parts)
-    bounds = np.stack([p.bounds for p in truth.parts])
-    diagonal = float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0))) or 1.0
+    above = parents(truth.tree, parts)
+    below = {} if predicted is None else parents(predicted, parts)
+    diagonal = _diagonal(truth, parts)
     joints: list[JointScore] = []
-    extra: list[tuple[str, str]] = []
-    tree_right = predicted is not None
+    used: set[str] = set()
     for part in sorted(parts):
-        true_parent, true_chain = chain(truth.tree, part, parts)
-        if predicted is None or part not in predicted.links:
-            parent, found = None, ()
-            tree_right = False
-        else:
-            parent, found = chain(predicted, part, parts)
-        right = parent == true_parent
-        tree_right = tree_right and right
-        rest = list(found)
+        true_chain = [j for j in chain(truth.tree, part, parts)[1] if j.moves]
+        found = () if part not in below else chain(predicted, part, parts)[1]  # type: ignore[arg-type]
+        rest = [j for j in found if j.moves]
+        absent = "unparseable" if any(j.name in faulty for j in found) else "missing"
+        about = _About(
+            part, below.get(part) == above[part], diagonal, _diagonal(truth, {part}), limits
+        )
         for joint in true_chain:
-            best = next((j for j in rest if j.type == joint.type), None) or next(
-                (j for j in rest if not _claimed_later(true_chain, joint, j)), None
-            )
-            if best is not None:
-                rest.remove(best)
-            joints.append(_score_joint(part, joint, best, right, diagonal, limits))
-        extra += [(part, j.type) for j in rest]
-    return ObjectScore(truth.name, truth.category, tuple(joints), tuple(extra), tree_right, problem)
+            best = _best(rest, true_chain, joint)
+            if best is None:
+                joints.append(about.none(joint, absent))
+                continue
+            rest.remove(best)
+            used.add(best.name)
+            sure = (confidence or {}).get(part)
+            joints.append(about.score(joint, best, best.name in swapped, sure))
+    moving = () if predicted is None else [j for j in predicted.joints if j.moves]
+    ious = None if matches is None else sum(m.iou for m in matches) / max(1, len(parts))
+    return ObjectScore(
+        object_id=truth.name,
+        category=truth.category,
+        joints=tuple(joints),
+        extra=tuple((j.child, j.type) for j in moving if j.name not in used),
+        tree_right=predicted is not None and below == above and not unmatched_parts,
+        problem=problem,
+        diagonal=diagonal,
+        tree_edits=tree_edits(above, below, extra=unmatched_parts),
+        part_iou=ious,
+        parts=len(parts),
+        matched=len(below),
+    )
 
 
-def _claimed_later(true_chain: Sequence[Joint], current: Joint, candidate: Joint) -> bool:
-    """Whether a later joint of the true chain has the candidate's type."""
-    later = true_chain[list(true_chain).index(current) + 1 :]
-    return any(j.type == candidate.type for j in later)
+def _diagonal(truth: ArticulatedObject, links: Collection[str]) -> float:
+    bounds = np.stack([p.bounds for p in truth.parts if p.link in links])
+    return float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0))) or 1.0
 
 
-def _score_joint(
-    part: str,
-    true: Joint,
-    found: Joint | None,
-    parent_right: bool,
-    diagonal: float,
-    limits: UsableLimits,
-) -> JointScore:
-    if found is None:
-        return JointScore(part, true.type, "missing", parent_right)
-    apd = axis_angle(true.axis, found.axis)
-    opd = opd_line = None
-    if true.rotates and found.rotates:
-        opd = float(np.linalg.norm(np.subtract(found.origin, true.origin)))
-        opd_line = point_to_line(found.origin, true.origin, true.axis) / diagonal
-    ald = dld = iou = None
-    range_right = true.type == found.type
-    if range_right and true.limited:
+def _best(rest: Sequence[Joint], true_chain: Sequence[Joint], joint: Joint) -> Joint | None:
+    """The predicted joint that stands for ``joint``: of its type, else one that no other needs."""
+    later = {j.type for j in true_chain[true_chain.index(joint) + 1 :]}
+    same = next((j for j in rest if j.type == joint.type), None)
+    return same or next((j for j in rest if j.type not in later), None)
+
+
+@dataclass(frozen=True)
+class _About:
+    """What all joints of one part are scored by."""
+
+    part: str
+    parent_right: bool
+    diagonal: float
+    part_diagonal: float
+    limits: UsableLimits
+
+    def none(self, true: Joint, absent: str) -> JointScore:
+        return JointScore(self.part, true.type, absent, self.parent_right, still=_still(true))
+
+    def score(
+        self, true: Joint, found: Joint, swapped: bool, confidence: float | None
+    ) -> JointScore:
+        limits = self.limits
+        apd = axis_angle(true.axis, found.axis)
+        opd = line = None
+        if true.rotates and found.rotates:
+            opd = float(np.linalg.norm(np.subtract(found.origin, true.origin)))
+            line = point_to_line(found.origin, true.origin, true.axis)
+        error = iou = None
+        range_right = true.type == found.type
+        if range_right and true.limited:
+            error, iou, range_right = self._range(true, found, swapped)
+        usable = (
+            true.type == found.type
+            and self.parent_right
+            and apd <= limits.axis
+            and (line is None or line / self.diagonal <= limits.origin)
+            and range_right
+        )
+        return JointScore(
+            child=self.part,
+            true_type=true.type,
+            type=found.type,
+            parent_right=self.parent_right,
+            apd=apd,
+            opd=opd,
+            opd_line=None if line is None else line / self.diagonal,
+            opd_part=None if line is None else line / self.part_diagonal,
+            ald=error if true.rotates else None,
+            dld=None if true.rotates else error,
+            still=_still(true),
+            range_iou=iou,
+            range_right=range_right,
+            usable=usable,
+            confidence=confidence,
+        )
+
+    def _range(self, true: Joint, found: Joint, swapped: bool) -> tuple[float, float, bool]:
+        """Mean error of the limits, overlap of the ranges, and whether they are right."""
         if np.dot(true.axis, found.axis) < 0:
             found = found.flipped()
         a, b = (true.lower or 0.0, true.upper or 0.0), (found.lower or 0.0, found.upper or 0.0)
+        if swapped:
+            b = (b[1], b[0])
         ends = (abs(a[0] - b[0]), abs(a[1] - b[1]))
-        iou = interval_iou(a, b)
-        tolerance = limits.angle if true.rotates else limits.travel * diagonal
-        range_right = iou >= limits.range_iou or max(ends) <= tolerance
-        if true.rotates:
-            ald = sum(ends) / 2
-        else:
-            dld = sum(ends) / 2
-    usable = (
-        true.type == found.type
-        and parent_right
-        and apd <= limits.axis
-        and (opd_line is None or opd_line <= limits.origin)
-        and range_right
-    )
-    return JointScore(
-        part,
-        true.type,
-        found.type,
-        parent_right,
-        apd,
-        opd,
-        opd_line,
-        ald,
-        dld,
-        iou,
-        range_right,
-        usable,
-    )
+        iou = 0.0 if swapped else interval_iou(a, b)
+        tolerance = self.limits.angle if true.rotates else self.limits.travel * self.diagonal
+        right = iou >= self.limits.range_iou or max(ends) <= tolerance
+        return sum(ends) / 2, iou, right and not swapped
+
+
+def _still(true: Joint) -> float | None:
+    if not true.limited:
+        return None
+    return (abs(true.lower or 0.0) + abs(true.upper or 0.0)) / 2
 
 
 def axis_angle(a: Sequence[float], b: Sequence[float]) -> float:
@@ -251,78 +322,3 @@ def interval_iou(a: tuple[float, float], b: tuple[float, float]) -> float:
     if union <= 1e-12:
         return 1.0
     return max(0.0, min(a[1], b[1]) - max(a[0], b[0])) / union
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Figures of many objects. Joint figures are means over joints, not over objects.
-
-    Attributes:
-        objects, joints: how many were scored.
-        tc: share of true joints whose type is right (the paper's TC).
-        type_precision: share of predicted moving joints with the right type.
-        parent: share of true joints below the right part.
-        tree: share of objects whose whole tree is right.
-        apd: mean angle between axis lines (rad) over joints that have a prediction.
-        apd_all: the same with missing joints at pi/2.
-        opd: mean distance of origins (m), rotating joints; opd_line: point to line, in diagonals.
-        opd_line_all: the same with missing joints, and joints that should rotate and don't, at 1.
-        ald: mean limit error of revolute joints (rad); dld: of prismatic joints (m).
-        usable: share of usable objects; usable_joints: share of usable joints.
-        missing, extra: joints that are not there, and that should not be.
-        failed: objects without a prediction.
-    """
-
-    objects: int
-    joints: int
-    tc: float
-    type_precision: float
-    parent: float
-    tree: float
-    apd: float
-    apd_all: float
-    opd: float
-    opd_line: float
-    opd_line_all: float
-    ald: float
-    dld: float
-    usable: float
-    usable_joints: float
-    missing: int
-    extra: int
-    failed: int
-
-
-def summarise(scores: Iterable[ObjectScore]) -> Summary:
-    """Average over objects; NaN where nothing was there to average."""
-    objects = list(scores)
-    joints = [j for o in objects for j in o.joints]
-    missing = sum(j.type == "missing" for j in joints)
-    extra = sum(len(o.extra) for o in objects)
-    right = sum(j.type_right for j in joints)
-    turning = [j for j in joints if j.true_type in ("revolute", "continuous")]
-    return Summary(
-        objects=len(objects),
-        joints=len(joints),
-        tc=_mean([j.type_right for j in joints]),
-        type_precision=right / max(1, len(joints) - missing + extra),
-        parent=_mean([j.parent_right for j in joints]),
-        tree=_mean([o.tree_right for o in objects]),
-        apd=_mean([j.apd for j in joints]),
-        apd_all=_mean([WORST_ANGLE if j.apd is None else j.apd for j in joints]),
-        opd=_mean([j.opd for j in joints]),
-        opd_line=_mean([j.opd_line for j in joints]),
-        opd_line_all=_mean([WORST_DISTANCE if j.opd_line is None else j.opd_line for j in turning]),
-        ald=_mean([j.ald for j in joints]),
-        dld=_mean([j.dld for j in joints]),
-        usable=_mean([o.usable for o in objects]),
-        usable_joints=_mean([j.usable for j in joints]),
-        missing=missing,
-        extra=extra,
-        failed=sum(bool(o.problem) for o in objects),
-    )
-
-
-def _mean(values: Iterable[float | bool | None]) -> float:
-    kept = [float(v) for v in values if v is not None]
-    return sum(kept) / len(kept) if kept else math.nan

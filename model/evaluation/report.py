@@ -1,17 +1,22 @@
-"""The paper's table and more, as JSON and Markdown."""
+"""The paper's table and more, as JSON; :mod:`model.evaluation.markdown` writes it for people."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from model.evaluation.joint_metrics import JointScore, ObjectScore, Summary, summarise
+from model.errors import InputFileError
+from model.evaluation.calibration import Calibration, calibrate
+from model.evaluation.joint_metrics import JointScore, ObjectScore
+from model.evaluation.summary import METRICS, Metric, Summary, bootstrap, summarise
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+REPORT = "report.json"
 
 PAPER_ROWS: tuple[tuple[str, float, float, float, float, float, float], ...] = (
     ("URDFormer, known categories", 44.6, 0.97, 0.76, 0.82, 1.26, 24.6),
@@ -23,7 +28,8 @@ PAPER_ROWS: tuple[tuple[str, float, float, float, float, float, float], ...] = (
 )
 """TC %, APD, OPD, ALD, DLD, usable % as printed in *ArtiWorld*, on the paper's own objects."""
 
-COLUMNS = ("TC %", "APD", "OPD", "ALD", "DLD", "usable %", "tree %", "OPD line/diag")
+COLUMN_KEYS = ("tc", "apd", "opd", "ald", "dld", "usable", "tree", "opd_line")
+COLUMNS = tuple(m.label for k in COLUMN_KEYS for m in METRICS if m.key == k)
 
 
 @dataclass(frozen=True)
@@ -31,26 +37,39 @@ class Report:
     """Scores of one run.
 
     Attributes:
-        dataset, predictor, names: what was run.
+        dataset, predictor: what was run. names: whether part names were given; None where written
+            predictions were scored.
         settings: the whole configuration.
         scores: one an object. seconds: of each prediction.
         wall_seconds: of this run.
+        frame: how written predictions were turned and scaled; None for a predictor.
     """
 
     dataset: str
     predictor: str
-    names: bool
+    names: bool | None
     settings: dict[str, Any]
     scores: tuple[ObjectScore, ...]
     seconds: tuple[float, ...]
     wall_seconds: float
+    frame: str | None = None
 
-    @property
+    @cached_property
     def summary(self) -> Summary:
         """Over all objects."""
         return summarise(self.scores)
 
-    @property
+    @cached_property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """95 % bootstrap intervals of :data:`METRICS` by key."""
+        return bootstrap(self.scores, seed=int(self.settings.get("seed", 0)))
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """Of the predictor's confidences."""
+        return calibrate(self.scores)
+
+    @cached_property
     def by_category(self) -> dict[str, Summary]:
         """Over the objects of each category."""
         groups: dict[str, list[ObjectScore]] = {}
@@ -58,86 +77,107 @@ class Report:
             groups.setdefault(s.category or "unknown", []).append(s)
         return {c: summarise(groups[c]) for c in sorted(groups)}
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """The table: this run first, then the paper's rows, all cells as text."""
-        label = f"{self.predictor}, {'with' if self.names else 'without'} names"
-        rows = [(f"{label} ({len(self.scores)} objects)", *summary_cells(self.summary))]
-        for name, *values in PAPER_ROWS:
-            cells = [_number(v, 1 if i in (0, 5) else 2) for i, v in enumerate(values)]
-            rows.append((f"{name} [paper's own data]", *cells, "", ""))
-        return rows
+    @property
+    def label(self) -> str:
+        """What was run, for a table's row."""
+        how = "" if self.names is None else f", {'with' if self.names else 'without'} names"
+        return f"{self.predictor}{how} ({len(self.scores)} objects)"
+
+    def row(self) -> tuple[str, ...]:
+        """This run's row of the table, all cells as text."""
+        return (self.label, *summary_cells(self.summary))
 
     def to_json(self) -> dict[str, Any]:
-        """All of it, with a format version."""
+        """All of it, with a format version; what isn't a number is null."""
         return {
             "format_version": FORMAT_VERSION,
             "dataset": self.dataset,
             "predictor": self.predictor,
             "names": self.names,
+            "frame": self.frame,
             "settings": self.settings,
             "wall_seconds": self.wall_seconds,
-            "summary": _finite(asdict(self.summary)),
-            "by_category": {c: _finite(asdict(s)) for c, s in self.by_category.items()},
+            "summary": summary_to_json(self.summary),
+            "intervals_95": finite(self.intervals),
+            "by_category": {c: summary_to_json(s) for c, s in self.by_category.items()},
+            "calibration": finite(asdict(self.calibration)),
+            "definitions": {
+                m.key: {"unit": m.unit, "definition": m.definition, "source": m.source}
+                for m in METRICS
+            },
             "objects": [
                 {**score_to_json(s), "seconds": t}
                 for s, t in zip(self.scores, self.seconds, strict=True)
             ],
         }
 
-    def to_markdown(self) -> str:
-        """The table, the categories, and the failures in words."""
-        s = self.summary
-        limits = self.settings.get("limits", {})
-        lines = [f"# {self.predictor} on {self.dataset}", ""]
-        lines += _markdown_table(("method", *COLUMNS), self.rows())
-        lines += [
-            "",
-            f"{s.objects} objects, {s.joints} joints; {s.missing} missing, {s.extra} extra, "
-            f"{s.failed} objects without a prediction. Means over joints; TC, tree and usable "
-            "count missing and extra joints. APD and ALD in rad, OPD and DLD in metres.",
-            f"With missing joints at the worst value: APD {s.apd_all:.3f}, "
-            f"OPD line {s.opd_line_all:.3f}. Type precision {100 * s.type_precision:.1f} %, right "
-            f"parent {100 * s.parent:.1f} %, usable joints {100 * s.usable_joints:.1f} %.",
-            f"A joint is usable where its type and parent are right, the axis is within "
-            f"{limits.get('axis')} rad, the origin within {limits.get('origin')} of the diagonal "
-            f"from the true line, and the range overlaps by {limits.get('range_iou')} (IoU) or "
-            f"both ends are within {limits.get('angle')} rad or {limits.get('travel')} diagonals.",
-            f"Prediction: {_mean(self.seconds):.2f} s an object, at most "
-            f"{max(self.seconds, default=0):.2f} s; the run took {self.wall_seconds:.0f} s.",
-            "",
-            "## By category",
-            "",
-        ]
-        rows = [
-            (f"{c} ({v.objects}, {v.joints})", *summary_cells(v))
-            for c, v in self.by_category.items()
-        ]
-        lines += _markdown_table(("category (objects, joints)", *COLUMNS), rows)
-        failed = [o for o in self.scores if not o.usable]
-        lines += ["", f"## Not usable: {len(failed)} objects", ""]
-        lines += [f"- {o.object_id} ({o.category}): {_why(o)}" for o in failed]
-        return "\n".join(lines) + "\n"
+    def write(self, folder: Path) -> Path:
+        """Write ``report.json``; its path.
 
-    def write(self, folder: Path) -> None:
-        """Write ``report.json`` and ``report.md``."""
-        folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(self.to_json(), indent=1, allow_nan=False)
-        (folder / "report.json").write_text(text + "\n", encoding="utf-8")
-        (folder / "report.md").write_text(self.to_markdown(), encoding="utf-8")
+        Raises:
+            InputFileError: where it can't be written.
+        """
+        path = folder / REPORT
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            text = json.dumps(self.to_json(), indent=1, allow_nan=False)
+            path.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
+        return path
+
+
+def read_report(path: Path) -> Report:
+    """Read a ``report.json``, or the one in a folder.
+
+    Raises:
+        InputFileError: where it isn't there, or no report of this version.
+    """
+    path = path / REPORT if path.is_dir() else path
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data["format_version"] != FORMAT_VERSION:
+            raise InputFileError(
+                path, f"has format {data['format_version']}, not {FORMAT_VERSION}", "run it again"
+            )
+        return Report(
+            dataset=str(data["dataset"]),
+            predictor=str(data["predictor"]),
+            names=data["names"],
+            settings=dict(data["settings"]),
+            scores=tuple(score_from_json(o) for o in data["objects"]),
+            seconds=tuple(float(o["seconds"]) for o in data["objects"]),
+            wall_seconds=float(data["wall_seconds"]),
+            frame=data["frame"],
+        )
+    except OSError as error:
+        raise InputFileError(
+            path, error.strerror or "can't be read", "give the folder of an evaluation"
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputFileError(path, f"is no report of an evaluation ({error!r})") from None
+
+
+def paper_rows() -> list[tuple[str, ...]]:
+    """The paper's rows for reference, all cells as text."""
+    rows = []
+    for name, *values in PAPER_ROWS:
+        cells = [_number(v, 1 if i in (0, 5) else 2) for i, v in enumerate(values)]
+        rows.append((f"{name} [paper's own data]", *cells, "", ""))
+    return rows
 
 
 def summary_cells(s: Summary) -> tuple[str, ...]:
     """The cells of :data:`COLUMNS`."""
-    return (
-        _number(100 * s.tc, 1),
-        _number(s.apd, 3),
-        _number(s.opd, 2),
-        _number(s.ald, 2),
-        _number(s.dld, 3),
-        _number(100 * s.usable, 1),
-        _number(100 * s.tree, 1),
-        _number(s.opd_line, 3),
-    )
+    by_key = {m.key: m for m in METRICS}
+    return tuple(show(by_key[k], s[k]) for k in COLUMN_KEYS)
+
+
+def show(metric: Metric, value: float) -> str:
+    """A figure as people read it: shares in per cent."""
+    if metric.unit == "%":
+        return _number(100 * value, 1)
+    return _number(value, 3 if metric.unit in ("rad", "diagonals", "") else 4)
 
 
 def score_to_json(score: ObjectScore) -> dict[str, Any]:
@@ -145,7 +185,7 @@ def score_to_json(score: ObjectScore) -> dict[str, Any]:
     return {**asdict(score), "usable": score.usable}
 
 
-def score_from_json(data: dict[str, Any]) -> ObjectScore:
+def score_from_json(data: Mapping[str, Any]) -> ObjectScore:
     """The inverse of :func:`score_to_json`."""
     rest = {k: v for k, v in data.items() if k not in ("usable", "joints", "extra", "seconds")}
     return ObjectScore(
@@ -155,9 +195,16 @@ def score_from_json(data: dict[str, Any]) -> ObjectScore:
     )
 
 
-def _why(score: ObjectScore) -> str:
+def summary_to_json(s: Summary) -> dict[str, Any]:
+    """Counts and figures, flat."""
+    out = asdict(s)
+    return finite({**{k: v for k, v in out.items() if k != "values"}, **out["values"]})
+
+
+def faults(score: ObjectScore) -> list[str]:
+    """What is wrong with a prediction, joint by joint, for people."""
     if score.problem:
-        return score.problem
+        return [score.problem]
     out = [f"{part} should not move ({kind})" for part, kind in score.extra]
     for j in score.joints:
         if j.usable:
@@ -165,37 +212,29 @@ def _why(score: ObjectScore) -> str:
         if not j.type_right:
             out.append(f"{j.child} {j.type} instead of {j.true_type}")
             continue
-        faults = []
+        wrong = []
         if not j.parent_right:
-            faults.append("parent")
+            wrong.append("parent")
         if j.apd is not None and j.apd > 0.1:
-            faults.append(f"axis {j.apd:.2f} rad")
+            wrong.append(f"axis {j.apd:.2f} rad")
         if j.opd_line is not None and j.opd_line > 0.05:
-            faults.append(f"origin {j.opd_line:.2f}")
+            wrong.append(f"origin {j.opd_line:.2f}")
         if not j.range_right:
-            faults.append("range")
-        out.append(f"{j.child} {', '.join(faults)}")
-    shown = out[:6]
-    return "; ".join(shown) + ("; …" if len(out) > len(shown) else "")
+            wrong.append("range")
+        out.append(f"{j.child} {', '.join(wrong)}")
+    return out
 
 
-def _markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [
-        "| " + " | ".join(header) + " |",
-        "|" + "---|" * len(header),
-        *("| " + " | ".join(row) + " |" for row in rows),
-    ]
+def finite(value: Any) -> Any:
+    """The same with null for what is no finite number, and tuples as lists."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [finite(v) for v in value]
+    return value
 
 
 def _number(value: float, digits: int) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values) if values else math.nan
-
-
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    return {
-        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()
-    }

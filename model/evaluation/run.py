@@ -1,31 +1,36 @@
-"""Score a predictor on a whole data set, in parallel, resumably."""
+"""Score a predictor, or a folder of predictions, on a whole data set, in parallel, resumably."""
 
 from __future__ import annotations
 
 import json
-import signal
 import time
 import zlib
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from model.datasets.protocol import Dataset
-from model.errors import ArtiworldError, ConfigurationError, InputFileError
+from model.datasets.protocol import Dataset, GroundTruth
+from model.datasets.registry import DatasetOptions, open_dataset
+from model.datasets.splits import select
+from model.errors import ArtiworldError, ConfigurationError
+from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_costs
 from model.evaluation.corruption import Corruption, corrupt
 from model.evaluation.joint_metrics import ObjectScore, UsableLimits, score_object
+from model.evaluation.pool import robust_map, time_limit
+from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
+from model.kinematics.articulated_object import ArticulatedObject
 from model.predictor import Predictor
 from model.predictors import load_predictor, predictor_names
 from model.progress import Progress, no_progress
 
-DATASETS = ("partnet-mobility",)
+FRAME_SAMPLE = 24
+"""Objects that decide a method's frame."""
+LOG = "objects.jsonl"
 
 
 @dataclass(frozen=True)
@@ -33,23 +38,26 @@ class EvaluationConfig:
     """What is evaluated, and how.
 
     Attributes:
-        root: folder of the data set.
-        data: which data set it is, one of :data:`DATASETS`.
-        predictor: name of the predictor.
-        names: whether part names and the category are given to it.
-        corruption: what is done to the objects first.
+        data: the data set. split: which of its objects, see :mod:`model.datasets.splits`.
+        predictor: name of the predictor, or what ``predictions`` is called in the report.
+        predictions: folder of URDFs to score instead of running a predictor.
+        frame: of these URDFs; found where it is None.
+        names: whether part names and the category are given to the predictor.
+        corruption: what is done to the objects first; not for ``predictions``.
         jobs: processes.
         limit: at most this many objects, spread over the whole set; all where None.
-        seed: of the predictor and the corruption.
+        seed: of the predictor, the corruption and the split.
         timeout: seconds after which one object counts as failed.
         limits: what counts as usable.
-        out: folder for ``objects.jsonl`` (a line an object, so that a stopped run goes on),
-            ``report.json`` and ``report.md``; nothing is written where None.
+        out: folder for ``objects.jsonl`` (a line an object, so that a stopped run goes on) and the
+            reports; nothing is written where None.
     """
 
-    root: Path
-    data: str = "partnet-mobility"
+    data: DatasetOptions
+    split: str = "all"
     predictor: str = "geometric"
+    predictions: Path | None = None
+    frame: Frame | None = None
     names: bool = True
     corruption: Corruption = field(default_factory=Corruption)
     jobs: int = 2
@@ -62,9 +70,12 @@ class EvaluationConfig:
     def key(self) -> dict[str, Any]:
         """What must agree for results of an earlier run to be used again."""
         out = asdict(self)
-        for name in ("jobs", "limit", "out", "timeout"):
+        for name in ("jobs", "limit", "out", "timeout", "split"):
             del out[name]
-        out["root"] = str(Path(self.root).resolve())
+        if self.data.root is not None:
+            out["data"]["root"] = str(Path(self.data.root).resolve())
+        if self.predictions is not None:
+            out["predictions"] = str(Path(self.predictions).resolve())
         return json.loads(json.dumps(out))
 
 
@@ -74,28 +85,25 @@ class ObjectResult:
 
     Attributes:
         score: against the truth.
-        seconds: of the prediction alone.
-        parts: how many it had.
+        seconds: of the prediction alone; of reading and matching for written predictions.
     """
 
     score: ObjectScore
     seconds: float
-    parts: int
 
 
-def open_dataset(data: str, root: Path) -> Dataset:
-    """The data set called ``data`` in ``root``.
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A prediction with its truth and its score.
 
-    Raises:
-        ConfigurationError: for an unknown name. InputFileError: where the folder isn't there.
+    Attributes:
+        predicted: in the truth's frame and with its names; None where there is no prediction.
     """
-    if data not in DATASETS:
-        raise ConfigurationError(f"no data set {data!r}; there are {', '.join(DATASETS)}")
-    if not Path(root).is_dir():
-        raise InputFileError(root, "no such folder", f"give the folder of {data}")
-    from model.datasets.partnet_mobility import PartNetMobility
 
-    return PartNetMobility(Path(root))
+    truth: GroundTruth
+    predicted: ArticulatedObject | None
+    score: ObjectScore
+    seconds: float
 
 
 def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> Report:
@@ -107,62 +115,147 @@ def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> R
     Raises:
         ArtiworldError: for what is wrong with the configuration itself, before anything runs.
     """
-    dataset = open_dataset(config.data, config.root)
-    if config.predictor not in predictor_names():
+    ids = chosen_ids(config)
+    if config.predictions is not None:
+        files = PredictionFolder(config.predictions).files()
+        _check_overlap(config, ids, set(files))
+        if config.frame is None:
+            progress(0.0, "comparing frames")
+            config = replace(config, frame=find_frame(config, ids))
+    elif config.predictor not in predictor_names():
         load_predictor(config.predictor)  # raises, naming those that are there
-    ids = _spread(dataset.ids(), config.limit)
     started = time.perf_counter()
     results = _finished(config, ids)
-    log = _open_log(config)
+    log = _open_log(config, results)
     try:
         todo = [i for i in ids if i not in results]
-        for result in _run(config, todo):
-            results[result.score.object_id] = result
+        for i, result in robust_map(partial(evaluate_object, config), todo, config.jobs):
+            results[i] = result or ObjectResult(_failed(config, i, None, "the process died"), 0.0)
             if log is not None:
-                log.write(json.dumps(_to_json(result)) + "\n")
+                log.write(json.dumps(_to_json(results[i])) + "\n")
                 log.flush()
             progress(len(results) / len(ids), f"{len(results)} of {len(ids)} objects")
     finally:
         if log is not None:
             log.close()
     ordered = [results[i] for i in ids if i in results]
-    report = Report(
-        dataset=config.data,
+    return Report(
+        dataset=config.data.name,
         predictor=config.predictor,
-        names=config.names,
-        settings=config.key(),
+        names=config.names if config.predictions is None else None,
+        settings={**config.key(), "split": config.split},
         scores=tuple(r.score for r in ordered),
         seconds=tuple(r.seconds for r in ordered),
         wall_seconds=time.perf_counter() - started,
+        frame=None if config.frame is None else config.frame.describe(),
     )
-    if config.out is not None:
-        report.write(Path(config.out))
-    return report
+
+
+def chosen_ids(config: EvaluationConfig) -> list[str]:
+    """The objects of the split, at most ``limit`` of them, spread over all.
+
+    Raises:
+        ArtiworldError: where the data set, the split or the limit can't be.
+    """
+    ids = select(open_dataset(config.data), config.split, seed=config.seed)
+    if config.limit is not None and config.limit < 1:
+        raise ConfigurationError(f"limit must be at least 1, got {config.limit}")
+    return spread(ids, config.limit or len(ids))
+
+
+def spread(ids: Sequence[str], most: int) -> list[str]:
+    """At most ``most`` of the ids, evenly over all of them."""
+    if most >= len(ids):
+        return list(ids)
+    return [ids[int(i)] for i in np.linspace(0, len(ids) - 1, most).round()]
+
+
+def find_frame(config: EvaluationConfig, ids: list[str]) -> Frame:
+    """The frame that a method's files are written in, from some of its objects."""
+    assert config.predictions is not None
+    there = set(PredictionFolder(config.predictions).files())
+    some = spread([i for i in ids if i in there], FRAME_SAMPLE)
+    found = robust_map(partial(_costs, config), some, config.jobs)
+    return choose_frame([c for _, c in found if c is not None])
+
+
+def _costs(config: EvaluationConfig, object_id: str) -> FrameCosts | None:
+    """Of one object; None where it can't be read, which is told when it is scored."""
+    assert config.predictions is not None
+    try:
+        with time_limit(config.timeout):
+            truth = _dataset(config.data).load(object_id).object
+            written = PredictionFolder(config.predictions).read(object_id)
+            return frame_costs(*outlines(truth, written))
+    except Exception:  # the boundary of a job
+        return None
+
+
+def _check_overlap(config: EvaluationConfig, ids: list[str], files: set[str]) -> None:
+    if not files & set(ids):
+        there, wanted = ", ".join(sorted(files)[:5]), ", ".join(ids[:5])
+        raise ConfigurationError(
+            f"{config.predictions}: none of its objects ({there}, …) is in the data set "
+            f"({wanted}, …); call files or folders after the data set's objects"
+        )
 
 
 def evaluate_object(config: EvaluationConfig, object_id: str) -> ObjectResult:
     """Predict and score one object; never raises but for a lack of memory."""
-    signal_set = _start_alarm(config.timeout)
-    parts, category, seconds = 0, None, 0.0
+    category: list[str | None] = []
     try:
-        truth = open_dataset(config.data, config.root).load(object_id)
-        category, parts = truth.object.category, len(truth.object.parts)
-        rng = np.random.default_rng([config.seed, zlib.crc32(object_id.encode())])
-        truth = corrupt(truth, config.corruption, rng)
-        start = time.perf_counter()
-        prediction = _predictor(config.predictor).predict(
-            truth.segmented(names=config.names), seed=config.seed
-        )
-        seconds = time.perf_counter() - start
-        problem = "" if prediction.tree is not None else "; ".join(prediction.problems) or "no tree"
-        score = score_object(truth.object, prediction.tree, limits=config.limits, problem=problem)
+        with time_limit(config.timeout):
+            truth = load_truth(config, object_id)
+            category.append(truth.object.category)
+            judged = judge(config, truth)
+        return ObjectResult(judged.score, judged.seconds)
     # The boundary of a job: whatever one object does to the predictor, the run goes on.
     except Exception as error:
-        score = _failed(config, object_id, category, f"{type(error).__name__}: {error}")
-    finally:
-        if signal_set:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-    return ObjectResult(score, seconds, parts)
+        problem = f"{type(error).__name__}: {error}"
+        kind = category[0] if category else None
+        return ObjectResult(_failed(config, object_id, kind, problem), 0.0)
+
+
+def load_truth(config: EvaluationConfig, object_id: str) -> GroundTruth:
+    """The object as it is predicted and scored: read, and corrupted where that is asked for."""
+    truth = _dataset(config.data).load(object_id)
+    if config.predictions is not None:
+        return truth
+    rng = np.random.default_rng([config.seed, zlib.crc32(object_id.encode())])
+    return corrupt(truth, config.corruption, rng)
+
+
+def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
+    """Predict, or read what was predicted, and score it.
+
+    Raises:
+        ArtiworldError: where a written prediction isn't there or can't be read.
+    """
+    start = time.perf_counter()
+    if config.predictions is not None:
+        written = PredictionFolder(config.predictions).read(truth.id)
+        found = resolve(truth.object, written, config.frame or Frame())
+        seconds = time.perf_counter() - start
+        score = score_object(
+            truth.object, found.tree, limits=config.limits, matches=found.matches,
+            faulty=found.faulty, swapped=found.swapped, confidence=found.confidence,
+            unmatched_parts=len(written.object.parts) - len(found.matches),
+        )  # fmt: skip
+        note = "; ".join(n for n in written.notes if not n.startswith("link_"))[:500]
+        return Judged(truth, found.object, replace(score, note=note), seconds)
+    prediction = _predictor(config.predictor).predict(
+        truth.segmented(names=config.names), seed=config.seed
+    )
+    seconds = time.perf_counter() - start
+    problem = "" if prediction.tree is not None else "; ".join(prediction.problems) or "no tree"
+    score = score_object(
+        truth.object, prediction.tree, limits=config.limits, problem=problem,
+        confidence=prediction.confidence,
+    )  # fmt: skip
+    predicted = None
+    if prediction.tree is not None:
+        predicted = replace(truth.object, tree=prediction.tree)
+    return Judged(truth, predicted, score, seconds)
 
 
 @lru_cache(maxsize=2)
@@ -170,83 +263,32 @@ def _predictor(name: str) -> Predictor:
     return load_predictor(name)
 
 
+@lru_cache(maxsize=2)
+def _dataset(options: DatasetOptions) -> Dataset:
+    return open_dataset(options)
+
+
 def _failed(
     config: EvaluationConfig, object_id: str, category: str | None, problem: str
 ) -> ObjectScore:
     """The score of an object without a prediction: all its joints are missing."""
+    matches = None if config.predictions is None else ()
     try:
-        truth = open_dataset(config.data, config.root).load(object_id)
+        truth = _dataset(config.data).load(object_id).object
     except ArtiworldError:
         return ObjectScore(object_id, category, (), problem=problem)
-    return score_object(truth.object, None, limits=config.limits, problem=problem)
-
-
-class _OutOfTimeError(Exception):
-    """An object took too long."""
-
-
-def _start_alarm(seconds: float) -> bool:
-    """Raise in this thread after ``seconds``, where the system and the thread allow it."""
-
-    def ring(*_: object) -> None:
-        raise _OutOfTimeError(f"not done after {seconds:g} s")
-
-    try:
-        signal.signal(signal.SIGALRM, ring)
-        signal.setitimer(signal.ITIMER_REAL, seconds)
-    except (AttributeError, ValueError):
-        return False
-    return True
-
-
-def _run(config: EvaluationConfig, ids: list[str]) -> Iterable[ObjectResult]:
-    if config.jobs <= 1 or len(ids) <= 1:
-        for i in ids:
-            yield evaluate_object(config, i)
-        return
-    waiting, suspects = list(ids), set[str]()
-    while waiting:
-        alone = [i for i in waiting if i in suspects]
-        batch = alone[:1] or waiting
-        done: set[str] = set()
-        try:
-            with ProcessPoolExecutor(max_workers=min(config.jobs, len(batch))) as pool:
-                futures = {pool.submit(evaluate_object, config, i): i for i in batch}
-                for future in as_completed(futures):
-                    result = future.result()
-                    done.add(futures[future])
-                    yield result
-        except BrokenProcessPool:
-            # A process died. Those not done are tried one by one; who dies alone is at fault.
-            left = [i for i in batch if i not in done]
-            if len(left) == 1:
-                done.add(left[0])
-                yield ObjectResult(_failed(config, left[0], None, "the process died"), 0.0, 0)
-            suspects.update(left)
-        waiting = [i for i in waiting if i not in done]
-
-
-def _spread(ids: tuple[str, ...], limit: int | None) -> list[str]:
-    if limit is None or limit >= len(ids):
-        return list(ids)
-    if limit < 1:
-        raise ConfigurationError(f"limit must be at least 1, got {limit}")
-    return [ids[i] for i in np.linspace(0, len(ids) - 1, limit).round().astype(int)]
+    return score_object(truth, None, limits=config.limits, problem=problem, matches=matches)
 
 
 def _to_json(result: ObjectResult) -> dict[str, Any]:
-    return {
-        "score": score_to_json(result.score),
-        "seconds": result.seconds,
-        "parts": result.parts,
-    }
+    return {"score": score_to_json(result.score), "seconds": result.seconds}
 
 
-def _finished(config: EvaluationConfig, ids: list[str]) -> dict[str, ObjectResult]:
+def _finished(config: EvaluationConfig, ids: Iterable[str]) -> dict[str, ObjectResult]:
     """Results of an earlier run with the same settings; a torn last line is left out."""
     if config.out is None:
         return {}
-    path = Path(config.out) / "objects.jsonl"
+    path = Path(config.out) / LOG
     if not path.exists():
         return {}
     wanted, found = set(ids), {}
@@ -259,22 +301,24 @@ def _finished(config: EvaluationConfig, ids: list[str]) -> dict[str, ObjectResul
     for line in lines[1:]:
         try:
             entry = json.loads(line)
-        except ValueError:
+            score = score_from_json(entry["score"])
+            seconds = float(entry["seconds"])
+        except (ValueError, KeyError, TypeError):
             continue
-        score = score_from_json(entry["score"])
         if score.object_id in wanted:
-            found[score.object_id] = ObjectResult(score, entry["seconds"], entry["parts"])
+            found[score.object_id] = ObjectResult(score, seconds)
     return found
 
 
-def _open_log(config: EvaluationConfig) -> Any:
+def _open_log(config: EvaluationConfig, results: dict[str, ObjectResult]) -> IO[str] | None:
+    """The log, with what an earlier run left in it: its other objects stay too."""
     if config.out is None:
         return None
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)
-    path = out / "objects.jsonl"
-    kept = _finished(config, list(open_dataset(config.data, config.root).ids()))
+    kept = {**_finished(config, open_dataset(config.data).ids()), **results}
     lines = [json.dumps({"settings": config.key()})]
     lines += [json.dumps(_to_json(r)) for r in kept.values()]
+    path = out / LOG
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path.open("a", encoding="utf-8")

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from model.evaluation.report import COLUMNS, Report
+from model.evaluation.report import COLUMNS, Report, paper_rows
 from model.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from model.evaluation.compare import Comparison
+
+WIDTH = 150
+"""Columns of a file or a pipe, which have none of their own."""
 
 
 @contextmanager
@@ -18,8 +27,9 @@ def progress_bar() -> Iterator[Progress]:
 
     console = Console(stderr=True)
     with RichProgress(
-        TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console
-    ) as bar:
+        TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn(),
+        console=console, transient=True,
+    ) as bar:  # fmt: skip
         task = bar.add_task("starting", total=1.0)
 
         def report(fraction: float, message: str) -> None:
@@ -28,25 +38,63 @@ def progress_bar() -> Iterator[Progress]:
         yield report
 
 
-def print_report(report: Report) -> None:
-    """The paper's table with its own rows for reference."""
-    from rich.console import Console
+def print_reports(reports: Sequence[Report]) -> None:
+    """The paper's table: a row each run, then the paper's own rows for reference."""
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=f"{report.dataset}, {len(report.scores)} objects")
+    table = Table(title=Text(f"{reports[0].dataset}, {len(reports[0].scores)} objects"))
     table.add_column("method")
     for column in COLUMNS:
         table.add_column(column, justify="right")
-    for i, row in enumerate(report.rows()):
-        table.add_row(*row, style="bold" if i == 0 else "dim")
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=150)  # a file or a pipe has no width: don't break the rows
+    for report in reports:
+        table.add_row(*(Text(c) for c in report.row()), style="bold")
+    for row in paper_rows():
+        table.add_row(*(Text(c) for c in row), style="dim")
+    console = _console()
     console.print(table)
+    for report in reports:
+        console.print(Text(_words(report)))
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Figures side by side, and the objects that changed."""
+    from rich.table import Table
+    from rich.text import Text
+
+    a, b = comparison.labels
+    table = Table(title=Text(f"{a} → {b}, {comparison.objects} objects"))
+    for column in ("figure", "before", "after", "difference (95 % interval)", ""):
+        table.add_column(column, justify="left" if column in ("figure", "") else "right")
+    for row in comparison.rows():
+        table.add_row(*(Text(c) for c in row))
+    console = _console()
+    console.print(table)
+    for c in comparison.changes:
+        parts = [f"{c.kind} {c.object_id}:"]
+        parts += [f"gone: {'; '.join(c.gone)}."] if c.gone else []
+        parts += [f"new: {'; '.join(c.new)}."] if c.new else []
+        console.print(Text(" ".join(parts)))
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    console = Console(markup=False, highlight=False, emoji=False)
+    return console if console.is_terminal else Console(
+        width=WIDTH, markup=False, highlight=False, emoji=False
+    )  # fmt: skip
+
+
+def _words(report: Report) -> str:
     s = report.summary
-    console.print(
-        f"{s.joints} joints: {s.missing} missing, {s.extra} extra; {s.failed} objects failed; "
-        f"parent right {100 * s.parent:.1f} %; usable joints {100 * s.usable_joints:.1f} %. "
-        f"{report.wall_seconds:.0f} s, {sum(report.seconds) / max(1, len(report.seconds)):.2f} s "
-        "a prediction."
+    low, high = report.intervals["usable"]
+    said = (
+        f"{report.predictor}: {s.joints} joints: {s.missing} missing, {s.unparseable} unparseable, "
+        f"{s.extra} extra; {s.failed} objects failed; usable {100 * s['usable']:.1f} % "
+        f"({100 * low:.1f} … {100 * high:.1f}), usable joints {100 * s['usable_joints']:.1f} %, "
+        f"parent right {100 * s['parent']:.1f} %, S2O F1 M/MA/MAO {100 * s['m_f1']:.1f}/"
+        f"{100 * s['ma_f1']:.1f}/{100 * s['mao_f1']:.1f} %. {report.wall_seconds:.0f} s, "
+        f"{sum(report.seconds) / max(1, len(report.seconds)):.2f} s an object."
     )
+    return said if report.frame is None else f"{said} Frame of the files: {report.frame}."

@@ -35,7 +35,7 @@ def load_part(link: str, visuals: Sequence[UrdfVisual]) -> Part:
     names = {v.name for v in visuals}
     name = names.pop() if len(names) == 1 else None
     return Part(
-        link, merged(meshes) if meshes else None, _merged_clouds(clouds) if clouds else None, name
+        link, merged(meshes) if meshes else None, merged_clouds(clouds) if clouds else None, name
     )
 
 
@@ -125,7 +125,9 @@ def _colors(mesh: Mesh) -> npt.NDArray[np.uint8]:
     return out
 
 
-def _merged_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
+def merged_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
+    """One cloud of several, in order; normals and colours where all of them have some."""
+
     def joined(values: list[npt.NDArray | None]) -> npt.NDArray | None:
         there = [v for v in values if v is not None]
         return np.concatenate(there) if len(there) == len(values) else None

@@ -47,6 +47,8 @@ class UrdfModel:
         tree: joints in the object's rest frame, which is the root link's frame.
         visuals: geometry in the file's order.
         notes: what was changed on reading, for people.
+        faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
+        swapped: joints whose lower limit was written above the upper one; here they are in order.
     """
 
     path: Path
@@ -54,6 +56,8 @@ class UrdfModel:
     tree: KinematicTree
     visuals: tuple[UrdfVisual, ...]
     notes: tuple[str, ...] = ()
+    faulty: tuple[str, ...] = ()
+    swapped: tuple[str, ...] = ()
 
     @cached_property
     def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:

@@ -54,7 +54,9 @@ def read_urdf(
     return model.load(progress)
 
 
-def read_urdf_model(path: str | Path, *, root: str | Path | None = None) -> UrdfModel:
+def read_urdf_model(
+    path: str | Path, *, root: str | Path | None = None, lenient: bool = False
+) -> UrdfModel:
     """Read a URDF without loading meshes (their paths are checked, not their presence).
 
     - Axes are normalised; limits stay as they are, as other readers have it.
@@ -62,18 +64,25 @@ def read_urdf_model(path: str | Path, *, root: str | Path | None = None) -> Urdf
     - Where no link has a visual, the collision geometry is taken.
     - A link without geometry is a helper; it is renamed where its name begins with ``link_``.
 
+    Args:
+        path, root: as :func:`read_urdf`.
+        lenient: joints with wrong values become fixed ones and are named in ``faulty``, for
+            scoring what others wrote; everything else is an error as ever.
+
     Raises:
         InputFileError: as :func:`read_urdf`.
     """
     path = Path(path)
-    return _Reader(path, Path(root) if root is not None else path.parent).read()
+    return _Reader(path, Path(root) if root is not None else path.parent, lenient).read()
 
 
 class _Reader:
     """Reads one file; collects problems, so that the user sees them all at once."""
 
-    def __init__(self, path: Path, root: Path) -> None:
-        self.path, self.root = path, root
+    def __init__(self, path: Path, root: Path, lenient: bool = False) -> None:
+        self.path, self.root, self.lenient = path, root, lenient
+        self.faulty: list[str] = []
+        self.swapped: list[str] = []
         self.problems: list[str] = []
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
@@ -112,7 +121,8 @@ class _Reader:
             for v in geometry
         )
         name = robot.get("name") or self.path.stem
-        return UrdfModel(self.path, name, tree, visuals, tuple(self.notes))
+        notes, faulty, swapped = (tuple(v) for v in (self.notes, self.faulty, self.swapped))
+        return UrdfModel(self.path, name, tree, visuals, notes, faulty, swapped)
 
     def _raise(self) -> None:
         if self.problems:
@@ -189,6 +199,10 @@ class _Reader:
             type_, lower = "continuous", None
         mimic = self._mimic(element, type_, where)
         if len(self.problems) > before:
+            if self.lenient and name:
+                self.notes += self.problems[before:]
+                del self.problems[before:]
+                self.faulty.append(name)
             return Joint(name or "?", "fixed", parent, child)
         return Joint(name, type_, parent, child, (x, y, z), (0, 0, 0), lower, upper, mimic)
 
@@ -238,6 +252,7 @@ class _Reader:
         if lower > upper:
             self.notes.append(f"{where}: limits {lower:g}..{upper:g} were swapped")
             lower, upper = upper, lower
+            self.swapped.append(element.get("name", ""))
         return lower, upper
 
     def _mimic(self, element: Element, type_: JointType, where: str) -> Mimic | None:

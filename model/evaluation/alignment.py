@@ -1,0 +1,233 @@
+"""Frame, scale and place of other people's predictions.
+
+Methods write their URDFs Y up, in centimetres, or in a unit box of their own. That is a convention
+and no mistake, so it is resolved once: one rotation (of the 24 that map axes to axes) and one rule
+for the scale are chosen for the whole method, by how well all its objects' surfaces lie on the true
+ones. Within the rule ``box`` each object has its own scale and place. What was done is reported. An
+object that lies otherwise than its method's others is wrong, and scored so.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf_meshes import moved_mesh
+
+Rule = Literal["as it is", "power of ten", "box"]
+RULES: tuple[Rule, ...] = get_args(Rule)
+"""Scale and place: untouched; scaled by a power of ten; the box's diagonal and centre fitted."""
+POINTS = 1500
+CAP = 0.1
+"""Distances beyond it count as it, in diagonals: a missing part must not decide the frame."""
+MARGIN = 0.004
+"""A simpler frame wins unless another is better by this much, in diagonals."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def _rotations() -> tuple[npt.NDArray[np.float64], ...]:
+    """The 24 proper signed permutations; the identity first, then Y up, then the rest."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    y_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return tuple(sorted(found, key=lambda m: (-np.trace(m), not np.array_equal(m, y_up))))
+
+
+ROTATIONS = _rotations()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How a method's files become the truth's frame.
+
+    Attributes:
+        rotation: index into :data:`ROTATIONS`.
+        rule: for scale and place.
+        exponent: of the power of ten.
+    """
+
+    rotation: int = 0
+    rule: Rule = "as it is"
+    exponent: int = 0
+
+    def describe(self) -> str:
+        """For people: "as it is", or what was turned and scaled."""
+        said = []
+        if self.rotation:
+            names = np.array(["x", "y", "z"])
+            matrix = ROTATIONS[self.rotation]
+            rows = [
+                ("-" if row.sum() < 0 else "") + str(names[np.argmax(np.abs(row))])
+                for row in matrix
+            ]
+            said.append(f"turned: its ({', '.join(rows)}) are x, y, z")
+        if self.rule == "power of ten":
+            said.append(f"scaled by {10.0**self.exponent:g}")
+        elif self.rule == "box":
+            said.append("each object scaled and moved to the true box")
+        return "; ".join(said) or "as it is"
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """``x ↦ scale · rotation · x + shift``, from the prediction's to the truth's frame."""
+
+    rotation: FloatArray
+    scale: float
+    shift: FloatArray
+
+    def points(self, points: FloatArray) -> FloatArray:
+        """(N, 3) points in the truth's frame."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+    def object(self, obj: ArticulatedObject) -> ArticulatedObject:
+        """The whole object in the truth's frame: geometry, axes, origins and travels."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.scale * self.rotation, self.shift
+        parts = tuple(self._part(p, matrix) for p in obj.parts)
+        return replace(obj, parts=parts, tree=self.tree(obj.tree))
+
+    def tree(self, tree: KinematicTree) -> KinematicTree:
+        """The tree in the truth's frame."""
+        return KinematicTree(tree.links, tuple(self._joint(j) for j in tree.joints))
+
+    def _joint(self, joint: Joint) -> Joint:
+        axis = tuple(self.rotation @ np.asarray(joint.axis))
+        origin = tuple(self.points(np.asarray(joint.origin)[None])[0])
+        lower, upper = joint.lower, joint.upper
+        if joint.type == "prismatic" and lower is not None and upper is not None:
+            lower, upper = lower * self.scale, upper * self.scale
+        return replace(joint, axis=axis, origin=origin, lower=lower, upper=upper)
+
+    def _part(self, part: Part, matrix: FloatArray) -> Part:
+        cloud = part.cloud
+        if cloud is not None:
+            normals = None if cloud.normals is None else cloud.normals @ self.rotation.T
+            points = self.points(cloud.points.astype(np.float64)).astype(np.float32)
+            cloud = PointCloud(
+                points, None if normals is None else normals.astype(np.float32), cloud.colors
+            )
+        mesh = None if part.mesh is None else moved_mesh(part.mesh, matrix)
+        return Part(part.link, mesh, cloud, part.name)
+
+
+@dataclass(frozen=True)
+class FrameCosts:
+    """How far one object is from the truth in each frame.
+
+    Attributes:
+        costs: (24, 3) as nested tuples, by rotation and :data:`RULES`: mean distance between the
+            two surfaces in true diagonals, both ways.
+        exponent: power of ten that brings its diagonal nearest to the true one.
+    """
+
+    costs: tuple[tuple[float, ...], ...]
+    exponent: int
+
+
+def frame_costs(truth: FloatArray, predicted: FloatArray) -> FrameCosts:
+    """Compare (N, 3) and (M, 3) samples of the two objects in every frame."""
+    tree = KDTree(truth)
+    diagonal = float(np.linalg.norm(np.ptp(truth, axis=0))) or 1.0
+    own = float(np.linalg.norm(np.ptp(predicted, axis=0)))
+    exponent = round(math.log10(diagonal / own)) if own > 0 else 0
+    rows = []
+    for rotation in range(len(ROTATIONS)):
+        row = []
+        for rule in RULES:
+            if rule == "power of ten" and exponent == 0:
+                row.append(row[0])
+                continue
+            similarity = fit(Frame(rotation, rule, exponent), truth, predicted)
+            moved = similarity.points(predicted)
+            there = np.minimum(tree.query(moved)[0] / diagonal, CAP).mean()
+            back = np.minimum(KDTree(moved).query(truth)[0] / diagonal, CAP).mean()
+            row.append(float(there + back) / 2)
+        rows.append(tuple(row))
+    return FrameCosts(tuple(rows), exponent)
+
+
+def choose_frame(objects: Sequence[FrameCosts]) -> Frame:
+    """The frame that suits most of a method's objects; the simplest one among equals."""
+    if not objects:
+        return Frame()
+    costs = np.mean([o.costs for o in objects], axis=0)  # (24, 3)
+    exponents = [o.exponent for o in objects]
+    common = max(set(exponents), key=exponents.count)
+    if exponents.count(common) < 0.8 * len(exponents):
+        costs[:, 1] = np.inf  # no one power of ten
+    simplicity = [(r, k) for k in range(len(RULES)) for r in range(len(ROTATIONS))]
+    best = float(costs.min())
+    rotation, rule = next((r, k) for r, k in simplicity if costs[r, k] <= best + MARGIN)
+    if RULES[rule] == "power of ten":
+        return Frame(rotation, "power of ten", common)
+    return Frame(rotation, RULES[rule])
+
+
+def fit(frame: Frame, truth: FloatArray, predicted: FloatArray) -> Similarity:
+    """The similarity of ``frame`` for one object, from (N, 3) and (M, 3) samples."""
+    rotation = ROTATIONS[frame.rotation]
+    if frame.rule == "as it is":
+        return Similarity(rotation, 1.0, np.zeros(3))
+    if frame.rule == "power of ten":
+        return Similarity(rotation, 10.0**frame.exponent, np.zeros(3))
+    turned = predicted @ rotation.T
+    own = float(np.linalg.norm(np.ptp(turned, axis=0))) or 1.0
+    scale = (float(np.linalg.norm(np.ptp(truth, axis=0))) or 1.0) / own
+    middle = (truth.max(0) + truth.min(0)) / 2
+    shift = middle - scale * (turned.max(0) + turned.min(0)) / 2
+    return Similarity(rotation, scale, shift)
+
+
+def outline(parts: Sequence[Part], points: int = POINTS) -> FloatArray:
+    """(N, 3) samples of a whole object with the corners of its box exactly in them."""
+    from model.evaluation.part_matching import sampled_parts
+
+    sampled = sampled_parts(parts)
+    everything = np.concatenate([s.points for s in sampled] or [np.zeros((1, 3))])
+    order = np.random.default_rng(0).permutation(len(everything))[:points]
+    corners = np.concatenate([_extremes(p) for p in parts])
+    return np.concatenate([everything[order], _extremes_of(corners)])
+
+
+def _extremes(part: Part) -> FloatArray:
+    points = part.mesh.vertices[np.unique(part.mesh.faces)] if part.mesh is not None else None
+    if points is None or not len(points):
+        points = part.cloud.points if part.cloud is not None else part.bounds
+    return _extremes_of(np.asarray(points, np.float64))
+
+
+def _extremes_of(points: FloatArray) -> FloatArray:
+    return points[np.unique(np.concatenate([points.argmin(0), points.argmax(0)]))]
+
+
+def renamed(tree: KinematicTree, names: Mapping[str, str]) -> KinematicTree:
+    """The tree with other link names; those that aren't named get one that no part has."""
+    taken = set(names.values())
+    table = dict(names)
+    for link in tree.links:
+        if link not in table:
+            new = f"unmatched:{link}"
+            while new in taken:
+                new += "_"
+            table[link] = new
+            taken.add(new)
+    joints = [replace(j, parent=table[j.parent], child=table[j.child]) for j in tree.joints]
+    return KinematicTree(tuple(table[x] for x in tree.links), tuple(joints))

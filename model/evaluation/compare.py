@@ -1,0 +1,172 @@
+"""Two runs side by side: what changed, figure by figure and object by object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from model.errors import ConfigurationError
+from model.evaluation.joint_metrics import ObjectScore
+from model.evaluation.markdown import escaped, table
+from model.evaluation.report import Report, faults, finite, show
+from model.evaluation.summary import METRICS, Summary, resampled, summarise, term_sums
+
+RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class ObjectChange:
+    """An object whose faults differ.
+
+    Attributes:
+        kind: "mended" or "broken" where it became usable or ceased to be, else "changed".
+        gone, new: faults that the second run hasn't any more, or has besides.
+    """
+
+    object_id: str
+    category: str | None
+    kind: str
+    gone: tuple[str, ...]
+    new: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two runs on the objects that both have.
+
+    Attributes:
+        labels: of the two runs. objects: how many both have; left_out: how many only one has.
+        before, after: their figures on the common objects.
+        difference: key → after minus before, and its 95 % interval (paired bootstrap).
+        changes: objects that differ, broken ones first.
+    """
+
+    labels: tuple[str, str]
+    objects: int
+    left_out: int
+    before: Summary
+    after: Summary
+    difference: dict[str, tuple[float, float, float]]
+    changes: tuple[ObjectChange, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """For a program."""
+        return finite(
+            {
+                "runs": self.labels,
+                "objects": self.objects,
+                "left_out": self.left_out,
+                "figures": {
+                    m.key: {
+                        "before": self.before[m.key],
+                        "after": self.after[m.key],
+                        "difference": self.difference[m.key][0],
+                        "interval_95": self.difference[m.key][1:],
+                    }
+                    for m in METRICS
+                },
+                "changes": [
+                    {
+                        "id": c.object_id, "category": c.category, "kind": c.kind,
+                        "gone": c.gone, "new": c.new,
+                    }
+                    for c in self.changes
+                ],
+            }
+        )  # fmt: skip
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Figure, before, after, difference with interval, and whether that is better."""
+        out = []
+        for m in METRICS:
+            a, b = self.before[m.key], self.after[m.key]
+            if math.isnan(a) and math.isnan(b):
+                continue
+            delta, low, high = self.difference[m.key]
+            clear = low > 0 or high < 0
+            word = "" if not clear else ("better" if (delta > 0) == m.higher else "worse")
+            span = f"{show(m, delta)} ({show(m, low)} … {show(m, high)})"
+            out.append((m.label, show(m, a), show(m, b), span, word))
+        return out
+
+    def to_markdown(self) -> str:
+        """For people."""
+        a, b = (escaped(label) for label in self.labels)
+        kinds = [c.kind for c in self.changes]
+        lines = [
+            f"# {a} → {b}",
+            "",
+            f"{self.objects} objects in both, {self.left_out} in one only; "
+            f"{kinds.count('mended')} mended, {kinds.count('broken')} broken, "
+            f"{kinds.count('changed')} otherwise changed.",
+            "",
+        ]
+        header = ("figure", "before", "after", "difference (95 % interval)", "")
+        lines += table(header, self.rows())
+        lines += ["", "## Objects", ""]
+        lines += table(
+            ("object", "category", "", "gone", "new"),
+            [
+                (c.object_id, c.category or "unknown", c.kind, "; ".join(c.gone), "; ".join(c.new))
+                for c in self.changes
+            ],
+        )
+        return "\n".join(lines) + "\n"
+
+
+def compare(before: Report, after: Report, *, seed: int = 0) -> Comparison:
+    """What changed from one run to another.
+
+    Raises:
+        ConfigurationError: where they have no object in common.
+    """
+    first = {s.object_id: s for s in before.scores}
+    second = {s.object_id: s for s in after.scores}
+    common = [i for i in first if i in second]
+    if not common:
+        raise ConfigurationError("the two runs have no object in common; compare runs on one set")
+    a, b = [first[i] for i in common], [second[i] for i in common]
+    changes = [c for x, y in zip(a, b, strict=True) if (c := _change(x, y)) is not None]
+    order = {"broken": 0, "mended": 1, "changed": 2}
+    changes.sort(key=lambda c: (order[c.kind], c.object_id))
+    return Comparison(
+        labels=(before.label, after.label),
+        objects=len(common),
+        left_out=len(first) + len(second) - 2 * len(common),
+        before=summarise(a),
+        after=summarise(b),
+        difference=_differences(a, b, seed),
+        changes=tuple(changes),
+    )
+
+
+def _change(before: ObjectScore, after: ObjectScore) -> ObjectChange | None:
+    old, new = faults(before), faults(after)
+    if old == new:
+        return None
+    kind = "changed"
+    if before.usable != after.usable:
+        kind = "mended" if after.usable else "broken"
+    gone = tuple(f for f in old if f not in new)
+    return ObjectChange(
+        after.object_id, after.category, kind, gone, tuple(f for f in new if f not in old)
+    )
+
+
+def _differences(
+    before: Sequence[ObjectScore], after: Sequence[ObjectScore], seed: int
+) -> dict[str, tuple[float, float, float]]:
+    """Paired: the same objects are drawn for both runs."""
+    figures = [summarise(s) for s in (before, after)]
+    drawn = [resampled(term_sums(s), seed=seed, resamples=RESAMPLES) for s in (before, after)]
+    delta = drawn[1] - drawn[0]
+    out = {}
+    for i, m in enumerate(METRICS):
+        values = delta[:, i][np.isfinite(delta[:, i])]
+        low, high = np.percentile(values, (2.5, 97.5)) if len(values) else (np.nan, np.nan)
+        out[m.key] = (figures[1][m.key] - figures[0][m.key], float(low), float(high))
+    return out

@@ -1,0 +1,150 @@
+"""Reports as Markdown. Names come from files and are escaped."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from model.errors import InputFileError
+from model.evaluation.report import (
+    COLUMNS,
+    Report,
+    faults,
+    paper_rows,
+    show,
+    summary_cells,
+)
+from model.evaluation.summary import METRICS
+
+MOST_FAULTS = 6
+
+
+def to_markdown(reports: Sequence[Report]) -> str:
+    """The table of all runs with the paper's rows, then each run's figures and failures."""
+    first = reports[0]
+    lines = [f"# Evaluation on {escaped(first.dataset)}", ""]
+    rows = [r.row() for r in reports] + paper_rows()
+    lines += table(("method", *COLUMNS), rows)
+    lines += [
+        "",
+        "Means over joints; TC, tree and usable count missing and extra joints. APD and ALD in "
+        "rad, OPD and DLD in metres. The paper's rows are its own figures on its own objects.",
+    ]
+    for report in reports:
+        lines += _run(report)
+    return "\n".join(lines) + "\n"
+
+
+def write_markdown(reports: Sequence[Report], path: Path) -> Path:
+    """Write :func:`to_markdown`.
+
+    Raises:
+        InputFileError: where it can't be written.
+    """
+    try:
+        path.write_text(to_markdown(reports), encoding="utf-8")
+    except OSError as error:
+        raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
+    return path
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A Markdown table of escaped cells."""
+    return [
+        "| " + " | ".join(header) + " |",
+        "|" + "---|" * len(header),
+        *("| " + " | ".join(escaped(cell) for cell in row) + " |" for row in rows),
+    ]
+
+
+def escaped(text: str) -> str:
+    """``text`` on one line, with nothing that Markdown or HTML would act on."""
+    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
+    return re.sub(r"([\\`*\[\]|!#])", r"\\\1", plain)
+
+
+def _run(report: Report) -> list[str]:
+    s = report.summary
+    limits = report.settings.get("limits", {})
+    lines = ["", f"## {escaped(report.label)}", ""]
+    lines.append(
+        f"{s.objects} objects, {s.joints} joints; {s.missing} missing, {s.unparseable} "
+        f"unparseable, {s.extra} extra, {s.failed} objects without a prediction. "
+        f"{_seconds(report)}"
+    )
+    if report.frame is not None:
+        lines.append(f"Frame of the files: {escaped(report.frame)}.")
+    lines += [
+        f"A joint is usable where its type and parent are right, the axis is within "
+        f"{limits.get('axis')} rad, the origin within {limits.get('origin')} of the diagonal from "
+        f"the true line, and the range overlaps by {limits.get('range_iou')} (IoU) or both ends "
+        f"are within {limits.get('angle')} rad or {limits.get('travel')} diagonals.",
+        "",
+    ]
+    lines += table(
+        ("figure", "value", "95 % interval", "unit", "what it is", "source"),
+        [
+            (
+                m.label,
+                show(m, s[m.key]),
+                "–" if show(m, s[m.key]) == "–" else _interval(report, i),
+                m.unit,
+                m.definition,
+                m.source,
+            )
+            for i, m in enumerate(METRICS)
+        ],
+    )
+    lines += _calibration(report)
+    lines += ["", "### By category", ""]
+    lines += table(
+        ("category (objects, joints)", *COLUMNS),
+        [
+            (f"{c} ({v.objects}, {v.joints})", *summary_cells(v))
+            for c, v in report.by_category.items()
+        ],
+    )
+    failed = [o for o in report.scores if not o.usable]
+    lines += ["", f"### Not usable: {len(failed)} objects", ""]
+    for o in failed:
+        said = faults(o)
+        more = "; …" if len(said) > MOST_FAULTS else ""
+        shown = escaped("; ".join(said[:MOST_FAULTS]))
+        lines.append(
+            f"- {escaped(o.object_id)} ({escaped(o.category or 'unknown')}): {shown}{more}"
+        )
+    return lines
+
+
+def _seconds(report: Report) -> str:
+    mean = sum(report.seconds) / max(1, len(report.seconds))
+    return (
+        f"{mean:.2f} s an object, at most {max(report.seconds, default=0):.2f} s; the run took "
+        f"{report.wall_seconds:.0f} s."
+    )
+
+
+def _interval(report: Report, index: int) -> str:
+    metric = METRICS[index]
+    low, high = report.intervals[metric.key]
+    return f"{show(metric, low)} … {show(metric, high)}"
+
+
+def _calibration(report: Report) -> list[str]:
+    c = report.calibration
+    if not c.joints:
+        return []
+    rows = [
+        (f"{b.low:.1f}–{b.high:.1f}", str(b.joints), f"{b.confidence:.2f}", f"{100 * b.usable:.0f}")
+        for b in c.bins
+    ]
+    return [
+        "",
+        "### Confidence",
+        "",
+        f"{c.joints} joints with a confidence; expected calibration error {c.ece:.3f}, Brier score "
+        f"{c.brier:.3f}.",
+        "",
+        *table(("confidence", "joints", "mean", "usable %"), rows),
+    ]

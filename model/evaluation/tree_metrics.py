@@ -1,0 +1,44 @@
+"""How far a predicted tree of parts is from the true one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+
+def chain(tree: KinematicTree, part: str, parts: Collection[str]) -> tuple[str, tuple[Joint, ...]]:
+    """All joints between ``part`` and the next of ``parts`` above it, top first, and that part.
+
+    The part is "" at the root.
+    """
+    joints: list[Joint] = []
+    link = part
+    while (joint := tree.joint_of.get(link)) is not None:
+        joints.append(joint)
+        link = joint.parent
+        if link in parts:
+            return link, tuple(reversed(joints))
+    return "", tuple(reversed(joints))
+
+
+def parents(tree: KinematicTree, parts: Collection[str]) -> dict[str, str]:
+    """Part → the next part above it, "" at the root; helper links are passed over."""
+    return {p: chain(tree, p, parts)[0] for p in parts if p in tree.links}
+
+
+def tree_edits(truth: Mapping[str, str], predicted: Mapping[str, str], *, extra: int = 0) -> int:
+    """Tree edit distance: fewest edits that make the predicted tree the true one, no unit.
+
+    Nodes are known apart (they were matched by geometry), so the distance for labelled trees
+    (Zhang and Shasha, 1989, with re-attaching as one edit) is a count: one for each part that
+    hangs on another parent than it should, is missing, or is too much. 0 is the true tree.
+
+    Args:
+        truth, predicted: part → parent, "" at the root.
+        extra: predicted parts that match no true one.
+    """
+    wrong = sum(p in predicted and predicted[p] != above for p, above in truth.items())
+    missing = sum(p not in predicted for p in truth)
+    return wrong + missing + extra
