@@ -108,7 +108,7 @@ def dominant_yaw(normals: Array, weights: Array, points: list[Array]) -> float:
         peak = (int(np.argmax(smooth)) + 0.5) / bins * (np.pi / 2)
         off = (angle - peak + np.pi / 4) % (np.pi / 2) - np.pi / 4
         near = np.abs(off) < np.deg2rad(2.5)
-        if near.any():
+        if near.any() and mass[near].sum() > 0:
             sharp = float(mass[near].sum() / mass.sum())
             yaw = peak + float(np.average(off[near], weights=mass[near]))
     if sharp < 0.2:

@@ -14,6 +14,7 @@ import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from model.arti4urdf.network import ArtiModel
+from model.arti4urdf.weights import save_weights
 from model.errors import ConfigurationError
 from model.progress import Progress, no_progress
 from model.training.batches import PLAIN, Batch, augmented, collate, teach
@@ -164,6 +165,24 @@ def train(
         if stop:
             break
     return out
+
+
+def export_weights(run: Path, folder: Path, *, version: str) -> None:
+    """Write a run's averaged weights for use, with its configuration and last log entry.
+
+    Raises:
+        ConfigurationError: where ``run`` holds no state.
+    """
+    if not (run / STATE).exists():
+        raise ConfigurationError(f"{run} holds no training state ({STATE}): train first")
+    config = TrainingConfig.from_json(json.loads((run / CONFIG).read_text()))
+    state = torch.load(run / STATE, weights_only=True)
+    model = ArtiModel(config.model)
+    model.load_state_dict(state["average"])
+    lines = (run / LOG).read_text().splitlines()
+    record = {"training": config.to_json(), "log": json.loads(lines[-1]) if lines else {}}
+    del record["training"]["model"]
+    save_weights(model, folder, version=version, record=record)
 
 
 def _same_config(config: TrainingConfig, out: Path) -> None:

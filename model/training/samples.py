@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -165,16 +168,75 @@ def write_shards(
         Objects written now.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    families = families or training_families()
     written = 0
     for first in range(math.ceil(count / shard)):
-        path = folder / f"{seed:04d}_{first:05d}.npz"
-        if path.exists():
-            continue
-        indices = range(first * shard, min(count, (first + 1) * shard))
-        found = [s for s in generate_samples(families, seed, indices) if s is not None]
-        if found:
-            write_shard(found, path)
-        written += len(found)
+        written += _write_one(folder, first, count, seed, shard, families)
         progress((first + 1) * shard / count, f"{written} objects")
     return written
+
+
+def make_shards(
+    folder: Path,
+    count: int,
+    *,
+    seed: int,
+    shard: int = 100,
+    jobs: int = 1,
+    families: Sequence[str] | None = None,
+    progress: Progress = no_progress,
+) -> None:
+    """:func:`write_shards` in ``jobs`` processes (0: one a core)."""
+    jobs = jobs or os.cpu_count() or 1
+    missing = sum(
+        not (folder / f"{seed:04d}_{k:05d}.npz").exists() for k in range(math.ceil(count / shard))
+    )
+    if jobs == 1 or missing <= 1:
+        write_shards(folder, count, seed=seed, shard=shard, families=families, progress=progress)
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    firsts = range(math.ceil(count / shard))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, missing), mp_context=context) as pool:
+        waiting = [pool.submit(_write_one, folder, k, count, seed, shard, families) for k in firsts]
+        for done, job in enumerate(as_completed(waiting)):
+            job.result()
+            progress((done + 1) / len(waiting), f"{(done + 1) * shard} objects")
+
+
+def _write_one(
+    folder: Path, number: int, count: int, seed: int, shard: int, families: Sequence[str] | None
+) -> int:
+    path = folder / f"{seed:04d}_{number:05d}.npz"
+    if path.exists():
+        return 0
+    indices = range(number * shard, min(count, (number + 1) * shard))
+    found = generate_samples(families or training_families(), seed, indices)
+    kept = [s for s in found if s is not None]
+    if kept:
+        write_shard(kept, path)
+    return len(kept)
+
+
+def write_dataset(root: Path, folder: Path, *, progress: Progress = no_progress) -> int:
+    """Add a shard of the PartNet-Mobility objects under ``root``, with and without names.
+
+    Returns:
+        Samples written.
+
+    Raises:
+        ArtiworldError: where there are none.
+    """
+    from model.datasets.partnet_mobility import PartNetMobility
+
+    dataset = PartNetMobility(root)
+    ids = dataset.ids()
+    kept: list[Sample] = []
+    for k, object_id in enumerate(ids):
+        progress(k / len(ids), object_id)
+        truth = dataset.load(object_id)
+        made = (make_sample(truth, named=named, seed=k) for named in (True, False))
+        kept += [s for s in made if s is not None]
+    if kept:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_shard(kept, folder / f"data_{root.name}.npz")
+    return len(kept)

@@ -1,0 +1,34 @@
+"""Objects and weights for the tests of Arti4URDF."""
+
+import pytest
+
+pytest.importorskip("torch", reason="torch is not installed")
+
+import torch
+
+from model.arti4urdf.language_model import DecoderConfig
+from model.arti4urdf.network import ArtiModel, ModelConfig
+from model.arti4urdf.point_bert import PointBertConfig
+from model.arti4urdf.vocabulary import SIZE
+
+
+@pytest.fixture(scope="session")
+def tiny_model() -> ArtiModel:
+    """Random weights, a few thousand of them."""
+    torch.manual_seed(0)
+    points = PointBertConfig(
+        width=24,
+        depth=1,
+        heads=2,
+        groups=8,
+        neighbours=8,
+        encoder_width=16,
+        point_width=8,
+        points=64,
+        drop_path=0.0,
+        normalisation="layer",
+        unit_neighbourhoods=True,
+        skip_near_origin=False,
+    )
+    config = ModelConfig(points, DecoderConfig(SIZE, 32, 48, 2, 2, 1, head_dim=16), 48)
+    return ArtiModel(config).eval()

@@ -1,0 +1,88 @@
+"""Parts in, tree out: with weights that know nothing, odd inputs, settled joints."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="torch is not installed")
+
+from model.arti4urdf.answer import parse_answer
+from model.arti4urdf.decoding import decode
+from model.arti4urdf.network import ArtiModel
+from model.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
+from model.arti4urdf.structure import read_structure
+from model.datasets.procedural.generate import make
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import Part, SegmentedObject
+from model.kinematics.joint import Joint
+
+
+def _parts(family: str, index: int = 0) -> SegmentedObject:
+    obj = make(family, 11, index).object
+    return SegmentedObject(obj.name, obj.parts, obj.category)
+
+
+@pytest.mark.parametrize("family", ["StorageFurniture", "Bottle", "Cart", "Eyeglasses"])
+@pytest.mark.parametrize("hybrid", [None, HybridSettings()])
+def test_random_weights_still_write_a_tree(
+    tiny_model: ArtiModel, family: str, hybrid: HybridSettings | None
+) -> None:
+    segmented = _parts(family)
+    found = Arti4UrdfPredictor(tiny_model, hybrid=hybrid).predict(segmented)
+    assert found.tree is not None
+    assert {p.link for p in segmented.parts} <= set(found.tree.links)
+    tree, problems = parse_answer(found.raw_text)
+    assert tree is not None and problems == ()
+    assert all(0 <= c <= 1 for c in found.confidence.values())
+
+
+def test_the_same_parts_give_the_same_answer(tiny_model: ArtiModel) -> None:
+    predictor, segmented = Arti4UrdfPredictor(tiny_model), _parts("Oven")
+    assert predictor.predict(segmented).raw_text == predictor.predict(segmented).raw_text
+
+
+def test_forced_spans_change_nothing_but_the_number_of_passes(tiny_model: ArtiModel) -> None:
+    segmented = _parts("StorageFurniture", 1)
+    prompt = make_prompt(read_structure(segmented), segmented, 0)
+    spans, single = decode(tiny_model, prompt), decode(tiny_model, prompt, span=False)
+    assert spans.feeds == single.feeds
+    assert spans.decisions == single.decisions
+    assert spans.passes < single.passes
+
+
+def test_settled_joints_come_out_as_they_are(tiny_model: ArtiModel) -> None:
+    segmented = _parts("StorageFurniture", 2)
+    links = [p.link for p in segmented.parts]
+    settled = Joint(
+        "mine", "revolute", links[0], links[1], (0, 0, 1), (0.1, 0.2, 0.3), -0.25, 1.5
+    )
+    found = Arti4UrdfPredictor(tiny_model).predict(segmented, locked=(settled,))
+    assert found.tree is not None
+    assert found.tree.joint_of[links[1]] == settled
+    assert found.confidence[links[1]] == 1.0
+
+
+def _cloud(points: np.ndarray, link: str) -> Part:
+    return Part(link, cloud=PointCloud(points.astype(np.float32)))
+
+
+def _odd_objects() -> dict[str, tuple[Part, ...]]:
+    rng = np.random.default_rng(0)
+    base = rng.random((400, 3))
+    return {
+        "one part": (_cloud(base, "link_0"),),
+        "a part of three points": (_cloud(base, "link_0"), _cloud(base[:3] + 1, "link_1")),
+        "a part of one point": (_cloud(base, "link_0"), _cloud(base[:1], "link_1")),
+        "far apart": (_cloud(base, "link_0"), _cloud(base + 100, "link_1")),
+        "coincident": (_cloud(base, "link_0"), _cloud(base, "link_1"), _cloud(base, "link_2")),
+        "all in one place": (_cloud(base * 0, "link_0"), _cloud(base * 0, "link_1")),
+        "flat": (_cloud(base * [1, 1, 0], "link_0"), _cloud(base * [1, 1, 0] + 0.1, "link_1")),
+    }
+
+
+@pytest.mark.parametrize("what", list(_odd_objects()))
+def test_odd_objects_get_an_answer(tiny_model: ArtiModel, what: str) -> None:
+    segmented = SegmentedObject(what, _odd_objects()[what])
+    for hybrid in (None, HybridSettings()):
+        found = Arti4UrdfPredictor(tiny_model, hybrid=hybrid).predict(segmented)
+        assert found.tree is not None
+        assert len(found.tree.links) >= len(segmented.parts)
