@@ -13,12 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast, get_args
 
+from model import codec
 from model.errors import CommandError
 from model.geometry.asset import UpAxis
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
-from sessions import codec
 from sessions.review import REJECT_REASONS, RejectReason
 from sessions.text import clean_text
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import Any
 
+from model import codec
 from model.geometry.asset import Source
 from model.segmentation.prompts import Click
-from sessions import codec
 from sessions.commands import (
     LockJoint,
     RecordPrediction,

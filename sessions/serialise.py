@@ -10,12 +10,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from model import codec
 from model.errors import StoreError
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.segmentation.prompts import Click
-from sessions import codec
 from sessions.document import (
     Document,
     PartInfo,
