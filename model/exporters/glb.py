@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.exporters.part_files import part_mesh
+from model.exporters.physics import Physics
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.urdf import link_origins
@@ -37,9 +38,14 @@ class GlbExporter:
     description = "GLB with the joints as animations"
 
     def export(
-        self, obj: ArticulatedObject, folder: Path, *, progress: Progress = no_progress
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
-        """See :class:`~model.exporters.protocol.Exporter`."""
+        """See :class:`~model.exporters.protocol.Exporter`; glTF has no place for ``physics``."""
         from model.geometry.writers import mesh_to_glb
 
         scene = _Scene(obj)
@@ -134,7 +140,7 @@ class _Scene:
 
     def _animation(self, name: str, joints: list[Joint]) -> None:
         tree = self.obj.tree
-        tracks = [_track(j) for j in joints]
+        tracks = [joint_track(j) for j in joints]
         times = np.linspace(0.0, SECONDS, len(tracks[0]))
         named = [j.name for j in joints]
         values = [
@@ -210,7 +216,7 @@ def _chunks(glb: bytes) -> tuple[dict[str, Any], bytes]:
     return tree, glb[28 + length : 28 + length + size]
 
 
-def _track(joint: Joint) -> FloatArray:
+def joint_track(joint: Joint) -> FloatArray:
     """(3 * KEYS + 1,) values from rest to the upper limit, the lower one, and back to rest."""
     if joint.type == "continuous":
         return np.linspace(0.0, 2 * np.pi, 3 * KEYS + 1)

@@ -1,42 +1,142 @@
-"""Simple mass properties, so that every simulator takes the asset.
+"""Mass and inertia, so that every simulator takes the asset and moves it plausibly.
 
-A scan tells nothing of what is inside. The link is taken as its convex hull, filled evenly at a
-density between that of hollow furniture and of wood. Values are plausible and always valid
-(positive definite, within the triangle inequality); who needs the real ones must weigh the thing.
+A closed shell of the mesh is filled with its material, or hollow with the wall that things of that
+material have, whichever is lighter: a board is solid, a refrigerator is not. Open surfaces and
+scans are shells. What has no surface to speak of is taken as its convex hull. The values are always
+valid (positive definite, within the triangle inequality); who needs the real ones must weigh it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 import numpy.typing as npt
 
+from model.exporters.materials import PartMaterial
+from model.geometry.mesh import Mesh
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.urdf import Inertial
 
 DENSITY = 300.0
-"""kg/m³ of the filled hull."""
+"""kg/m³ of a filled convex hull, between hollow furniture and wood."""
 MIN_MASS = 1e-3
 """kg. Lighter links upset solvers."""
 MIN_RADIUS = 1e-3
 """Metres: nothing turns more easily than a ball of this radius and the same mass."""
+SHEET = 0.005
+"""Volume of a closed shell, in area times wall, below which it is a sheet seen from both sides."""
 HELPER = Inertial(1e-2, np.zeros(3), np.eye(3) * 1e-5)
 """For links without geometry, which simulators want to have mass where they move."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
-def inertials_of(obj: ArticulatedObject, density: float = DENSITY) -> dict[str, Inertial]:
-    """Link → mass properties. A root without geometry has none: it stands still."""
+def inertials_of(
+    obj: ArticulatedObject,
+    density: float = DENSITY,
+    *,
+    material_of: Callable[[Part], PartMaterial] | None = None,
+) -> dict[str, Inertial]:
+    """Link → mass properties. A root without geometry has none: it stands still.
+
+    Args:
+        density: kg/m³ of the filled hull, where no material is told.
+        material_of: what a part is made of; with it mass comes from volume and surface.
+    """
     parts = {p.link: p for p in obj.parts}
     out: dict[str, Inertial] = {}
     for link in obj.tree.links:
         part = parts.get(link)
         points = np.zeros((0, 3)) if part is None else part_points(part)
-        if len(points):
-            out[link] = hull_inertial(points, density)
+        if part is not None and len(points):
+            made = None if material_of is None else _of_material(part, points, material_of(part))
+            out[link] = made or hull_inertial(points, density)
         elif link != obj.tree.root:
             center = np.asarray(obj.tree.joint_of[link].origin, dtype=np.float64)
             out[link] = Inertial(HELPER.mass, center, HELPER.tensor)
+    return out
+
+
+def inertial_problems(inertials: Mapping[str, Inertial]) -> list[str]:
+    """Links whose mass properties no body can have; empty where all is well."""
+    out: list[str] = []
+    for link, inertial in inertials.items():
+        values = np.linalg.eigvalsh(inertial.tensor)
+        if not (np.isfinite(inertial.center).all() and np.isfinite(values).all()):
+            out.append(f"{link}: inertia is not a number")
+        elif inertial.mass <= 0 or values[0] <= 0:
+            out.append(f"{link}: mass and inertia must be above 0")
+        elif values[0] + values[1] < values[2] * (1 - 1e-9):
+            out.append(f"{link}: inertia breaks the triangle inequality")
+    return out
+
+
+def _of_material(part: Part, points: FloatArray, material: PartMaterial) -> Inertial | None:
+    """From the part's surface; None where it has no mesh with an area."""
+    from model.exporters.part_files import part_mesh
+
+    mesh = part_mesh(part)
+    area = float(mesh.face_areas.sum())
+    if not area > 0:
+        return None
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    corners = mesh.triangles - middle
+    mass, first, second = _moments(mesh, corners, material)
+    hull = _hull(points)
+    most = mass if hull is None else material.density * hull[0]
+    if not mass > 0:
+        return None
+    if mass > most:  # a wall thicker than the thing itself
+        first, second, mass = first * (most / mass), second * (most / mass), most
+    scale = max(mass, MIN_MASS) / mass
+    mass, first, second = mass * scale, first * scale, second * scale
+    center = first / mass
+    spread = second - mass * np.outer(center, center)
+    tensor = np.trace(spread) * np.eye(3) - spread
+    tensor = (tensor + tensor.T) / 2 + np.eye(3) * 0.4 * mass * MIN_RADIUS**2
+    found = Inertial(mass, center + middle, tensor)
+    return None if inertial_problems({"": found}) else found
+
+
+def _moments(
+    mesh: Mesh, corners: FloatArray, material: PartMaterial
+) -> tuple[float, FloatArray, FloatArray]:
+    """Mass, its first moment (3,) and second moment (3, 3) about the corners' origin."""
+    from model.geometry.topology import connected_shells, weld
+
+    ids = weld(mesh)
+    shell = connected_shells(mesh, ids)
+    sums = corners.sum(axis=1)
+    products = np.einsum("fi,fj->fij", sums, sums) + np.einsum("fci,fcj->fij", corners, corners)
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    volume, area = np.bincount(shell, volumes), np.bincount(shell, mesh.face_areas)
+    wall = material.thickness
+    closed = _closed(ids[mesh.faces], shell)
+    sheet = closed & (np.abs(volume) < SHEET * area * wall)
+    filled = closed & ~sheet & (np.abs(volume) < area * wall)
+    # Each face carries its share: a tetrahedron to the origin, or a piece of wall.
+    solid = volumes * np.sign(volume)[shell] * filled[shell]
+    walls = mesh.face_areas * wall * np.where(sheet, 0.5, 1.0)[shell] * ~filled[shell]
+    weight = solid + walls
+    first = (solid / 4 + walls / 3) @ sums
+    second = np.einsum("f,fij->ij", solid / 20 + walls / 12, products)
+    return (
+        material.density * float(weight.sum()),
+        material.density * first,
+        material.density * second,
+    )
+
+
+def _closed(corners: npt.NDArray[np.int32], shell: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """(S,) whether each shell is closed and wound one way: every edge is run as often one way as
+    the other."""
+    tail, head = corners.reshape(-1), np.roll(corners, -1, axis=1).reshape(-1)
+    low, high = np.minimum(tail, head).astype(np.int64), np.maximum(tail, head).astype(np.int64)
+    _, edge = np.unique(low * (int(corners.max()) + 1) + high, return_inverse=True)
+    balance = np.bincount(edge, np.where(tail < head, 1.0, -1.0) * (tail != head))
+    out = np.ones(int(shell.max()) + 1, bool)
+    out[np.repeat(shell, 3)[balance[edge] != 0]] = False
     return out
 
 

@@ -1,8 +1,8 @@
 """MJCF for MuJoCo, with textures; MuJoCo's own URDF reader drops them.
 
 One body a link, its frame as in the URDF (see ``model.kinematics.urdf``), so link poses agree.
-Each material of a part is a geom of its own, as MuJoCo has one material a geom. Geoms are for
-looking at only: they don't collide.
+Each material of a part is a geom of its own, as MuJoCo has one material a geom; those are for
+looking at only. Collision shapes are geoms of another group that nobody sees.
 """
 
 from __future__ import annotations
@@ -13,23 +13,26 @@ from pathlib import Path
 from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from model.exporters.inertia import inertials_of
+from model.collision.shapes import Primitive
+from model.exporters.collision_files import write_collision
 from model.exporters.part_files import file_stems, part_mesh
+from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import MESHES
 from model.geometry.formats.textures import encode
 from model.geometry.mesh import Material, Mesh
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
-from model.kinematics.urdf import Inertial, link_origins, vector, xml_name
+from model.kinematics.urdf import Inertial, link_origins, number, vector, xml_name
 from model.progress import Progress, no_progress
 
 FILE = "object.xml"
-DAMPING = 0.1
-"""N s/m or N m s/rad, so that nothing swings for ever."""
 VISUAL_GROUP = 2
 """MuJoCo's habit for geoms that are only seen."""
+COLLISION_GROUP = 3
+"""And for those that are only felt."""
 
 
 class MjcfExporter:
@@ -39,15 +42,20 @@ class MjcfExporter:
     description = "MuJoCo's XML with textured meshes"
 
     def export(
-        self, obj: ArticulatedObject, folder: Path, *, progress: Progress = no_progress
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
         """See :class:`~model.exporters.protocol.Exporter`."""
-        return _Writer(obj, folder).write(progress)
+        return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
 
 
 class _Writer:
-    def __init__(self, obj: ArticulatedObject, folder: Path) -> None:
-        self.obj, self.folder = obj, folder
+    def __init__(self, obj: ArticulatedObject, folder: Path, physics: Physics) -> None:
+        self.obj, self.folder, self.physics = obj, folder, physics
         self.origins = link_origins(obj.tree)
         self.root = ET.Element("mujoco", model=xml_name(obj.name))
         ET.SubElement(
@@ -61,10 +69,13 @@ class _Writer:
     def write(self, progress: Progress) -> tuple[Path, ...]:
         (self.folder / MESHES).mkdir(exist_ok=True)
         world = ET.SubElement(self.root, "worldbody")
-        tree, inertials = self.obj.tree, inertials_of(self.obj)
+        tree, inertials = self.obj.tree, self.physics.inertials
         parts = {p.link: p for p in self.obj.parts}
         stems = file_stems(list(parts))
+        shapes = write_collision(self.physics.collision, stems, self.folder, capsules=True)
         bodies = {tree.root: ET.SubElement(world, "body", name=xml_name(tree.root))}
+        if not self.physics.fixed_base:
+            ET.SubElement(bodies[tree.root], "freejoint")
         for i, link in enumerate(tree.order):
             progress(i / len(tree.order), f"writing {link}")
             body = bodies.get(link)
@@ -75,7 +86,10 @@ class _Writer:
                 self._inertial(body, inertials[link], link)
             if link in parts:
                 self._geoms(body, part_mesh(parts[link]), link, stems[link])
+            for shape in shapes.get(link, []):
+                self._collision(body, shape, link)
         self._mimics(tree)
+        self._excludes()
         path = self.folder / FILE
         ET.indent(self.root)
         path.write_bytes(ET.tostring(self.root, encoding="utf-8") + b"\n")
@@ -88,9 +102,12 @@ class _Writer:
         if joint.moves:
             kind = "hinge" if joint.rotates else "slide"
             made = ET.SubElement(
-                body, "joint", name=xml_name(joint.name), type=kind, axis=vector(joint.axis),
-                damping=str(DAMPING),
-            )  # fmt: skip
+                body, "joint", name=xml_name(joint.name), type=kind, axis=vector(joint.axis)
+            )
+            dynamics = self.physics.dynamics.get(joint.name)
+            if dynamics is not None:
+                made.set("damping", number(dynamics.damping))
+                made.set("frictionloss", number(dynamics.friction))
             if joint.limited and joint.lower != joint.upper:
                 made.set("range", vector((joint.lower or 0.0, joint.upper or 0.0)))
         return body
@@ -106,9 +123,9 @@ class _Writer:
     def _geoms(self, body: ET.Element, mesh: Mesh, link: str, stem: str) -> None:
         from model.geometry.writers import write_mesh
 
-        for number, index in enumerate(np.unique(mesh.face_material)):
+        for count, index in enumerate(np.unique(mesh.face_material)):
             piece = mesh.take_faces(mesh.face_material == index)
-            name = f"{stem}_{number}"
+            name = f"{stem}_{count}"
             material = self._material(piece, name)
             path = self.folder / MESHES / f"{name}.obj"
             write_mesh(_plain(piece), path)
@@ -121,6 +138,38 @@ class _Writer:
                 pos=vector(-self.origins[link]), contype="0", conaffinity="0",
                 group=str(VISUAL_GROUP),
             )  # fmt: skip
+
+    def _collision(self, body: ET.Element, shape: str | Primitive, link: str) -> None:
+        geom = ET.SubElement(body, "geom", group=str(COLLISION_GROUP))
+        if isinstance(shape, str):
+            path = self.folder / shape
+            self.files.append(path)
+            name = f"collision_{path.stem}"
+            ET.SubElement(
+                self.assets,
+                "mesh",
+                name=name,
+                file=path.relative_to(self.folder / MESHES).as_posix(),
+            )
+            geom.attrib |= {"type": "mesh", "mesh": name, "pos": vector(-self.origins[link])}
+            return
+        pose = shape.object_from_shape
+        halves = {"box": [s / 2 for s in shape.sizes]}.get(
+            shape.kind, [shape.sizes[0], *(s / 2 for s in shape.sizes[1:])]
+        )
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        geom.attrib |= {
+            "type": shape.kind,
+            "size": vector(halves),
+            "pos": vector(pose[:3, 3] - self.origins[link]),
+            "quat": vector([w, x, y, z]),
+        }
+
+    def _excludes(self) -> None:
+        if self.physics.touching:
+            contact = ET.SubElement(self.root, "contact")
+            for a, b in self.physics.touching:
+                ET.SubElement(contact, "exclude", body1=xml_name(a), body2=xml_name(b))
 
     def _material(self, piece: Mesh, name: str) -> str:
         look = piece.materials[0]

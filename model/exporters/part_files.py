@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -90,8 +91,11 @@ def write_parts(
     return tuple(out)
 
 
+_OF_CLOUDS: WeakKeyDictionary[PointCloud, Mesh] = WeakKeyDictionary()
+
+
 def part_mesh(part: Part) -> Mesh:
-    """The part's mesh, or a surface through its cloud.
+    """The part's mesh, or a surface through its cloud, which is made once.
 
     Raises:
         GeometryError: where it has neither a face nor a point.
@@ -99,7 +103,9 @@ def part_mesh(part: Part) -> Mesh:
     if part.mesh is not None and len(part.mesh.faces):
         return part.mesh
     if part.cloud is not None and len(part.cloud):
-        return _surface_of_cloud(part.cloud)
+        if part.cloud not in _OF_CLOUDS:
+            _OF_CLOUDS[part.cloud] = _surface_of_cloud(part.cloud)
+        return _OF_CLOUDS[part.cloud]
     raise GeometryError(f"part {part.link!r} has no face and no point; give it some or remove it")
 
 

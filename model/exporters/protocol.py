@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from model.exporters.physics import Physics
 from model.kinematics.articulated_object import ArticulatedObject
 from model.progress import Progress, no_progress
 
@@ -22,11 +23,21 @@ class Exporter(Protocol):
     description: str
 
     def export(
-        self, obj: ArticulatedObject, folder: Path, *, progress: Progress = no_progress
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
         """Write ``obj`` into ``folder``, which exists.
 
         Files of the same names are replaced. References between the files are relative.
+
+        Args:
+            physics: mass, collision shapes and joint dynamics; None leaves shapes and dynamics
+                out and takes plain masses.
+            progress: told of each part.
 
         Returns:
             The files, the one to open first.

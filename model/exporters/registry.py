@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from model.errors import ConfigurationError, InputFileError
+from model.exporters.physics import Physics
 from model.exporters.protocol import Exporter
 from model.exporters.saved import load_object
 from model.progress import Progress, no_progress
@@ -33,7 +34,32 @@ def _glb() -> Exporter:
     return GlbExporter()
 
 
-BUILT_IN: dict[str, Callable[[], Exporter]] = {"urdf": _urdf, "mjcf": _mjcf, "glb": _glb}
+def _ros() -> Exporter:
+    from model.exporters.ros import RosExporter
+
+    return RosExporter()
+
+
+def _usd() -> Exporter:
+    from model.exporters.usd import UsdExporter
+
+    return UsdExporter()
+
+
+def _sdf() -> Exporter:
+    from model.exporters.sdf import SdfExporter
+
+    return SdfExporter()
+
+
+BUILT_IN: dict[str, Callable[[], Exporter]] = {
+    "urdf": _urdf,
+    "mjcf": _mjcf,
+    "glb": _glb,
+    "ros": _ros,
+    "usd": _usd,
+    "sdf": _sdf,
+}
 
 
 def _table() -> dict[str, Callable[[], Exporter]]:
@@ -71,7 +97,12 @@ def load_exporter(name: str) -> Exporter:
 
 
 def export(
-    asset: str | Path, format: str, out: str | Path, *, progress: Progress = no_progress
+    asset: str | Path,
+    format: str,
+    out: str | Path,
+    *,
+    physics: Physics | None = None,
+    progress: Progress = no_progress,
 ) -> tuple[Path, ...]:
     """Write a saved asset in another format.
 
@@ -79,6 +110,7 @@ def export(
         asset: the asset's folder, or a URDF file.
         format: one of :func:`exporter_names`.
         out: folder for the files, created where needed.
+        physics: of the asset, see :func:`model.exporters.physics.physics_of`.
         progress: told of each part.
 
     Returns:
@@ -92,7 +124,7 @@ def export(
     obj = load_object(asset)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        return exporter.export(obj, out, progress=progress)
+        return exporter.export(obj, out, physics=physics, progress=progress)
     except OSError as error:
         raise InputFileError(
             out, f"can't be written ({error.strerror or error})", "check space and permissions"

@@ -56,8 +56,8 @@ def reload_check(
     problems += _file_problems(folder, kept)
     problems += _area_problems(obj, kept)
     rng = np.random.default_rng(seed)
-    settings = [_random_q(obj, rng) for _ in range(configurations)]
-    problems += _yourdfpy_problems(folder, obj, settings)
+    settings = [random_q(obj, rng) for _ in range(configurations)]
+    problems += yourdfpy_problems(folder / URDF, obj, settings)
     if mujoco and find_spec("mujoco") is not None:
         problems += mujoco_problems(folder / URDF, obj, settings)
     return problems
@@ -86,7 +86,8 @@ def _area_problems(obj: ArticulatedObject, kept: dict[str, Any]) -> list[str]:
     return out
 
 
-def _random_q(obj: ArticulatedObject, rng: np.random.Generator) -> dict[str, float]:
+def random_q(obj: ArticulatedObject, rng: np.random.Generator) -> dict[str, float]:
+    """Values of the leading joints, within two radians or metres either way."""
     free = [j for j in obj.tree.joints if j.moves and j.mimic is None]
     return {j.name: float(rng.uniform(-2.0, 2.0)) for j in free}
 
@@ -110,14 +111,24 @@ def _compare(reader: str, expected: Poses, seen: Poses, out: list[str]) -> None:
             out.append(f"{reader} puts {link!r} elsewhere, off by {error:.3g}")
 
 
-def _yourdfpy_problems(
-    folder: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
+def yourdfpy_problems(
+    path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
+    """What is wrong when yourdfpy loads a URDF of ``obj`` with its meshes and moves its joints."""
     import yourdfpy
+
+    def inside(fname: str) -> str:
+        """``package://name/rest`` is ``rest`` in the folder above that of the URDF."""
+        if fname.startswith("package://"):
+            return str(path.parent.parent / fname.removeprefix("package://").partition("/")[2])
+        return str(path.parent / fname)
 
     out: list[str] = []
     with _silenced("yourdfpy.urdf"):
-        robot = yourdfpy.URDF.load(str(folder / URDF), load_meshes=True)
+        robot = yourdfpy.URDF.load(
+            str(path), load_meshes=True, load_collision_meshes=True,
+            build_collision_scene_graph=True, filename_handler=inside,
+        )  # fmt: skip
         if not robot.validate():
             out += [f"yourdfpy: {error}" for error in robot.errors]
         for q in settings:

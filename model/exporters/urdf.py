@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from model.exporters.inertia import inertials_of
-from model.exporters.part_files import write_parts
+from model.exporters.collision_files import write_collision
+from model.exporters.part_files import PartFile, file_stems, write_parts
+from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import URDF
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.urdf import write_urdf
@@ -19,15 +20,48 @@ class UrdfExporter:
     description = "URDF with OBJ meshes and textures"
 
     def export(
-        self, obj: ArticulatedObject, folder: Path, *, progress: Progress = no_progress
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
         """See :class:`~model.exporters.protocol.Exporter`."""
         parts = write_parts(obj, folder, clouds=False, progress=progress)
-        path = write_urdf(
-            obj,
-            folder / URDF,
-            {p.link: [p.mesh] for p in parts},
-            inertials=inertials_of(obj),
-            mujoco_visuals=not any(p.flat for p in parts),
-        )
-        return (path, *(folder / p.mesh for p in parts))
+        path, shapes = write_urdf_of(obj, parts, folder / URDF, physics)
+        return (path, *(folder / p.mesh for p in parts), *shapes)
+
+
+def write_urdf_of(
+    obj: ArticulatedObject,
+    parts: tuple[PartFile, ...],
+    path: Path,
+    physics: Physics | None,
+    prefix: str = "",
+) -> tuple[Path, tuple[Path, ...]]:
+    """The URDF of parts that were written, and the collision hulls beside them.
+
+    Args:
+        path: of the URDF; hulls go into the folder that the parts' names are relative to.
+        prefix: before every mesh path, such as ``package://name/``; with one, the URDF lies in a
+            folder below that of the meshes.
+    """
+    physics = physics or plain_physics(obj)
+    folder = path.parent.parent if prefix else path.parent
+    stems = file_stems([p.link for p in obj.parts])
+    shapes = write_collision(physics.collision, stems, folder)
+    named = {
+        link: [prefix + s if isinstance(s, str) else s for s in held]
+        for link, held in shapes.items()
+    }
+    write_urdf(
+        obj,
+        path,
+        {p.link: [prefix + p.mesh] for p in parts},
+        collisions=named,
+        inertials=physics.inertials,
+        dynamics=physics.dynamics,
+        mujoco_visuals=None if prefix else not any(p.flat for p in parts),
+    )
+    return path, tuple(folder / s for held in shapes.values() for s in held if isinstance(s, str))

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -31,8 +32,13 @@ from model.kinematics.urdf_reader import (
     read_urdf_model,
 )
 
+if TYPE_CHECKING:
+    from model.collision.shapes import Primitive
+
 __all__ = [
+    "CollisionGeometry",
     "Inertial",
+    "JointDynamics",
     "UrdfModel",
     "UrdfVisual",
     "link_origins",
@@ -46,6 +52,27 @@ EFFORT = 100.0
 """N or N m. URDF demands an effort for every limit; nothing in a scan tells it."""
 VELOCITY = 3.0
 """m/s or rad/s, demanded too."""
+
+
+@dataclass(frozen=True)
+class JointDynamics:
+    """What resists a joint's motion; N, N m, metres, radians, seconds.
+
+    Attributes:
+        damping: N s/m or N m s/rad.
+        friction: N or N m that must be overcome.
+        effort: most that a motor may give.
+        velocity: most that is allowed.
+    """
+
+    damping: float
+    friction: float
+    effort: float = EFFORT
+    velocity: float = VELOCITY
+
+
+CollisionGeometry: TypeAlias = "str | Primitive"
+"""A file in object-frame coordinates, or a box, cylinder or sphere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +102,9 @@ def to_urdf_text(
     obj: ArticulatedObject,
     mesh_files: Mapping[str, Sequence[str]] | None = None,
     *,
-    collision_files: Mapping[str, Sequence[str]] | None = None,
+    collisions: Mapping[str, Sequence[CollisionGeometry]] | None = None,
     inertials: Mapping[str, Inertial] | None = None,
+    dynamics: Mapping[str, JointDynamics] | None = None,
     mujoco_visuals: bool | None = None,
 ) -> str:
     """The URDF of ``obj``, links declared before the joints that use them.
@@ -84,7 +112,8 @@ def to_urdf_text(
     Args:
         mesh_files: link → files of its visuals, relative to the URDF, in object-frame coordinates.
             Links that aren't named have no visual.
-        collision_files: the same for collision geometry.
+        collisions: link → its collision geometry; none by default.
+        dynamics: joint → what resists its motion; left out by default.
         inertials: link → mass properties; none by default, as in the paper's answers.
         mujoco_visuals: True adds MuJoCo's extension element so that MuJoCo keeps the visuals, the
             meshes' folder and every link; False keeps the links only, for meshes that MuJoCo
@@ -93,7 +122,8 @@ def to_urdf_text(
     Raises:
         KinematicsError: where files or inertials name a link that isn't there.
     """
-    meshes, collisions = mesh_files or {}, collision_files or {}
+    meshes, collisions = mesh_files or {}, collisions or {}
+    dynamics = dynamics or {}
     inertials = inertials or {}
     _check_links(obj.tree, {**meshes, **collisions, **inertials})
     origins = link_origins(obj.tree)
@@ -110,14 +140,14 @@ def to_urdf_text(
             body += _inertial_lines(inertials[link], origins[link])
         for file in meshes.get(link, ()):
             body += _mesh_lines("visual", file, origins[link], part_names.get(link))
-        for file in collisions.get(link, ()):
-            body += _mesh_lines("collision", file, origins[link], None)
+        for shape in collisions.get(link, ()):
+            body += _collision_lines(shape, origins[link])
         start = f"  <link name={_quoted(link)}"
         lines += [start + ">", *body, "  </link>"] if body else [start + "/>"]
-    leaders = _direct_mimics(obj.tree)
+    leaders = direct_mimics(obj.tree)
     for link in obj.tree.order[1:]:
         joint = obj.tree.joint_of[link]
-        lines += _joint_lines(joint, origins, leaders.get(joint.name))
+        lines += _joint_lines(joint, origins, leaders.get(joint.name), dynamics.get(joint.name))
     return "\n".join([*lines, "</robot>", ""])
 
 
@@ -126,8 +156,9 @@ def write_urdf(
     path: str | Path,
     mesh_files: Mapping[str, Sequence[str]],
     *,
-    collision_files: Mapping[str, Sequence[str]] | None = None,
+    collisions: Mapping[str, Sequence[CollisionGeometry]] | None = None,
     inertials: Mapping[str, Inertial] | None = None,
+    dynamics: Mapping[str, JointDynamics] | None = None,
     mujoco_visuals: bool | None = None,
 ) -> Path:
     """Write :func:`to_urdf_text` to ``path``, whose folder must exist."""
@@ -135,8 +166,9 @@ def write_urdf(
     text = to_urdf_text(
         obj,
         mesh_files,
-        collision_files=collision_files,
+        collisions=collisions,
         inertials=inertials,
+        dynamics=dynamics,
         mujoco_visuals=mujoco_visuals,
     )
     path.write_text(text, encoding="utf-8")
@@ -218,8 +250,42 @@ def _mesh_lines(
     ]
 
 
+def _collision_lines(shape: CollisionGeometry, origin: npt.NDArray[np.float64]) -> list[str]:
+    if isinstance(shape, str):
+        return _mesh_lines("collision", shape, origin, None)
+    pose = shape.object_from_shape
+    if shape.kind == "box":
+        element = f'<box size="{vector(shape.sizes)}"/>'
+    elif shape.kind == "cylinder":
+        element = f'<cylinder radius="{shape.sizes[0]:.9g}" length="{shape.sizes[1]:.9g}"/>'
+    elif shape.kind == "sphere":
+        element = f'<sphere radius="{shape.sizes[0]:.9g}"/>'
+    else:
+        raise ArtiworldError(f"URDF has no {shape.kind}; write it as a mesh")
+    place = vector(pose[:3, 3] - origin)
+    return [
+        "    <collision>",
+        f'      <origin xyz="{place}" rpy="{vector(rpy_from_rotation(pose[:3, :3]))}"/>',
+        f"      <geometry>{element}</geometry>",
+        "    </collision>",
+    ]
+
+
+def rpy_from_rotation(rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(3,) roll, pitch, yaw of (3, 3); the inverse of ``urdf_reader.rotation_from_rpy``."""
+    r = rotation
+    flat = float(np.hypot(r[0, 0], r[1, 0]))
+    pitch = np.arctan2(-r[2, 0], flat)
+    if flat < 1e-9:  # roll and yaw turn about the same line
+        return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
+
+
 def _joint_lines(
-    joint: Joint, origins: Mapping[str, npt.NDArray[np.float64]], mimic: Mimic | None
+    joint: Joint,
+    origins: Mapping[str, npt.NDArray[np.float64]],
+    mimic: Mimic | None,
+    dynamics: JointDynamics | None,
 ) -> list[str]:
     offset = origins[joint.child] - origins[joint.parent]
     lines = [
@@ -233,10 +299,15 @@ def _joint_lines(
         if joint.limited:
             assert joint.lower is not None and joint.upper is not None
             limits = f'lower="{number(joint.lower)}" upper="{number(joint.upper)}" '
+        effort = EFFORT if dynamics is None else dynamics.effort
+        velocity = VELOCITY if dynamics is None else dynamics.velocity
         lines += [
             f'    <axis xyz="{vector(joint.axis)}"/>',
-            f'    <limit {limits}effort="{number(EFFORT)}" velocity="{number(VELOCITY)}"/>',
+            f'    <limit {limits}effort="{number(effort)}" velocity="{number(velocity)}"/>',
         ]
+        if dynamics is not None:
+            damping, friction = number(dynamics.damping), number(dynamics.friction)
+            lines.append(f'    <dynamics damping="{damping}" friction="{friction}"/>')
         if mimic is not None:
             lines.append(
                 f"    <mimic joint={_quoted(mimic.joint)}"
@@ -245,7 +316,7 @@ def _joint_lines(
     return [*lines, "  </joint>"]
 
 
-def _direct_mimics(tree: KinematicTree) -> dict[str, Mimic]:
+def direct_mimics(tree: KinematicTree) -> dict[str, Mimic]:
     """Joint name → mimic of a joint that mimics nothing: other readers follow one step only."""
     out: dict[str, Mimic] = {}
     for joint in tree.joints:

@@ -1,0 +1,1 @@
+"""Collision shapes: few convex bodies a part that leave its hollows open."""

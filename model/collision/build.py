@@ -1,0 +1,249 @@
+"""The collision shapes of an object: what exporters write and the gate sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from model.collision.coacd_process import coacd_hulls, coacd_installed
+from model.collision.dops import Surface
+from model.collision.fitting import primitive_of
+from model.collision.hulls import Hull, hull_of, simplified, thick_hull
+from model.collision.merging import merge
+from model.collision.overlap import overlap
+from model.collision.pieces import cut_into_pieces
+from model.collision.relief import Bodies, moving_pairs, relieve
+from model.collision.shapes import Shape, hull_of_shape
+from model.collision.store import fingerprint, load_shapes, save_shapes
+from model.collision.voxels import Occupancy, occupancy
+from model.errors import GeometryError
+from model.geometry.mesh import Mesh
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.progress import Progress, no_progress
+
+Method = Literal["auto", "hollow", "coacd", "hull"]
+
+PIECE = 3e-4
+"""Free voxels that a piece may cover, as a share of all."""
+SHEET = 0.003
+"""Thickness that single sheets get, in the object's diagonal."""
+LEAST = 5e-4
+"""Metres; no body is thinner."""
+COVERED = 0.05
+"""Share of the free space that may be covered before coacd is asked for a better answer."""
+MOST_FACES = 60_000
+"""Larger meshes are thinned first."""
+
+
+@dataclass(frozen=True)
+class CollisionSettings:
+    """How collision shapes are made.
+
+    Attributes:
+        method: "hollow" cuts walls into slabs, "coacd" asks coacd alone, "hull" takes one convex
+            hull a part; "auto" is "hollow", and coacd where that covers more than
+            :data:`COVERED` of the free space, coacd is installed and its answer covers less.
+        max_hulls: budget of a part.
+        max_vertices: of a hull; PhysX takes no more than 64.
+        primitives: put boxes, cylinders, spheres and capsules in place of hulls like them.
+        relief: take bodies back where links touch that move against each other.
+        coacd_seconds: time limit of one part.
+        seed: the only source of randomness.
+    """
+
+    method: Method = "auto"
+    max_hulls: int = 24
+    max_vertices: int = 32
+    primitives: bool = True
+    relief: bool = True
+    coacd_seconds: float = 30.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.max_hulls < 1:
+            raise GeometryError(f"a part needs one hull or more, not {self.max_hulls}")
+        if self.max_vertices < 8:
+            raise GeometryError(f"a hull needs 8 vertices or more, not {self.max_vertices}")
+
+
+Collision = Mapping[str, tuple[Shape, ...]]
+"""Link → shapes, object frame at rest; links without a part are left out."""
+
+
+def collision_of(
+    obj: ArticulatedObject,
+    settings: CollisionSettings | None = None,
+    *,
+    store: Path | None = None,
+    progress: Progress = no_progress,
+) -> Collision:
+    """Collision shapes of every part.
+
+    Hollow parts stay hollow, and links that move against each other don't overlap at rest.
+
+    Args:
+        store: folder where shapes are kept by content, see :mod:`model.collision.store`.
+
+    Raises:
+        GeometryError: for a part without geometry.
+    """
+    settings = settings or CollisionSettings()
+    ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic)
+              for j in obj.tree.joints]  # fmt: skip
+    key = fingerprint("object", settings, ranges, *(v for p in obj.parts for v in (p.link, p)))
+    kept = load_shapes(store, key)
+    if kept is not None:
+        progress(1.0, "collision shapes were there already")
+        return kept
+    diagonal = _diagonal(obj)
+    bodies: Bodies = {}
+    for i, part in enumerate(obj.parts):
+        progress(0.9 * i / len(obj.parts), f"collision shapes of {part.link}")
+        bodies[part.link] = _kept_bodies(part, diagonal, settings, store)
+    progress(0.9, "making room between the parts")
+    slim = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in bodies.items()}
+    free = relieve(slim, obj.tree, diagonal) if settings.relief else slim
+    shapes = _shapes(obj, free, bodies if settings.primitives else {})
+    save_shapes(store, key, shapes)
+    progress(1.0, "collision shapes are there")
+    return shapes
+
+
+def _kept_bodies(
+    part: Part, diagonal: float, settings: CollisionSettings, store: Path | None
+) -> list[Hull]:
+    made = replace(settings, relief=False, primitives=False, max_vertices=64)
+    key = fingerprint("part", made, round(diagonal, 6), part)
+    kept = load_shapes(store, key)
+    if kept is not None:
+        return [h for h in kept["part"] if isinstance(h, Hull)]
+    bodies = bodies_of(part, diagonal, made)
+    save_shapes(store, key, {"part": tuple(bodies)})
+    return bodies
+
+
+def _diagonal(obj: ArticulatedObject) -> float:
+    bounds = np.stack([p.bounds for p in obj.parts]) if obj.parts else np.zeros((1, 2, 3))
+    return float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
+
+
+def bodies_of(part: Part, diagonal: float, settings: CollisionSettings) -> list[Hull]:
+    """The convex bodies of one part by itself.
+
+    Args:
+        diagonal: of the whole object, metres; sheets get their thickness from it.
+    """
+    from model.exporters.part_files import part_mesh
+
+    mesh = thinned(part_mesh(part))
+    thickness = max(SHEET * diagonal, LEAST)
+    if not (mesh.face_areas > 0).any():
+        return [thick_hull(mesh.vertices[np.unique(mesh.faces)], thickness)]
+    if settings.method == "hull":
+        return [simplified(thick_hull(mesh.vertices[np.unique(mesh.faces)], thickness),
+                           settings.max_vertices)]  # fmt: skip
+    if settings.method == "coacd":
+        return _coacd(mesh, settings) or hollow_bodies(mesh, thickness, settings)[0]
+    bodies, space = hollow_bodies(mesh, thickness, settings)
+    if settings.method == "auto" and covered(space, bodies) > COVERED and coacd_installed():
+        other = _coacd(mesh, settings)
+        if other is not None and covered(space, other) < covered(space, bodies):
+            return other
+    return bodies
+
+
+def hollow_bodies(
+    mesh: Mesh, thickness: float, settings: CollisionSettings
+) -> tuple[list[Hull], Occupancy]:
+    """Few convex bodies that leave free space free, and the voxels that say what is free."""
+    space = occupancy(mesh.triangles[mesh.face_areas > 0])
+    surface = Surface(mesh, space, np.random.default_rng(settings.seed))
+    pieces = cut_into_pieces(surface, max(2.0, PIECE * space.free_count))
+    groups = merge(surface, pieces, settings.max_hulls)
+    hulls = [thick_hull(surface.corners(faces), thickness) for faces in groups]
+    return [simplified(h, settings.max_vertices) for h in hulls], space
+
+
+def covered(space: Occupancy, bodies: list[Hull]) -> float:
+    """Share of the free voxels that bodies cover."""
+    centers = space.centers(space.free)
+    inside = np.zeros(len(centers), bool)
+    for body in bodies:
+        inside |= body.contains(centers)
+    return float(inside.mean()) if len(centers) else 0.0
+
+
+def _coacd(mesh: Mesh, settings: CollisionSettings) -> list[Hull] | None:
+    found = coacd_hulls(
+        mesh, settings.coacd_seconds, max_convex_hull=settings.max_hulls, seed=settings.seed
+    )
+    return None if found is None else [simplified(h, settings.max_vertices) for h in found]
+
+
+def thinned(mesh: Mesh, most: int = MOST_FACES) -> Mesh:
+    """``mesh`` with vertices joined in cells until it has at most ``most`` faces (Rossignac and
+    Borrel, 1993); faces of no area go. Enough for bodies, which are coarser by far."""
+    if len(mesh.faces) <= most:
+        return mesh
+    from model.geometry.topology import same_points
+
+    low, high = mesh.bounds
+    cells = 256.0
+    while True:
+        place = same_points(np.floor((mesh.vertices - low) / float((high - low).max()) * cells))
+        first, inverse = place
+        faces = inverse[mesh.faces]
+        real = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        faces = _distinct(faces[real])
+        if len(faces) <= most or cells < 24:
+            return Mesh(mesh.vertices[first], faces.astype(np.int32))
+        cells /= 1.5
+
+
+def _distinct(faces: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    ordered = np.sort(faces, axis=1)
+    key = (ordered[:, 0] << 42) + (ordered[:, 1] << 21) + ordered[:, 2]
+    return faces[np.unique(key, return_index=True)[1]]
+
+
+def _shapes(obj: ArticulatedObject, free: Bodies, whole: Bodies) -> dict[str, tuple[Shape, ...]]:
+    """Primitives where a body was not cut and nothing else is in the primitive's way."""
+    others: dict[str, list[Hull]] = {link: [] for link in free}
+    for a, b in moving_pairs(obj.tree):
+        if a in free and b in free:
+            others[a] += free[b]
+            others[b] += free[a]
+    out: dict[str, tuple[Shape, ...]] = {}
+    for link, bodies in free.items():
+        held: list[Shape] = []
+        for body in bodies:
+            shape = primitive_of(_uncut(body, whole.get(link, []))) if whole else None
+            blocked = shape is not None and any(
+                overlap(shape.hull, other) is not None for other in others[link]
+            )
+            held.append(body if shape is None or blocked else shape)
+        out[link] = tuple(held)
+    return out
+
+
+def _uncut(body: Hull, whole: list[Hull]) -> Hull:
+    """The finer body that ``body`` was simplified from; itself where it was cut since."""
+    for fine in whole:
+        if np.abs(fine.bounds - body.bounds).max() < 1e-9 and body.volume > 0.8 * fine.volume:
+            return fine
+    return body
+
+
+__all__ = [
+    "Collision",
+    "CollisionSettings",
+    "bodies_of",
+    "collision_of",
+    "hull_of",
+    "hull_of_shape",
+]

@@ -1,0 +1,68 @@
+"""Runs coacd in a process of its own: it may crash, and it can't be asked to stop.
+
+``python -m model.collision.coacd_process IN.npz OUT.npz`` reads ``vertices``, ``faces`` and
+``options`` (JSON) and writes ``count`` and the corners of each hull.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.collision.hulls import FloatArray, Hull, hull_of
+from model.geometry.mesh import Mesh
+
+
+def coacd_installed() -> bool:
+    """Whether the extra ``artiworld[collision]`` is there."""
+    return find_spec("coacd") is not None
+
+
+def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None:
+    """CoACD's decomposition (Wei et al., 2022); None where it fails or takes longer.
+
+    Args:
+        seconds: time limit of the process.
+        options: of ``coacd.run_coacd``; its defaults where they are left out.
+    """
+    root = str(Path(__file__).resolve().parents[2])
+    with tempfile.TemporaryDirectory(prefix="artiworld-") as folder:
+        source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
+        np.savez(source, vertices=mesh.vertices, faces=mesh.faces, options=json.dumps(options))
+        paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        try:
+            subprocess.run(
+                [sys.executable, "-m", __name__, str(source), str(target)],
+                timeout=seconds, check=True, stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": paths},
+            )  # fmt: skip
+            with np.load(target, allow_pickle=False) as data:
+                corners: list[FloatArray] = [data[f"{i}"] for i in range(int(data["count"]))]
+        except (subprocess.SubprocessError, OSError):
+            return None
+    return [h for points in corners if (h := hull_of(points)) is not None] or None
+
+
+def main(source: str, target: str) -> None:
+    """The child's side."""
+    import coacd  # type: ignore[import-not-found]
+
+    coacd.set_log_level("off")
+    with np.load(source, allow_pickle=False) as data:
+        mesh = coacd.Mesh(data["vertices"], data["faces"])
+        found = coacd.run_coacd(mesh, **json.loads(str(data["options"])))
+    corners = {str(i): np.asarray(vertices) for i, (vertices, _) in enumerate(found)}
+    np.savez(target, count=len(found), **corners)  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,182 @@
+"""Taking collision bodies back where parts that move against each other touch.
+
+A drawer sits in its cabinet without a gap, a hinge's pin in its hole: bodies that overlap at rest
+push each other away in a simulator and jam the joint. Where two overlap, a plane between them cuts
+one or both; of the ways to cut, the one that loses least. The same is done along the joint's range
+where the overlap is small, since corners near a hinge graze their frame. Larger ones stay: they
+are collisions, and for people to mend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.collision.hulls import Hull, clipped
+from model.collision.overlap import Overlap, overlap
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+GAP = 2e-4
+"""Between bodies afterwards, in the object's diagonal."""
+GRAZE = 0.01
+"""Overlap along the range that is cut away, in the diagonal."""
+SAMPLES = 6
+"""Poses along the range."""
+ROUNDS = 4
+LEAST = 0.3
+"""Share of a body that must be left where it is cut."""
+
+FloatArray = npt.NDArray[np.float64]
+Bodies = dict[str, list[Hull]]
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """Two bodies of two links that overlap in a pose.
+
+    Attributes:
+        a, b: links; i, j: which of their bodies.
+        found: seen from a's rest frame.
+        a_from_b: (4, 4) motion from b's rest frame to a's.
+    """
+
+    a: str
+    b: str
+    i: int
+    j: int
+    found: Overlap
+    a_from_b: FloatArray
+
+
+def moving_pairs(tree: KinematicTree) -> list[tuple[str, str]]:
+    """Pairs of links that can move against each other."""
+    group: dict[str, str] = {tree.root: tree.root}
+    for link in tree.order[1:]:
+        joint = tree.joint_of[link]
+        group[link] = link if joint.moves else group[joint.parent]
+    return [(a, b) for a, b in combinations(tree.order, 2) if group[a] != group[b]]
+
+
+def poses_over_range(
+    tree: KinematicTree, samples: int = SAMPLES
+) -> Iterator[tuple[Joint, float, Mapping[str, FloatArray]]]:
+    """Each leading joint alone, from rest to its limits: (joint, q, poses); rest is left out."""
+    for joint in tree.joints:
+        if not joint.moves or joint.mimic is not None:
+            continue
+        lower, upper = (joint.lower, joint.upper) if joint.limited else (-np.pi, np.pi)
+        assert lower is not None and upper is not None
+        for q in np.linspace(lower, upper, samples):
+            if abs(q) > 1e-9:
+                yield joint, float(q), tree.pose({joint.name: float(q)})
+
+
+def overlaps(
+    bodies: Bodies,
+    pairs: list[tuple[str, str]],
+    poses: Mapping[str, FloatArray],
+    least: float = 0.0,
+) -> list[Touching]:
+    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose."""
+    boxes = {link: _boxes(hulls, poses[link]) for link, hulls in bodies.items() if hulls}
+    out: list[Touching] = []
+    for a, b in pairs:
+        if a not in boxes or b not in boxes:
+            continue
+        apart = (boxes[a][:, None, 0] >= boxes[b][None, :, 1]).any(axis=2)
+        apart |= (boxes[b][None, :, 0] >= boxes[a][:, None, 1]).any(axis=2)
+        if apart.all():
+            continue
+        a_from_b = np.linalg.inv(poses[a]) @ poses[b]
+        seen: dict[int, Hull] = {}
+        for i, j in np.argwhere(~apart).tolist():
+            if j not in seen:
+                seen[j] = bodies[b][j].moved(a_from_b)
+            found = overlap(bodies[a][i], seen[j], least)
+            if found is not None:
+                out.append(Touching(a, b, i, j, found, a_from_b))
+    return out
+
+
+def _boxes(hulls: list[Hull], pose: FloatArray) -> FloatArray:
+    """(N, 2, 3) boxes of moved bodies."""
+    each = [h.vertices @ pose[:3, :3].T + pose[:3, 3] for h in hulls]
+    return np.stack([np.stack([v.min(axis=0), v.max(axis=0)]) for v in each])
+
+
+def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float) -> Bodies:
+    """Bodies that overlap neither at rest nor, by less than :data:`GRAZE`, over the range.
+
+    Bodies that lie all in another one are dropped; what can't be cut is left.
+    """
+    bodies = {link: list(hulls) for link, hulls in bodies.items()}
+    pairs = moving_pairs(tree)
+    gap = GAP * diagonal
+    rest = tree.pose({})
+    for _ in range(ROUNDS):
+        if not _cut_all(bodies, overlaps(bodies, pairs, rest), gap, np.inf):
+            break
+    for joint, _, poses in poses_over_range(tree):
+        moved = tree.descendants(joint.child)
+        crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
+        _cut_all(bodies, overlaps(bodies, crossing, poses), gap, GRAZE * diagonal)
+    return bodies
+
+
+def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> bool:
+    """Whether anything was cut. The deepest come first; bodies change under the later ones."""
+    changed = False
+    gone: set[tuple[str, int]] = set()
+    for touch in sorted(found, key=lambda t: -t.found.depth):
+        if {(touch.a, touch.i), (touch.b, touch.j)} & gone:
+            continue
+        a, b = bodies[touch.a][touch.i], bodies[touch.b][touch.j].moved(touch.a_from_b)
+        now = overlap(a, b)
+        if now is None or now.depth > most:
+            continue
+        answer = _cut(a, b, now, gap)
+        if answer is None:
+            continue
+        changed = True
+        back = np.linalg.inv(touch.a_from_b)
+        for link, i, made in ((touch.a, touch.i, answer[0]), (touch.b, touch.j, answer[1])):
+            if made is None:
+                gone.add((link, i))
+            else:
+                bodies[link][i] = made if link == touch.a else made.moved(back)
+    for link in {link for link, _ in gone}:
+        lost = {i for name, i in gone if name == link}
+        bodies[link] = [h for i, h in enumerate(bodies[link]) if i not in lost]
+    return changed
+
+
+def _cut(a: Hull, b: Hull, found: Overlap, gap: float) -> tuple[Hull | None, Hull | None] | None:
+    """Both bodies after the cut that loses least; None in place of one that is dropped."""
+    best: tuple[float, Hull | None, Hull | None] | None = None
+    for share in (0.0, 0.5, 1.0):
+        at = found.begin + share * (found.end - found.begin)
+        # What needn't give way keeps its face: all of the gap is taken from the other.
+        mine = clipped(a, found.axis, at - gap * (1 - share))
+        other = clipped(b, -found.axis, -(at + gap * share))
+        left = (_left(mine, a), _left(other, b))
+        if min(left) >= LEAST and (best is None or 2 - sum(left) < best[0]):
+            best = (2 - sum(left), mine, other)
+    if best is not None:
+        return best[1:]
+    # One of them goes as a whole where most of it is inside the other: nothing can touch it there.
+    small, large = (a, b) if a.volume < b.volume else (b, a)
+    if (
+        large.contains(small.vertices).mean() < 0.5
+        and not large.contains(small.vertices.mean(axis=0)[None]).all()
+    ):
+        return None
+    return (None, b) if small is a else (a, None)
+
+
+def _left(now: Hull | None, before: Hull) -> float:
+    return 0.0 if now is None else now.volume / before.volume

@@ -1,0 +1,104 @@
+"""Collision shapes on disk, named by what they were made of: a second export is instant."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.collision.hulls import hull_of
+from model.collision.shapes import Primitive, Shape
+from model.kinematics.articulated_object import Part
+
+VERSION = 1
+"""Counted up when the same input gives other shapes."""
+
+
+def default_store() -> Path:
+    """The user's cache folder, by the XDG base directory specification."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "artiworld" / "collision"
+
+
+def fingerprint(*values: Any) -> str:
+    """Of arrays, parts and whatever has an exact ``repr``."""
+    digest = hashlib.sha256(f"collision {VERSION}".encode())
+    for value in values:
+        for item in _content(value) if isinstance(value, Part) else (value,):
+            if isinstance(item, np.ndarray):
+                digest.update(f"{item.dtype}{item.shape}".encode())
+                digest.update(np.ascontiguousarray(item).data)
+            else:
+                digest.update(repr(item).encode())
+            digest.update(b"\0")
+    return digest.hexdigest()[:40]
+
+
+def _content(part: Part) -> list[Any]:
+    if part.mesh is not None and len(part.mesh.faces):
+        return ["mesh", part.mesh.vertices, part.mesh.faces]
+    return ["cloud", None if part.cloud is None else part.cloud.points]
+
+
+def load_shapes(folder: Path | None, key: str) -> dict[str, tuple[Shape, ...]] | None:
+    """Link → shapes, or None where they aren't kept, or their file is damaged."""
+    if folder is None:
+        return None
+    try:
+        with np.load(folder / f"{key}.npz", allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+        return _unpacked(data)
+    except (OSError, ValueError, KeyError, EOFError, AssertionError):
+        return None
+    except Exception as error:  # zipfile has its own, which needs no import here
+        if type(error).__name__ == "BadZipFile":
+            return None
+        raise
+
+
+def save_shapes(folder: Path | None, key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
+    """Keep shapes; a folder that can't be written is let be."""
+    if folder is None:
+        return
+    draft = folder / f".{key}.{secrets.token_hex(4)}.npz"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(draft, **_packed(shapes))  # type: ignore[arg-type]
+        draft.replace(folder / f"{key}.npz")
+    except OSError:
+        draft.unlink(missing_ok=True)
+
+
+def _packed(shapes: dict[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any]]:
+    out: dict[str, npt.NDArray[Any]] = {"links": np.array(list(shapes), dtype=np.str_)}
+    for n, held in enumerate(shapes.values()):
+        out[f"count {n}"] = np.array(len(held))
+        for i, shape in enumerate(held):
+            if isinstance(shape, Primitive):
+                out[f"kind {n} {i}"] = np.array(shape.kind)
+                out[f"pose {n} {i}"] = shape.object_from_shape
+                out[f"sizes {n} {i}"] = np.array(shape.sizes)
+            else:
+                out[f"hull {n} {i}"] = shape.vertices
+    return out
+
+
+def _unpacked(data: dict[str, npt.NDArray[Any]]) -> dict[str, tuple[Shape, ...]]:
+    out: dict[str, tuple[Shape, ...]] = {}
+    for n, link in enumerate(data["links"].tolist()):
+        held: list[Shape] = []
+        for i in range(int(data[f"count {n}"])):
+            if f"hull {n} {i}" in data:
+                hull = hull_of(data[f"hull {n} {i}"])
+                assert hull is not None
+                held.append(hull)
+            else:
+                kind, sizes = str(data[f"kind {n} {i}"]), data[f"sizes {n} {i}"].tolist()
+                held.append(Primitive(kind, data[f"pose {n} {i}"], tuple(sizes)))  # type: ignore[arg-type]
+        out[link] = tuple(held)
+    return out

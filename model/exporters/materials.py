@@ -1,0 +1,107 @@
+"""What parts are made of: a table of densities and wall thicknesses that people can edit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from model.errors import ConfigurationError, InputFileError
+from model.kinematics.articulated_object import Part
+from model.resources import static_assets
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class PartMaterial:
+    """What a part is made of.
+
+    Attributes:
+        density: kg/m³ of the material itself.
+        thickness: metres of the walls that things of it have.
+    """
+
+    density: float
+    thickness: float
+
+
+@dataclass(frozen=True)
+class MaterialTable:
+    """Materials by name, and which one goes with a part's name or an object's category.
+
+    A part's own name counts first (any word of it), then the category, then ``default``.
+    """
+
+    materials: Mapping[str, PartMaterial]
+    categories: Mapping[str, str]
+    parts: Mapping[str, str]
+    default: str
+
+    def of(self, part: Part, category: str | None) -> PartMaterial:
+        """The material of a part."""
+        words = (part.name or "").lower().replace("_", " ").split()
+        named = next((self.parts[w] for w in words if w in self.parts), None)
+        known = {k.lower(): v for k, v in self.categories.items()}
+        return self.materials[named or known.get((category or "").lower(), self.default)]
+
+    def with_density(self, density: float) -> MaterialTable:
+        """All materials at one density in kg/m³."""
+        made = {k: replace(m, density=density) for k, m in self.materials.items()}
+        return replace(self, materials=made)
+
+    def only(self, material: str) -> MaterialTable:
+        """Everything of one material.
+
+        Raises:
+            ConfigurationError: where there is none of that name.
+        """
+        if material not in self.materials:
+            known = ", ".join(self.materials)
+            raise ConfigurationError(f"no material {material!r}; there are {known}")
+        return replace(self, categories={}, parts={}, default=material)
+
+
+def read_materials(path: str | Path | None = None) -> MaterialTable:
+    """The table that ships, or one of the user's in the same form.
+
+    Raises:
+        InputFileError: naming what is wrong in the file.
+    """
+    path = static_assets() / "physics" / "materials.json" if path is None else Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputFileError(path, error.strerror or "can't be read") from error
+    except ValueError as error:
+        raise InputFileError(path, f"is not JSON ({error})") from error
+    try:
+        table = _table(data)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputFileError(
+            path, f"is no table of materials ({error})",
+            "it needs materials with density and thickness above 0, categories, parts and default",
+        ) from error  # fmt: skip
+    used = {table.default, *table.categories.values(), *table.parts.values()}
+    unknown = sorted(used - set(table.materials))
+    if unknown:
+        raise InputFileError(path, f"names materials that it hasn't: {', '.join(unknown)}")
+    return table
+
+
+def _table(data: Any) -> MaterialTable:
+    if data.get("format", FORMAT) > FORMAT:
+        raise ValueError(f"format {data['format']} is newer than {FORMAT}")
+    materials = {
+        str(name): PartMaterial(float(entry["density"]), float(entry["thickness"]))
+        for name, entry in data["materials"].items()
+    }
+    for name, made in materials.items():
+        if not (0 < made.density < float("inf") and 0 < made.thickness < float("inf")):
+            raise ValueError(f"{name}: density and thickness must be above 0")
+    return MaterialTable(
+        materials, dict(data.get("categories", {})), dict(data.get("parts", {})),
+        str(data["default"]),
+    )  # fmt: skip
