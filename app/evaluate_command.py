@@ -30,7 +30,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
              "category:NAME,NAME (default: all)")  # fmt: skip
     add("--n", type=int, default=1, help="procedural without --root: objects a family")
     add("--family", nargs="+", default=[], metavar="NAME", help="procedural without --root")
-    add("--predictor", metavar="NAME,NAME", help="who predicts (default: geometric)")
+    add(
+        "--predictor",
+        metavar="NAME,NAME",
+        help="who predicts (default: geometric); truth answers with the truth",
+    )
     add("--predictions", action="append", default=[], metavar="[NAME=]DIR",
         help="score the URDFs in this folder instead; may be repeated")  # fmt: skip
     add("--frame", choices=("auto", "as-is"), default="auto",
@@ -40,12 +44,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--scan", action="store_true", help="one-sided noisy clouds, turned at random")
     add("--yaw", action="store_true", help="turn each object at random")
     add("--noise", type=float, default=0.003, help="of --scan, in diagonals (default: 0.003)")
+    add("--execute", action="store_true",
+        help="also drive every joint of the predictions, in MuJoCo too")  # fmt: skip
     add("--jobs", type=int, default=2, help="processes (default: 2)")
     add("--limit", type=int, help="at most this many objects")
     add("--seed", type=int, default=0, help="of predictors, splits and made objects (default: 0)")
     add("--out", type=Path, metavar="DIR", help="folder for the reports; a stopped run goes on")
     add("--pictures", type=int, default=10, metavar="N",
         help="worst objects to draw in the page of --out (default: 10)")  # fmt: skip
+    add("--person", action="store_true",
+        help="instead, let a scripted annotator click, predict and correct")  # fmt: skip
+    add("--segmentation", action="store_true",
+        help="instead, simulated clicks: IoU@k and NoC on made-up scans, and on --root's: objects "
+             "of partnet-mobility, or rooms as <name>.ply with <name>_labels.npz")  # fmt: skip
+    add("--segmenter", default="default", metavar="NAME",
+        help="of --person and --segmentation: who answers the clicks")  # fmt: skip
     add("--export", type=Path, metavar="DIR",
         help="write the objects as folders for artiworld predict, and stop")  # fmt: skip
     add("--compare", nargs=2, type=Path, metavar=("A", "B"),
@@ -70,9 +83,13 @@ def _show(show: Show, answer: Any, table: Callable[[], object]) -> int:
 
 
 def _chosen(args: argparse.Namespace) -> Callable[[argparse.Namespace, Progress], Answer]:
-    if args.compare:
-        return _compare
-    return _export if args.export else _score
+    ways = ("compare", "export", "person", "segmentation")
+    asked = [way for way in ways if getattr(args, way)]
+    if len(asked) > 1:
+        raise ConfigurationError(f"--{asked[0]} and --{asked[1]} don't go together; run one")
+    table = {"compare": _compare, "export": _export, "person": _person}
+    table["segmentation"] = _segmentation
+    return table[asked[0]] if asked else _score
 
 
 @contextmanager
@@ -139,7 +156,7 @@ def configurations(args: argparse.Namespace) -> list[EvaluationConfig]:
     base = EvaluationConfig(
         data=_data(args), split=args.split, names=args.names,
         corruption=Corruption(yaw=None if turned else 0.0, scan=args.scan, noise=args.noise),
-        jobs=args.jobs, limit=args.limit, seed=args.seed, out=args.out,
+        jobs=args.jobs, limit=args.limit, seed=args.seed, execute=args.execute, out=args.out,
     )  # fmt: skip
     listed = args.predictor or ("" if args.predictions else "geometric")
     out = [replace(base, predictor=name.strip()) for name in listed.split(",") if name.strip()]
@@ -199,6 +216,49 @@ def _export(args: argparse.Namespace, progress: Progress) -> Answer:
             print(f"left out: {problem}")
 
     return {"folders": written, "problems": problems}, table
+
+
+def _person(args: argparse.Namespace, progress: Progress) -> Answer:
+    from app.annotator import AnnotatorConfig
+    from app.headless import write_json
+    from app.person_report import COLUMNS, run_person
+    from model.evaluation.run import chosen_ids
+    from model.evaluation.table import print_table
+    from model.predictors import load_predictor
+    from model.segmentation.registry import load_segmenter
+
+    configs = configurations(args)
+    if any(c.predictions is not None for c in configs):
+        raise ConfigurationError("--person needs predictors that run; leave --predictions")
+    names = tuple(c.predictor for c in configs)
+    for name in names:
+        load_predictor(name)  # say now what isn't there
+    load_segmenter(args.segmenter)
+    config = AnnotatorConfig(
+        configs[0].data, names, segmenter=args.segmenter, names=args.names, seed=args.seed
+    )
+    report = run_person(config, chosen_ids(configs[0]), args.jobs, progress)
+    if args.out is not None:
+        write_json(args.out / "person.json", report.to_json())
+        (args.out / "person.md").write_text(report.to_markdown(), encoding="utf-8")
+    return report.to_json(), lambda: print_table("The person in the loop", COLUMNS, report.rows())
+
+
+SEGMENTATION_SETS = ("procedural", "procedural-noisy", "procedural-one-sided")
+
+
+def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
+    from app.bench import bench_segment
+    from app.headless import write_json
+
+    sets = list(SEGMENTATION_SETS)
+    if args.root is not None:
+        rooms = any(Path(args.root).glob("*_labels.npz"))
+        sets += ["room"] if rooms else ["partnet", "partnet-one-sided"]
+    bench = bench_segment(args.root, sets, [args.segmenter], args.limit, progress)
+    if args.out is not None:
+        write_json(args.out / "segmentation.json", bench.report)
+    return bench.report, bench.show
 
 
 def _compare(args: argparse.Namespace, _: Progress) -> Answer:

@@ -180,6 +180,8 @@ def _object(score: ObjectScore, pictures: Pictures | None) -> str:
     )
     name = escape(f"{score.object_id} ({score.category or 'unknown'})")
     why = escape("; ".join(faults(score)[:12]))
+    if score.execution is not None and score.execution.why:
+        why += f"<br>Driven: {escape(score.execution.why)}"
     return f'<h4>{name}</h4><div class="worst">{cells}</div><p class="why">{why}</p>'
 
 

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model.evaluation.executability import Execution
 from model.evaluation.part_matching import PartMatch
 from model.evaluation.tree_metrics import chain, parents, tree_edits
 from model.kinematics.articulated_object import ArticulatedObject
@@ -131,6 +132,7 @@ class ObjectScore:
         part_iou: mean over the true parts, 0 for unmatched ones; None where parts were given.
         parts, matched: how many true parts there are, and how many of them were found.
         note: what was odd about the prediction, for people.
+        execution: what became of it when it was driven; None where that wasn't asked for.
     """
 
     object_id: str
@@ -145,6 +147,7 @@ class ObjectScore:
     parts: int = 0
     matched: int = 0
     note: str = ""
+    execution: Execution | None = None
 
     @property
     def usable(self) -> bool:
@@ -255,7 +258,9 @@ class _About:
         error = iou = None
         range_right = true.type == found.type
         if range_right and true.limited:
-            error, iou, range_right = self._range(true, found, swapped)
+            error, iou, range_right = compare_ranges(
+                true, found, limits, self.diagonal, swapped=swapped
+            )
         usable = (
             true.type == found.type
             and self.parent_right
@@ -281,18 +286,25 @@ class _About:
             confidence=confidence,
         )
 
-    def _range(self, true: Joint, found: Joint, swapped: bool) -> tuple[float, float, bool]:
-        """Mean error of the limits, overlap of the ranges, and whether they are right."""
-        if np.dot(true.axis, found.axis) < 0:
-            found = found.flipped()
-        a, b = (true.lower or 0.0, true.upper or 0.0), (found.lower or 0.0, found.upper or 0.0)
-        if swapped:
-            b = (b[1], b[0])
-        ends = (abs(a[0] - b[0]), abs(a[1] - b[1]))
-        iou = 0.0 if swapped else interval_iou(a, b)
-        tolerance = self.limits.angle if true.rotates else self.limits.travel * self.diagonal
-        right = iou >= self.limits.range_iou or max(ends) <= tolerance
-        return sum(ends) / 2, iou, right and not swapped
+
+def compare_ranges(
+    true: Joint, found: Joint, limits: UsableLimits, diagonal: float, *, swapped: bool = False
+) -> tuple[float, float, bool]:
+    """Two limited joints of one type: mean error of the limits (rad or m), IoU, and whether right.
+
+    Args:
+        swapped: the found limits were written in the wrong order; they are compared as written.
+    """
+    if np.dot(true.axis, found.axis) < 0:
+        found = found.flipped()
+    a, b = (true.lower or 0.0, true.upper or 0.0), (found.lower or 0.0, found.upper or 0.0)
+    if swapped:
+        b = (b[1], b[0])
+    ends = (abs(a[0] - b[0]), abs(a[1] - b[1]))
+    iou = 0.0 if swapped else interval_iou(a, b)
+    tolerance = limits.angle if true.rotates else limits.travel * diagonal
+    right = iou >= limits.range_iou or max(ends) <= tolerance
+    return sum(ends) / 2, iou, right and not swapped
 
 
 def _still(true: Joint) -> float | None:

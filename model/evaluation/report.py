@@ -12,6 +12,7 @@ from typing import Any
 
 from model.errors import InputFileError
 from model.evaluation.calibration import Calibration, calibrate
+from model.evaluation.executability import Execution
 from model.evaluation.joint_metrics import JointScore, ObjectScore
 from model.evaluation.summary import METRICS, Metric, Summary, bootstrap, summarise
 
@@ -187,10 +188,13 @@ def score_to_json(score: ObjectScore) -> dict[str, Any]:
 
 def score_from_json(data: Mapping[str, Any]) -> ObjectScore:
     """The inverse of :func:`score_to_json`."""
-    rest = {k: v for k, v in data.items() if k not in ("usable", "joints", "extra", "seconds")}
+    apart = ("usable", "joints", "extra", "seconds", "execution")
+    rest = {k: v for k, v in data.items() if k not in apart}
+    run = data.get("execution")
     return ObjectScore(
         joints=tuple(JointScore(**j) for j in data["joints"]),
         extra=tuple((a, b) for a, b in data["extra"]),
+        execution=None if run is None else Execution(**{**run, "kinds": tuple(run["kinds"])}),
         **rest,
     )
 

@@ -19,11 +19,12 @@ from model.datasets.splits import select
 from model.errors import ArtiworldError, ConfigurationError
 from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_costs
 from model.evaluation.corruption import Corruption, corrupt
+from model.evaluation.executability import execute, require_simulator
 from model.evaluation.joint_metrics import ObjectScore, UsableLimits, score_object
 from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
-from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.articulated_object import ArticulatedObject, Prediction
 from model.predictor import Predictor
 from model.predictors import load_predictor, predictor_names
 from model.progress import Progress, no_progress
@@ -31,6 +32,8 @@ from model.progress import Progress, no_progress
 FRAME_SAMPLE = 24
 """Objects that decide a method's frame."""
 LOG = "objects.jsonl"
+TRUTH = "truth"
+"""A predictor that answers with the truth: what the data set itself would get."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class EvaluationConfig:
 
     Attributes:
         data: the data set. split: which of its objects, see :mod:`model.datasets.splits`.
-        predictor: name of the predictor, or what ``predictions`` is called in the report.
+        predictor: name of the predictor (:data:`TRUTH` answers with the truth), or what
+            ``predictions`` is called in the report.
         predictions: folder of URDFs to score instead of running a predictor.
         frame: of these URDFs; found where it is None.
         names: whether part names and the category are given to the predictor.
@@ -48,6 +52,7 @@ class EvaluationConfig:
         limit: at most this many objects, spread over the whole set; all where None.
         seed: of the predictor, the corruption and the split.
         timeout: seconds after which one object counts as failed.
+        execute: whether the joints of each prediction are driven as well.
         limits: what counts as usable.
         out: folder for ``objects.jsonl`` (a line an object, so that a stopped run goes on) and the
             reports; nothing is written where None.
@@ -64,6 +69,7 @@ class EvaluationConfig:
     limit: int | None = None
     seed: int = 0
     timeout: float = 120.0
+    execute: bool = False
     limits: UsableLimits = field(default_factory=UsableLimits)
     out: Path | None = None
 
@@ -116,13 +122,15 @@ def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> R
         ArtiworldError: for what is wrong with the configuration itself, before anything runs.
     """
     ids = chosen_ids(config)
+    if config.execute:
+        require_simulator()
     if config.predictions is not None:
         files = PredictionFolder(config.predictions).files()
         _check_overlap(config, ids, set(files))
         if config.frame is None:
             progress(0.0, "comparing frames")
             config = replace(config, frame=find_frame(config, ids))
-    elif config.predictor not in predictor_names():
+    elif config.predictor not in (TRUTH, *predictor_names()):
         load_predictor(config.predictor)  # raises, naming those that are there
     started = time.perf_counter()
     results = _finished(config, ids)
@@ -208,7 +216,11 @@ def evaluate_object(config: EvaluationConfig, object_id: str) -> ObjectResult:
             truth = load_truth(config, object_id)
             category.append(truth.object.category)
             judged = judge(config, truth)
-        return ObjectResult(judged.score, judged.seconds)
+        score = judged.score
+        if config.execute:
+            run = execute(judged.predicted, seed=config.seed, timeout=config.timeout)
+            score = replace(score, execution=run)
+        return ObjectResult(score, judged.seconds)
     # The boundary of a job: whatever one object does to the predictor, the run goes on.
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
@@ -243,9 +255,12 @@ def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
         )  # fmt: skip
         note = "; ".join(n for n in written.notes if not n.startswith("link_"))[:500]
         return Judged(truth, found.object, replace(score, note=note), seconds)
-    prediction = _predictor(config.predictor).predict(
-        truth.segmented(names=config.names), seed=config.seed
-    )
+    if config.predictor == TRUTH:
+        prediction = Prediction(truth.object.tree)
+    else:
+        prediction = _predictor(config.predictor).predict(
+            truth.segmented(names=config.names), seed=config.seed
+        )
     seconds = time.perf_counter() - start
     problem = "" if prediction.tree is not None else "; ".join(prediction.problems) or "no tree"
     score = score_object(
@@ -277,7 +292,8 @@ def _failed(
         truth = _dataset(config.data).load(object_id).object
     except ArtiworldError:
         return ObjectScore(object_id, category, (), problem=problem)
-    return score_object(truth, None, limits=config.limits, problem=problem, matches=matches)
+    score = score_object(truth, None, limits=config.limits, problem=problem, matches=matches)
+    return replace(score, execution=execute(None)) if config.execute else score
 
 
 def _to_json(result: ObjectResult) -> dict[str, Any]:

@@ -120,6 +120,11 @@ def _limits_with_missing(rotating: bool) -> Terms:
     return terms
 
 
+def _driven(score: ObjectScore) -> tuple[float, float]:
+    run = score.execution
+    return (0.0, 0.0) if run is None else (float(run.joints - run.broken), float(run.joints))
+
+
 _PAPER, _S2O, _OURS = "ArtiWorld (CVPR 2026)", "S2O (Iliash et al., 2024)", "ArtiWorld's evaluator"
 _MOTIONS = (
     ("m", "M", "the motion is right (turning or sliding)"),
@@ -175,6 +180,17 @@ METRICS: tuple[Metric, ...] = (
            _limits_with_missing(True)),
     Metric("dld_all", "DLD with missing", "m", False, "the same of DLD, prismatic joints", _OURS,
            _limits_with_missing(False)),
+    Metric("executable", "executable %", "%", True, "share of objects whose joints all move over "
+           "their range, alone and together, with nothing broken, and that MuJoCo drives", _OURS,
+           _over_objects(lambda o: None if o.execution is None else o.execution.executable)),
+    Metric("joints_executable", "joints executable %", "%", True, "share of predicted moving "
+           "joints that aren't broken when they are driven", _OURS, _driven),
+    Metric("penetration", "penetration", "diagonals", False, "deepest penetration beyond that at "
+           "rest while the joints are driven, a mean over objects", _OURS,
+           _over_objects(lambda o: None if o.execution is None else o.execution.depth)),
+    Metric("drift", "drift", "", False, "largest share of its range by which a joint moves in "
+           "MuJoCo while others are driven, a mean over objects", _OURS,
+           _over_objects(lambda o: None if o.execution is None else o.execution.drift)),
     *(
         Metric(f"{key}_{figure}", f"{name} {figure} %", "%", True, f"{figure} of joints where "
                f"{text}", _S2O, _s2o(name, figure))

@@ -38,7 +38,7 @@ class BenchConfig:
     """What to measure.
 
     Attributes:
-        data: folder with ``partnet_mobility`` and ``scans/scannet``.
+        data: folder with ``partnet_mobility`` and ``scans/scannet``, or one of these two.
         sets: which data sets.
         segmenters: names in the table of segmenters.
         limit: objects of each set, 0 for all (40 procedural ones).
@@ -164,6 +164,8 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
 def _objects(config: BenchConfig, data: DataSet) -> Iterator[BenchObject]:
     common = (config.points, config.limit, config.least, config.parts)
     partnet = config.data / "partnet_mobility"
+    if not partnet.is_dir():
+        partnet = config.data
     if data == "partnet":
         return partnet_objects(partnet, "all", *common)
     if data == "partnet-one-sided":
@@ -171,7 +173,8 @@ def _objects(config: BenchConfig, data: DataSet) -> Iterator[BenchObject]:
     if data == "partnet-mesh":
         return partnet_objects(partnet, "mesh", *common)
     if data == "room":
-        return room_objects(config.data / "scans" / "scannet")
+        rooms = config.data / "scans" / "scannet"
+        return room_objects(rooms if rooms.is_dir() else config.data)
     if data == "procedural":
         return procedural_objects("all", *common)
     if data == "procedural-noisy":

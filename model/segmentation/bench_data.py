@@ -171,24 +171,37 @@ def procedural_objects(
 
 
 def room_objects(folder: Path) -> Iterator[BenchObject]:
-    """The labelled ScanNet room: cabinets, doors and refrigerators, picked one by one.
+    """Labelled rooms: ``<name>.ply`` with ``<name>_labels.npz`` beside it.
+
+    The labels are ``instance`` (E,), -1 for none, and ``segment20`` (E,), ScanNet's 20 classes:
+    cabinets, doors and refrigerators are picked one by one.
 
     Raises:
-        InputFileError: where the scan or its labels are absent.
+        InputFileError: where there is no such pair, or the labels don't fit the scan.
     """
     from model.geometry.readers import read_asset
 
-    scan, truth = folder / "scene0011_00.ply", folder / "scene0011_00_labels.npz"
-    for path in (scan, truth):
-        if not path.is_file():
-            raise InputFileError(path, "not there", "it is needed for the room benchmark")
-    asset = read_asset(scan)
-    with np.load(truth) as data:
-        instance, kind = data["instance"].astype(np.int16), data["segment20"]
-    parts = []
-    for i in np.unique(instance[instance >= 0]):
-        members = kind[instance == i]
-        if np.bincount(members[members >= 0], minlength=20).argmax() in ROOM_CLASSES:
-            parts.append(int(i) + 1)
-    labels = (instance + 1).astype(np.int16)
-    yield BenchObject("scene0011_00", "room", asset, labels, tuple(parts), whole=False)
+    pairs = [
+        (scan, truth)
+        for truth in sorted(folder.glob("*_labels.npz"))
+        if (scan := truth.with_name(truth.name.replace("_labels.npz", ".ply"))).is_file()
+    ]
+    if not pairs:
+        raise InputFileError(
+            folder, "no labelled scan in it", "put <name>.ply and <name>_labels.npz there"
+        )
+    for scan, truth in pairs:
+        asset = read_asset(scan)
+        with np.load(truth) as data:
+            instance, kind = data["instance"].astype(np.int16), data["segment20"]
+        if len(instance) != asset.element_count:
+            raise InputFileError(
+                truth, f"{len(instance)} labels for {asset.element_count} {asset.element_kind}s"
+            )
+        parts = []
+        for i in np.unique(instance[instance >= 0]):
+            members = kind[instance == i]
+            if np.bincount(members[members >= 0], minlength=20).argmax() in ROOM_CLASSES:
+                parts.append(int(i) + 1)
+        labels = (instance + 1).astype(np.int16)
+        yield BenchObject(scan.stem, "room", asset, labels, tuple(parts), whole=False)

@@ -1,0 +1,308 @@
+"""A scripted annotator: what the software saves a person.
+
+It clicks where a person would (the middle of the largest error), lets a predictor propose the
+joints, and corrects what is wrong with the commands of the app, one for each thing that a person
+changes on the screen: parent, type, axis, origin, direction, one limit. All of it goes through a
+:class:`~sessions.live.LiveSession` into a real store. Beside each predictor stands the work by
+hand: the same corrections from joints that are all fixed to the base.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import zlib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.mending import WHO, Mender
+from model.datasets.registry import DatasetOptions, open_dataset
+from model.errors import ConfigurationError
+from model.evaluation.joint_metrics import UsableLimits, score_object
+from model.evaluation.pool import time_limit
+from model.geometry.asset import Asset
+from model.geometry.parts import split
+from model.geometry.point_cloud import PointCloud
+from model.geometry.sampling import sample_surface
+from model.kinematics.articulated_object import (
+    ArticulatedObject,
+    Part,
+    Prediction,
+    SegmentedObject,
+)
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.predictors import load_predictor
+from model.segmentation.prompts import BASE, Click, Prompts
+from model.segmentation.registry import load_segmenter
+from model.segmentation.simulate import deepest, next_part_click
+from sessions.commands import (
+    AddClick,
+    NamePart,
+    RecordPrediction,
+    RecordSegmentation,
+    SetCategory,
+)
+from sessions.live import LiveSession
+from sessions.store import Store
+
+BY_HAND = "by hand"
+LEAST_POINTS = 60
+"""Points of the smallest part: a person zooms in on it."""
+MAX_PARTS = 64
+
+Labels = npt.NDArray[np.int16]
+
+
+@dataclass(frozen=True)
+class AnnotatorConfig:
+    """How the annotator works.
+
+    Attributes:
+        data: the objects.
+        predictors: names; each starts from the same parts.
+        segmenter: who answers the clicks.
+        names: whether the person also says what the parts and the object are.
+        points: of the cloud that is annotated.
+        target: IoU at which a part is good enough.
+        clicks: at most this many a part, over the object.
+        seed: of sampling and predictors.
+        timeout: seconds an object.
+        limits: what counts as right.
+    """
+
+    data: DatasetOptions
+    predictors: tuple[str, ...] = ("geometric",)
+    segmenter: str = "default"
+    names: bool = True
+    points: int = 30_000
+    target: float = 0.9
+    clicks: int = 6
+    seed: int = 0
+    timeout: float = 300.0
+    limits: UsableLimits = field(default_factory=UsableLimits)
+
+
+@dataclass(frozen=True)
+class PersonScore:
+    """One object with one predictor.
+
+    Attributes:
+        predictor: its name, or :data:`BY_HAND`.
+        parts, joints: of the truth; joints are those that move.
+        clicks: until every part was good enough, or no more were allowed.
+        part_iou: mean over the parts at the end of the clicking.
+        wrong: moving joints that needed a correction (or shouldn't move).
+        corrections: commands on joints until the object was right.
+        commands: all that the person did: clicks, names, the request to predict, corrections.
+        right: whether the object is right at the end.
+        why: why not, or what failed.
+    """
+
+    object_id: str
+    category: str | None
+    predictor: str
+    parts: int = 0
+    joints: int = 0
+    clicks: int = 0
+    part_iou: float = 0.0
+    wrong: int = 0
+    corrections: int = 0
+    commands: int = 0
+    right: bool = False
+    why: str = ""
+
+
+def annotate(config: AnnotatorConfig, object_id: str) -> list[PersonScore]:
+    """One object with each predictor and by hand; never raises but for a lack of memory."""
+    try:
+        with time_limit(config.timeout), tempfile.TemporaryDirectory() as folder:
+            return _Annotator(config, object_id, Path(folder)).run()
+    except Exception as error:  # the boundary of a job: the run goes on
+        why = f"{type(error).__name__}: {error}"[:300]
+        return [PersonScore(object_id, None, p, why=why) for p in (*config.predictors, BY_HAND)]
+
+
+class _Annotator:
+    def __init__(self, config: AnnotatorConfig, object_id: str, folder: Path) -> None:
+        self.config = config
+        self.id = object_id
+        truth = open_dataset(config.data).load(object_id).object
+        self.truth, self.part_of = _numbered(truth)
+        self.asset, self.labels = _scan(self.truth, config, self.part_of)
+        self.store = Store(folder)
+        record = self.store.open_object(folder / f"{object_id}.ply", None, object_id)
+        self.live = LiveSession(self.store, record.id)
+        self.given = 0
+
+    def run(self) -> list[PersonScore]:
+        try:
+            clicks, labels, iou = self._click()
+            named = self._name() if self.config.names else 0
+            parts = split(self.asset, labels, self._names())
+            before = PersonScore(
+                self.id,
+                self.truth.category,
+                "",
+                parts=len(self.truth.parts),
+                joints=sum(j.moves for j in self.truth.tree.joints),
+                clicks=clicks,
+                part_iou=iou,
+            )
+            return [
+                self._with(before, name, parts, clicks + named)
+                for name in (*self.config.predictors, BY_HAND)
+            ]
+        finally:
+            self.store.close()
+
+    def _do(self, command: Any) -> None:
+        self.live.do(command, WHO)
+
+    # --- parts
+
+    def _click(self) -> tuple[int, Labels, float]:
+        """Click until the parts are right; the number of clicks, the labels, and their IoU."""
+        session = load_segmenter(self.config.segmenter).encode(self.asset)
+        points = self.asset.element_centers
+        clicks: list[Click] = []
+        cap = self.config.clicks * len(self.part_of)
+        labels = np.zeros(len(points), np.int16)
+        for part in sorted(self.part_of.values()):
+            clicks.append(_click(points, deepest(points, self.labels == part), part))
+            self._do(AddClick(clicks[-1]))
+        while True:
+            prompts = Prompts(tuple(clicks))
+            answer = session.segment(prompts)
+            labels = np.where(answer.labels < 0, BASE, answer.labels).astype(np.int16)
+            self._record(labels, answer.segmenter, answer.seconds)
+            ious = self._ious(labels)
+            found = next_part_click(points, self.labels, labels)
+            if ious.min() >= self.config.target or found is None or len(clicks) >= cap:
+                return len(clicks), labels, float(ious.mean())
+            clicks.append(_click(points, *found))
+            self._do(AddClick(clicks[-1]))
+
+    def _record(self, labels: Labels, segmenter: str, seconds: float) -> None:
+        ids, counts = np.unique(labels, return_counts=True)
+        said = {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
+        ref = self.store.put_array(labels)
+        key = self.live.document.key
+        self._do(RecordSegmentation(key, ref, segmenter or "segmenter", seconds, said))
+
+    def _ious(self, labels: Labels) -> npt.NDArray[np.float64]:
+        parts = np.array(sorted(self.part_of.values()))[:, None]
+        own, given = self.labels == parts, labels == parts
+        return (own & given).sum(1) / np.maximum((own | given).sum(1), 1)
+
+    def _name(self) -> int:
+        """Say what the parts and the object are; the number of commands."""
+        before = self.live.state.seq
+        for number, name in self._names().items():
+            self._do(NamePart(number, name))
+        if self.truth.category:
+            self._do(SetCategory(self.truth.category))
+        return self.live.state.seq - before
+
+    def _names(self) -> dict[int, str]:
+        if not self.config.names:
+            return {}
+        return {self.part_of[p.link]: p.name for p in self.truth.parts if p.name}
+
+    # --- joints
+
+    def _with(
+        self, before: PersonScore, name: str, parts: tuple[Part, ...], commands: int
+    ) -> PersonScore:
+        # In the app part 0 is the base by definition: the predictor need not guess it.
+        told = tuple(
+            replace(p, name="base") if p.link == f"link_{BASE}" and p.name is None else p
+            for p in parts
+        )
+        category = self.truth.category if self.config.names else None
+        segmented = SegmentedObject(self.id, told, category)
+        if name == BY_HAND:
+            prediction = Prediction(_all_fixed(segmented), backend=BY_HAND)
+        else:
+            prediction = load_predictor(name).predict(segmented, seed=self.config.seed)
+            commands += 1
+        out = replace(before, predictor=name)
+        if prediction.tree is None:
+            why = "; ".join(prediction.problems) or "the predictor gave no tree"
+            return replace(out, commands=commands, why=why)
+        segmentation = self.live.document.segmentation
+        assert segmentation is not None
+        self._do(RecordPrediction(prediction, segmentation.labels))
+        mender = Mender(self.live, self.truth, self.config.limits)
+        wrong, corrections = mender.mend()
+        tree = self.live.document.tree
+        score = score_object(self.truth, tree, limits=self.config.limits)
+        why = "; ".join(mender.unreachable)
+        return replace(
+            out,
+            wrong=wrong,
+            corrections=corrections,
+            commands=commands + corrections,
+            right=score.usable,
+            why=why if not score.usable else "",
+        )
+
+
+def _numbered(truth: ArticulatedObject) -> tuple[ArticulatedObject, dict[str, int]]:
+    """The truth with its parts numbered as the app does, the root's part first.
+
+    Raises:
+        ConfigurationError: where it has more parts than a person would click.
+    """
+    links = [p.link for p in truth.parts]
+    if len(links) > MAX_PARTS:
+        raise ConfigurationError(f"{truth.name} has {len(links)} parts; {MAX_PARTS} are the limit")
+    first = truth.tree.root if truth.tree.root in links else links[0]
+    order = [first, *(x for x in links if x != first)]
+    names = {link: f"link_{i}" for i, link in enumerate(order)}
+    table = {x: names.get(x, x) for x in truth.tree.links}
+    joints = [replace(j, parent=table[j.parent], child=table[j.child]) for j in truth.tree.joints]
+    parts = {p.link: replace(p, link=names[p.link]) for p in truth.parts}
+    tree = KinematicTree(tuple(table[x] for x in truth.tree.links), tuple(joints))
+    obj = ArticulatedObject(truth.name, tuple(parts[x] for x in order), tree, truth.category)
+    return obj, {p.link: i for i, p in enumerate(obj.parts)}
+
+
+def _scan(
+    truth: ArticulatedObject, config: AnnotatorConfig, part_of: dict[str, int]
+) -> tuple[Asset, Labels]:
+    """The object as one coloured cloud, and the true part of each point."""
+    rng = np.random.default_rng([config.seed, zlib.crc32(truth.name.encode())])
+    areas = [0.0 if p.mesh is None else float(p.mesh.face_areas.sum()) for p in truth.parts]
+    whole = sum(areas) or 1.0
+    clouds, labels = [], []
+    for part, area in zip(truth.parts, areas, strict=True):
+        count = max(LEAST_POINTS, round(config.points * area / whole))
+        cloud = part.cloud if part.mesh is None else sample_surface(part.mesh, count, rng)[0]
+        assert cloud is not None
+        clouds.append(cloud)
+        labels.append(np.full(len(cloud), part_of[part.link], np.int16))
+    order = rng.permutation(sum(map(len, clouds)))
+    points = np.concatenate([c.points for c in clouds])[order]
+    colors = None
+    if all(c.colors is not None for c in clouds):
+        colors = np.concatenate([c.colors[:, :3] for c in clouds if c.colors is not None])[order]
+    cloud = PointCloud(points.astype(np.float32), colors=colors)
+    return Asset(truth.name, cloud=cloud), np.concatenate(labels)[order]
+
+
+def _click(points: npt.NDArray[np.floating], element: int, part: int) -> Click:
+    x, y, z = (float(v) for v in points[element])
+    return Click((x, y, z), part, True, int(element))
+
+
+def _all_fixed(segmented: SegmentedObject) -> KinematicTree:
+    """Where a person without a predictor starts: nothing moves, all hangs on the base."""
+    links = tuple(p.link for p in segmented.parts)
+    joints = tuple(
+        Joint(f"joint_{link.removeprefix('link_')}", "fixed", links[0], link) for link in links[1:]
+    )
+    return KinematicTree(links, joints)

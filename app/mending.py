@@ -1,0 +1,139 @@
+"""Bringing a session's joints to the truth with the commands that a person has on the screen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from model.evaluation.joint_metrics import (
+    UsableLimits,
+    axis_angle,
+    compare_ranges,
+    point_to_line,
+)
+from model.evaluation.tree_metrics import chain
+from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from sessions.commands import SetJoint, SetRoot
+from sessions.live import LiveSession
+
+WHO = "scripted annotator"
+DEFAULT_LIMITS = {"revolute": (0.0, math.pi / 2)}
+"""What the app gives a joint whose type is changed; a slide gets 0.3 diagonals."""
+SLIDE = 0.3
+
+
+class Mender:
+    """Corrects joints one thing at a time: parent, type, axis, origin, direction, one limit.
+
+    Attributes:
+        commands: how many it took so far.
+        unreachable: what no command can bring about, in words.
+    """
+
+    def __init__(self, live: LiveSession, truth: ArticulatedObject, limits: UsableLimits) -> None:
+        self.live, self.truth, self.limits = live, truth, limits
+        self.parts = frozenset(p.link for p in truth.parts)
+        corners = np.concatenate([p.bounds for p in truth.parts])
+        self.diagonal = float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0
+        self.commands = 0
+        self.unreachable: list[str] = []
+
+    def mend(self) -> tuple[int, int]:
+        """Correct every joint; how many were wrong, and the commands it took."""
+        wrong = 0
+        root = self.truth.tree.root
+        if root in self.parts and root in self.tree.links and self.tree.root != root:
+            self._do(SetRoot(root))
+        for part in (p for p in self.truth.tree.order if p in self.parts):
+            before = self.commands
+            if part not in self.tree.links:
+                self.unreachable.append(f"{part} got no points from the clicks")
+                continue
+            self._mend_part(part)
+            wrong += self.commands > before
+        return wrong, self.commands
+
+    @property
+    def tree(self) -> KinematicTree:
+        """As it stands now."""
+        tree = self.live.document.tree
+        assert tree is not None
+        return tree
+
+    def _do(self, command: SetJoint | SetRoot) -> None:
+        before = self.live.state
+        if self.live.do(command, WHO) is not before:
+            self.commands += 1
+
+    def _change(self, child: str, **values: Any) -> None:
+        self._do(SetJoint(replace(self.tree.joint_of[child], **values)))
+
+    def _mend_part(self, part: str) -> None:
+        above, true_chain = chain(self.truth.tree, part, self.parts)
+        true_chain = tuple(j for j in true_chain if j.moves)
+        parent, found = chain(self.tree, part, self.parts)
+        if above and found and parent != above and above in self.tree.links:
+            self._change(found[0].child, parent=above)
+            found = chain(self.tree, part, self.parts)[1]
+        if not true_chain:
+            for joint in found:
+                if joint.moves:
+                    self._change(joint.child, type="fixed", lower=None, upper=None)
+            return
+        if len(found) != len(true_chain):
+            self.unreachable.append(
+                f"{part} needs {len(true_chain)} joints in a row, and there are {len(found)}"
+            )
+            return
+        for true, joint in zip(true_chain, found, strict=True):
+            self._mend_joint(true, joint.child)
+
+    def _mend_joint(self, true: Joint, child: str) -> None:
+        if self.tree.joint_of[child].type != true.type:
+            lower, upper = DEFAULT_LIMITS.get(true.type, (None, None))
+            if true.type == "prismatic":
+                lower, upper = 0.0, round(SLIDE * self.diagonal, 3)
+            self._change(child, type=true.type, lower=lower, upper=upper)
+        if axis_angle(true.axis, self.tree.joint_of[child].axis) > self.limits.axis:
+            self._change(child, axis=true.axis)
+        origin = self.tree.joint_of[child].origin
+        off = point_to_line(origin, true.origin, true.axis) / self.diagonal
+        if true.rotates and off > self.limits.origin:
+            self._change(child, origin=true.origin)
+        if true.limited:
+            self._mend_range(true, child)
+
+    def _mend_range(self, true: Joint, child: str) -> None:
+        def right(joint: Joint) -> bool:
+            return compare_ranges(true, joint, self.limits, self.diagonal)[2]
+
+        joint = self.tree.joint_of[child]
+        if right(joint):
+            return
+        turned = replace(joint, axis=tuple(-v if v else 0.0 for v in joint.axis))
+        wanted = true if np.dot(true.axis, joint.axis) > 0 else true.flipped()
+        other = true if np.dot(true.axis, turned.axis) > 0 else true.flipped()
+        if right(turned) or _nearer(other, turned, wanted, joint):
+            self._do(SetJoint(turned))
+            joint, wanted = turned, other
+        assert wanted.lower is not None and wanted.upper is not None
+        # One end at a time, as on the screen; never one beyond the other.
+        order = ("upper", "lower") if wanted.upper >= (joint.lower or 0.0) else ("lower", "upper")
+        for side in order:
+            if not right(self.tree.joint_of[child]):
+                self._change(child, **{side: getattr(wanted, side)})
+
+
+def _nearer(a: Joint, turned: Joint, b: Joint, joint: Joint) -> bool:
+    """Whether fewer limits differ once the joint is turned."""
+
+    def differing(true: Joint, found: Joint) -> int:
+        ends = ((true.lower, found.lower), (true.upper, found.upper))
+        return sum(abs((x or 0.0) - (y or 0.0)) > 1e-3 for x, y in ends)
+
+    return differing(a, turned) + 1 < differing(b, joint)

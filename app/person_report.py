@@ -1,0 +1,115 @@
+"""What the scripted annotator found, predictor by predictor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+from app.annotator import BY_HAND, AnnotatorConfig, PersonScore, annotate
+from model.evaluation.pool import robust_map
+from model.progress import Progress, no_progress
+
+COLUMNS = (
+    "predictor", "objects", "right %", "clicks", "part IoU", "wrong joints %", "corrections",
+    "commands", "saved %",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PersonReport:
+    """Scores of all objects with each predictor, and by hand."""
+
+    config: AnnotatorConfig
+    scores: tuple[PersonScore, ...]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One for each predictor: means over the objects that were right in the end.
+
+        ``saved`` is the share of the corrections by hand that the predictor made needless, over
+        objects that are right both ways.
+        """
+        return [self._row(name) for name in (*self.config.predictors, BY_HAND)]
+
+    def _row(self, name: str) -> tuple[str, ...]:
+        own = [s for s in self.scores if s.predictor == name]
+        right = [s for s in own if s.right]
+        hand = {
+            s.object_id: s.corrections for s in self.scores if s.predictor == BY_HAND and s.right
+        }
+        both = [(s.corrections, hand[s.object_id]) for s in right if s.object_id in hand]
+        needed = sum(b for _, b in both)
+        saved = 1 - sum(a for a, _ in both) / needed if needed else math.nan
+        joints = sum(s.joints for s in right)
+        return (
+            name,
+            str(len(own)),
+            _percent(len(right) / len(own) if own else math.nan),
+            _mean([s.clicks for s in right]),
+            _mean([s.part_iou for s in right], 3),
+            _percent(sum(s.wrong for s in right) / joints if joints else math.nan),
+            _mean([s.corrections for s in right]),
+            _mean([s.commands for s in right]),
+            "" if name == BY_HAND else _percent(saved),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """For a program."""
+        rows = [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()]
+        settings = {
+            k: getattr(self.config, k)
+            for k in ("segmenter", "names", "points", "target", "clicks", "seed")
+        }
+        return {
+            "settings": settings,
+            "rows": rows,
+            "objects": [asdict(s) for s in self.scores],
+        }
+
+    def to_markdown(self) -> str:
+        """For people."""
+        from model.evaluation.markdown import escaped, table
+
+        lines = ["# The person in the loop", ""]
+        lines += table(COLUMNS, self.rows())
+        lines += [
+            "",
+            "Means over objects that were right in the end. Clicks until every part's IoU is "
+            f"{self.config.target} or {self.config.clicks} clicks a part are spent; corrections "
+            "are commands on joints; commands are all that the person did; saved is the share of "
+            "the corrections by hand that the predictor made needless.",
+            "",
+            "## Not right in the end",
+            "",
+        ]
+        lines += [
+            f"- {escaped(s.object_id)}, {escaped(s.predictor)}: {escaped(s.why)}"
+            for s in self.scores
+            if not s.right
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def run_person(
+    config: AnnotatorConfig, ids: Sequence[str], jobs: int, progress: Progress = no_progress
+) -> PersonReport:
+    """Let the annotator work on all objects, in parallel."""
+    found: dict[str, list[PersonScore]] = {}
+    for object_id, scores in robust_map(partial(annotate, config), ids, jobs):
+        died = [
+            PersonScore(object_id, None, name, why="the process died")
+            for name in (*config.predictors, BY_HAND)
+        ]
+        found[object_id] = scores or died
+        progress(len(found) / len(ids), f"{len(found)} of {len(ids)} objects annotated")
+    return PersonReport(config, tuple(s for i in ids for s in found[i]))
+
+
+def _mean(values: Sequence[float], digits: int = 1) -> str:
+    return f"{sum(values) / len(values):.{digits}f}" if values else "–"
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{100 * share:.1f}"
