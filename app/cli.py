@@ -76,6 +76,7 @@ def make_parser() -> argparse.ArgumentParser:
         ("export", _add_export, _export, "write an articulated object in another format"),
         ("evaluate", _add_evaluate, _evaluate, "score a predictor on a data set"),
         ("generate", _add_generate, _generate, "make articulated objects with ground truth"),
+        ("train", _add_train, _train, "train Arti4URDF on objects made here or your own"),
         ("bench", _add_bench, _bench, "measure speed and accuracy"),
         ("doctor", _add_doctor, _doctor, "say what is installed, usable and wrong"),
     ):
@@ -246,6 +247,12 @@ def _add_generate(parser: argparse.ArgumentParser) -> None:
     _add_json(parser)
 
 
+def _add_train(parser: argparse.ArgumentParser) -> None:
+    from app.train_command import add_train
+
+    add_train(parser)
+
+
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("what", choices=("ui", "segment", "predict"))
@@ -328,6 +335,12 @@ def _evaluate(args: argparse.Namespace) -> int:
     from app.evaluate_command import run_evaluate
 
     return run_evaluate(args)
+
+
+def _train(args: argparse.Namespace) -> int:
+    from app.train_command import run_train
+
+    return run_train(args)
 
 
 def _bench(args: argparse.Namespace) -> int:

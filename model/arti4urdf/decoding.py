@@ -96,6 +96,7 @@ def decode(
     prompt: Prompt,
     *,
     locked: dict[int, Lock] | None = None,
+    prior: Array | None = None,
     span: bool = True,
     rng: np.random.Generator | None = None,
 ) -> Answer:
@@ -105,6 +106,7 @@ def decode(
         model: in evaluation mode.
         prompt: of the object.
         locked: parts whose parent (and joint) is settled: forced spans.
+        prior: (P, SIZE) added to the logits of joint types, candidates and limits.
         span: append forced tokens in one pass; False reads them one by one, as plain generation
             does (for the benchmark).
         rng: sample instead of taking the likeliest.
@@ -138,7 +140,10 @@ def decode(
                 model.point(encoded, hidden, torch.tensor([[node]]))[0, 0],
             ]
         )
-        pending = [_make(tape, asked, logits.double().numpy(), rng)]
+        values = logits.double().numpy()
+        if prior is not None and asked.kind in ("type", "slot", "lower"):
+            values[: v.SIZE] += prior[asked.part]
+        pending = [_make(tape, asked, values, rng)]
     tape.feeds += pending
     total = float(sum(np.log(max(m.probability, 1e-12)) for m in tape.made))
     return Answer(

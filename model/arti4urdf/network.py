@@ -34,6 +34,8 @@ SCALARS = 86
 CODE = 32
 """Width of the code that says which part is which; it stands for the file name link_i."""
 FREQUENCIES = 5
+MOST_BIAS = 8.0
+"""What the relation of two parts can add to a pointer's logit."""
 
 
 SMALL_POINT_BERT = PointBertConfig(
@@ -64,7 +66,7 @@ class ModelConfig:
 
     point_bert: PointBertConfig = SMALL_POINT_BERT
     decoder: DecoderConfig = field(
-        default_factory=lambda: DecoderConfig(v.SIZE, 192, 448, 5, 6, 2, head_dim=32)
+        default_factory=lambda: DecoderConfig(v.SIZE, 160, 416, 5, 5, 1, head_dim=32)
     )
     structure_width: int = 384
     global_token: bool = True
@@ -158,8 +160,9 @@ class ArtiModel(nn.Module):
         inside = SCALARS + 3 * VECTORS + candidates + 2 * CODE
         self.structure = _mlp(inside, self.config.structure_width, width, normalised=True)
         self.pointed = nn.Linear(2 * width, width)
-        self.key = nn.Linear(3 * width, 64)
-        self.query = nn.Linear(width, 64)
+        # Normalised, or the logits of pointers grow without bound.
+        self.key = nn.Sequential(nn.Linear(3 * width, 64), nn.RMSNorm(64, eps=1e-6))
+        self.query = nn.Sequential(nn.Linear(width, 64), nn.RMSNorm(64, eps=1e-6))
         self.relation = _mlp(2 * RELATIONS, 64, 2)
         self.type_head = nn.Linear(width, len(v.TYPES))
         self.register_buffer("codes", part_codes(), persistent=False)
@@ -257,7 +260,7 @@ class ArtiModel(nn.Module):
             if not self.config.structure_prompt:
                 relations = torch.zeros_like(relations)
             both = torch.cat([relations, relations.transpose(0, 1)], -1)
-            bias = self.relation(both)
+            bias = MOST_BIAS * torch.tanh(self.relation(both) / MOST_BIAS)
             short = most - len(bias)
             out.append(functional.pad(bias, (0, 0, 0, short, 0, short)))
         return torch.stack(out)

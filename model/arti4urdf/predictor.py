@@ -12,6 +12,7 @@ import numpy.typing as npt
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.answer import joints_of_decision, write_answer
 from model.arti4urdf.decoding import Answer, decode
+from model.arti4urdf.geometric_prior import geometric_prior
 from model.arti4urdf.grammar import Lock
 from model.arti4urdf.network import ArtiModel, Prompt
 from model.arti4urdf.structure import Structure, read_structure, structure_arrays
@@ -30,9 +31,13 @@ class HybridSettings:
     Attributes:
         tree: geometry's tree is kept where the network gives another parent less than this
             probability; 0 never asks geometry, 1 always does.
+        weight: of geometry's opinion on joint types and candidates, in a product of experts.
+        swept: log-odds added in favour of the candidate's own limits, from rules and motion sweep.
     """
 
     tree: float = 0.9
+    weight: float = 0.7
+    swept: float = 0.0
 
 
 class Arti4UrdfPredictor:
@@ -54,7 +59,7 @@ class Arti4UrdfPredictor:
     ) -> None:
         self.name = name
         self.hybrid = hybrid
-        self._model = model.eval()
+        self.model = model.eval()
         self._version = version
 
     def predict(
@@ -68,15 +73,23 @@ class Arti4UrdfPredictor:
         """See :class:`model.predictor.Predictor`."""
         start = time.perf_counter()
         progress(0.0, "finding candidates")
-        structure = read_structure(segmented, seed)
+        structure = read_structure(
+            segmented, seed, progress=lambda fraction, message: progress(0.6 * fraction, message)
+        )
         progress(0.6, "reading shapes")
         prompt = make_prompt(structure, segmented, seed)
         links = [s.link for s in structure.scene.shapes]
         locks, problems = _locks(locked, links)
-        answer = decode(self._model, prompt, locked=locks)
-        progress(0.8, "writing the tree")
+        prior = None
         if self.hybrid is not None:
-            answer = self._with_tree(answer, prompt, structure, locks)
+            prior = self.hybrid.weight * geometric_prior(structure)
+            prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
+        answer = decode(self.model, prompt, locked=locks, prior=prior)
+        progress(0.8, "writing the tree")
+        if self.hybrid is not None and self._doubts_tree(answer, structure):
+            parents = structure.assembly.parent
+            settled = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
+            answer = decode(self.model, prompt, locked=settled | locks, prior=prior)
         joints: list[Joint] = []
         helpers: list[str] = []
         sure: dict[str, float] = {}
@@ -106,21 +119,13 @@ class Arti4UrdfPredictor:
             notes,
         )
 
-    def _with_tree(
-        self, answer: Answer, prompt: Prompt, structure: Structure, locks: dict[int, Lock]
-    ) -> Answer:
-        """Decode again with geometry's tree where the network is unsure of its own."""
+    def _doubts_tree(self, answer: Answer, structure: Structure) -> bool:
+        """Whether the network is unsure of a parent where geometry names another."""
         assert self.hybrid is not None
-        parents = structure.assembly.parent
-        doubtful = any(
-            answer.decisions[i].parent != parents[i]
-            and parent_confidence(answer, i) < self.hybrid.tree
-            for i in range(len(parents))
+        return any(
+            answer.decisions[i].parent != parent and parent_confidence(answer, i) < self.hybrid.tree
+            for i, parent in enumerate(structure.assembly.parent)
         )
-        if not doubtful:
-            return answer
-        settled = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
-        return decode(self._model, prompt, locked=settled | locks)
 
 
 def make_prompt(structure: Structure, segmented: SegmentedObject, seed: int) -> Prompt:

@@ -9,6 +9,7 @@ All lengths are in the working frame of :mod:`model.geometric.scene` (diagonal 1
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from model.geometric.shape import rotation
 from model.geometric.tree import root_scores, spanning_parents
 from model.geometric.vocabulary import Mechanism, mechanism_of
 from model.kinematics.articulated_object import SegmentedObject
+from model.progress import Progress, no_progress
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -147,6 +149,11 @@ class Structure:
     contexts: list[PartContext]
     _offered: dict[tuple[int, int], Hypothesis] = field(default_factory=dict)
 
+    @cached_property
+    def looks(self) -> list[Looks | None]:
+        """Cues of each part; None for the only part of an object."""
+        return [look(c) if len(self.scene) > 1 else None for c in self.contexts]
+
     def offered(self, part: int, slot: int) -> Hypothesis | None:
         """The candidate with its limits from the motion sweep, where its mechanism has that."""
         key = (part, slot)
@@ -161,7 +168,11 @@ class Structure:
 
 
 def read_structure(
-    segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPLE_BUDGET
+    segmented: SegmentedObject,
+    seed: int = 0,
+    *,
+    budget: int = SAMPLE_BUDGET,
+    progress: Progress = no_progress,
 ) -> Structure:
     """Find the candidates of every part.
 
@@ -169,6 +180,7 @@ def read_structure(
         segmented: the parts; names are used where they are there.
         seed: of the surface samples.
         budget: surface points of all parts together.
+        progress: told of each part.
     """
     scene = make_scene(segmented, seed, budget=budget)
     scores = root_scores(scene)
@@ -178,8 +190,10 @@ def read_structure(
     mechanisms, _, _ = guess_mechanisms(assembly)
     assembly.front, assembly.front_certainty = find_front(assembly, mechanisms)
     contexts = [PartContext(_as_child(assembly, scores, i), i) for i in range(len(scene))]
-    nothing: list[Hypothesis | None] = [None] * SLOTS
-    slots = [_slots(c) if len(scene) > 1 else list(nothing) for c in contexts]
+    slots: list[list[Hypothesis | None]] = []
+    for i, context in enumerate(contexts):
+        progress(i / len(contexts), f"motions of {scene.shapes[i].link}")
+        slots.append(_slots(context) if len(scene) > 1 else [None] * SLOTS)
     return Structure(scene, assembly, slots, contexts)
 
 
@@ -206,7 +220,7 @@ def structure_arrays(structure: Structure, rng: np.random.Generator) -> Structur
     """The structure prompt as numbers; ``rng`` draws the points."""
     scene = structure.scene
     n = len(scene)
-    looks = [look(c) if n > 1 else None for c in structure.contexts]
+    looks = structure.looks
     known = {i: k for i, k in enumerate(looks) if k is not None}
     scores = root_scores(scene)
     rows = [

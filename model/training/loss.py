@@ -13,6 +13,8 @@ from model.arti4urdf.network import ArtiModel
 from model.training.batches import Batch
 
 TYPE_WEIGHT = 0.1
+Z_WEIGHT = 1e-3
+"""Keeps the logits' scale: weight of the squared log-sum-exp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +48,11 @@ def batch_loss(model: ArtiModel, batch: Batch) -> Loss:
     words = model.word_logits(hidden[rows, places])
     logits = torch.cat([words, pointed], -1)
     allowed, right = torch.from_numpy(batch.allowed), torch.from_numpy(batch.right)
-    logits = logits.masked_fill(~allowed, -1e9)
-    losses = logits.logsumexp(-1) - logits.masked_fill(~right, -1e9).logsumexp(-1)
+    logits = logits.float().masked_fill(~allowed, -1e9)
+    whole = logits.logsumexp(-1)
+    losses = whole - logits.masked_fill(~right, -1e9).logsumexp(-1)
     hits = right.gather(1, logits.argmax(-1, keepdim=True))[:, 0]
-    total = losses.sum() / len(batch.examples) / 8
+    total = (losses + Z_WEIGHT * whole.square()).sum() / len(batch.examples) / 8
     total = total + TYPE_WEIGHT * _type_loss(model, encoded.shapes, batch)
     return Loss(total, losses.detach(), hits, batch.kinds)
 

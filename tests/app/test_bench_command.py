@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from app import bench
+from app import bench_predict
 from app.cli import main
 from model.predictors import load_predictor
 from tests.app.run_cli import artiworld, assert_users_mistake
@@ -15,7 +15,7 @@ from tests.app.run_cli import artiworld, assert_users_mistake
 
 @pytest.mark.parametrize("drawers", [1, 3, 7])
 def test_the_chest_has_drawers_that_slide_out_of_it(drawers):
-    chest = bench.chest(drawers)
+    chest = bench_predict.chest(drawers)
     assert len(chest.parts) == drawers + 1
     body, *rest = (part.bounds for part in chest.parts)
     for low, high in rest:
@@ -28,12 +28,13 @@ def test_the_chest_has_drawers_that_slide_out_of_it(drawers):
 
 
 def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
-    monkeypatch.setattr(bench, "PART_COUNTS", (2, 4))
-    monkeypatch.setattr(bench, "REPEATS", 1)
+    monkeypatch.setattr(bench_predict, "PART_COUNTS", (2, 4))
+    monkeypatch.setattr(bench_predict, "REPEATS", 1)
     assert main(["bench", "predict", "--json"]) == 0
     rows = json.loads(capfd.readouterr().out)["rows"]
     assert [row["parts"] for row in rows] == [2, 4]
-    assert all(row["ms"] > 0 and row["yardstick ms"] > 0 for row in rows)
+    assert all(row["Arti4URDF"] > 0 and row["yardstick"] > 0 for row in rows)
+    assert all(row["passes"] < row["token by token passes"] < row["text tokens"] for row in rows)
     assert main(["bench", "predict"]) == 0
     assert "yardstick" in capfd.readouterr().out
 
