@@ -1,0 +1,120 @@
+"""Joints together: ways to poses in which several joints stand somewhere in their ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from model.gate.examine import Scene, between, limits_of
+from model.gate.report import Finding, Verdict
+from model.gate.words import length
+from model.kinematics.joint import Joint
+from model.kinematics.sweep import sweep_way
+from model.kinematics.ways import tree_poses
+from model.progress import Progress, no_progress
+
+POSES = 12
+STEPS = 10
+POINTS = 768
+OFTEN = 0.5
+"""Share of the ways on which two parts must meet to be worth a look: a door and the drawer beside
+it may be in each other's way, but not nearly always."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def combination_findings(
+    scene: Scene,
+    known: frozenset[frozenset[str]],
+    seed: int,
+    progress: Progress = no_progress,
+) -> dict[str, Finding]:
+    """What meets only when several joints move: joint name → the deepest such finding.
+
+    Args:
+        known: pairs of links that meet when a joint moves alone; they are passed over.
+        seed: of the poses (Halton points, scrambled).
+    """
+    tree = scene.obj.tree
+    joints = [j for j in tree.joints if j.moves and j.mimic is None]
+    watched = _pairs(scene) - known
+    if len(joints) < 2 or not watched:
+        return {}
+    met: dict[frozenset[str], list[Finding]] = {}
+    for k, pose in enumerate(_poses(joints, seed)):
+        progress(k / POSES, "Moving the joints together")
+        way = [{n: v * t for n, v in pose.items()} for t in np.linspace(0, 1, STEPS)]
+        near = watched & _near(scene, way)
+        if not near:
+            continue
+        found = sweep_way(scene.obj, way, pairs=near, tolerance=scene.tolerance, points=POINTS)
+        worst = int(np.argmax(found.depth))
+        pair = found.pairs[worst]
+        if pair is None or found.depth[worst] <= scene.tolerance:
+            continue
+        at = tuple(float(v) for v in found.where[worst])
+        one = Finding("combination", "fine", "", float(found.depth[worst]), way[worst], at, pair[1])  # type: ignore[arg-type]
+        met.setdefault(frozenset(pair), []).append(one)
+    return _by_joint(scene, met)
+
+
+def _by_joint(scene: Scene, met: dict[frozenset[str], list[Finding]]) -> dict[str, Finding]:
+    out: dict[str, Finding] = {}
+    for pair, findings in met.items():
+        worst = max(findings, key=lambda f: f.depth)
+        a, b = sorted(pair)
+        verdict: Verdict = "look" if len(findings) >= OFTEN * POSES else "fine"
+        said = (
+            f"{scene.titled(a)} and {scene.titled(b)} meet when both move: "
+            f"{length(worst.depth)} deep at worst."
+        )
+        said = said[0].upper() + said[1:]
+        for joint in between(scene.obj.tree, a, b):
+            other = b if a in scene.obj.tree.descendants(joint.child) else a
+            mine = Finding("combination", verdict, said, worst.depth, worst.q, worst.where, other)
+            before = out.get(joint.name)
+            if before is None or before.depth < mine.depth:
+                out[joint.name] = mine
+    return out
+
+
+def _poses(joints: list[Joint], seed: int) -> Iterator[dict[str, float]]:
+    from scipy.stats import qmc
+
+    low, high = np.array([limits_of(j) for j in joints]).T
+    unit = qmc.Halton(len(joints), seed=seed).random(POSES)
+    for row in low + unit * (high - low):
+        yield {j.name: float(v) for j, v in zip(joints, row, strict=True)}
+
+
+def _pairs(scene: Scene) -> frozenset[frozenset[str]]:
+    """Links whose motion against each other takes two joints."""
+    links = [k for k in scene.obj.tree.order if k in scene.surfaces]
+    return frozenset(
+        frozenset((a, b))
+        for i, a in enumerate(links)
+        for b in links[i + 1 :]
+        if len(between(scene.obj.tree, a, b)) >= 2
+    )
+
+
+def _near(scene: Scene, way: list[dict[str, float]]) -> frozenset[frozenset[str]]:
+    """Links whose boxes meet somewhere on the way."""
+    links = list(scene.surfaces)
+    poses = tree_poses(scene.obj.tree, way)
+    still = np.broadcast_to(np.eye(4), (len(way), 4, 4))
+    corners = np.stack(
+        [np.array(np.meshgrid(*scene.surfaces[k].bounds.T)).reshape(3, -1).T for k in links]
+    )
+    stacked = np.stack([poses.get(k, still) for k in links])  # (L, K, 4, 4)
+    at = np.einsum("lkij,lcj->lkci", stacked[:, :, :3, :3], corners)
+    at = at + stacked[:, :, None, :3, 3]
+    # Boxes may slip past each other between two steps; what one step carries them is added.
+    step = np.abs(np.diff(at, axis=1)).max(axis=(1, 2, 3), initial=0.0)
+    margin = (step[:, None] + step[None])[:, :, None, None] + scene.tolerance
+    low, high = at.min(axis=2), at.max(axis=2)  # (L, K, 3)
+    apart = (low[:, None] > high[None] + margin) | (low[None] > high[:, None] + margin)
+    meets = ~apart.any(axis=3).all(axis=2)
+    return frozenset(frozenset((links[i], links[j])) for i, j in np.argwhere(np.triu(meets, 1)))

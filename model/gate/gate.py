@@ -1,0 +1,184 @@
+"""The gate: every joint over its range, alone, together with others, and in physics."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from model.gate.combinations import combination_findings
+from model.gate.examine import Scene, examine
+from model.gate.mends import mends_for
+from model.gate.physics import run_physics
+from model.gate.physics_report import PhysicsReport
+from model.gate.report import VERDICTS, Finding, GateReport, JointVerdict
+from model.gate.support import loose_parts
+from model.gate.words import length, title
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.sweep import diagonal_of, surfaces_of, sweep_tolerance
+from model.progress import Progress, no_progress
+
+TOUCHING = 0.01
+"""Gap that still counts as touching, in the object's diagonal."""
+AFLOAT = 0.04
+"""Gap above which a part that touches nothing is broken, in the object's diagonal; scans and CAD
+leave smaller ones."""
+MANY = 24
+"""Moving joints from which on each gets fewer samples."""
+SEVERE = ("geometry", "jammed", "floating", "limits", "collision", "detached", "physics")
+"""What is told first of findings that are equally bad."""
+
+
+def run_gate(
+    obj: ArticulatedObject,
+    *,
+    seed: int = 0,
+    physics: bool = True,
+    mends: bool = True,
+    progress: Progress = no_progress,
+) -> GateReport:
+    """Judge every joint of ``obj``.
+
+    Args:
+        seed: of the poses in which joints stand together.
+        physics: whether to drive the joints in MuJoCo too, where it is installed.
+        mends: whether to look for mends of what is wrong.
+        progress: told of each step; may stop it.
+
+    Returns:
+        A verdict on each joint, worst first; fixed joints only where something is wrong with them.
+    """
+    start = time.perf_counter()
+    unusable = {p.link: why for p in obj.parts if (why := _unusable(p))}
+    scene = _scene(obj, unusable)
+    found: dict[str, list[Finding]] = {j.name: [] for j in obj.tree.joints if j.moves}
+    for link, why in unusable.items():
+        _blame(obj, found, link, Finding("geometry", "broken", why))
+    if scene is not None:
+        _look(scene, found, seed, progress)
+    said = run_physics(obj, progress=progress) if physics and not unusable else None
+    if said is not None:
+        _take_physics(obj, said, found)
+    joints = []
+    for k, (name, findings) in enumerate(found.items()):
+        progress(0.9 + 0.1 * k / max(len(found), 1), "Looking for mends")
+        joint = obj.tree.by_name[name]
+        ordered = tuple(sorted(findings, key=_rank))
+        offered = mends_for(scene, joint, ordered) if mends and scene is not None else ()
+        joints.append(JointVerdict(name, joint.child, ordered, offered))
+    joints.sort(key=_badness)
+    diagonal = scene.diagonal if scene is not None else 0.0
+    return GateReport(tuple(joints), diagonal, said, time.perf_counter() - start)
+
+
+def _look(scene: Scene, found: dict[str, list[Finding]], seed: int, progress: Progress) -> None:
+    """Everything but physics."""
+    obj = scene.obj
+    _floating(scene, found)
+    moving = [j for j in obj.tree.joints if j.moves]
+    for k, joint in enumerate(moving):
+        progress(0.55 * k / max(len(moving), 1), f"Sweeping {joint.name}")
+        found[joint.name] += examine(scene, joint)
+    known = frozenset(
+        frozenset((link, f.other))
+        for joint in moving
+        for f in found[joint.name]
+        if f.kind in ("collision", "jammed") and f.other is not None
+        for link in obj.tree.descendants(joint.child)
+    )
+    together = combination_findings(
+        scene, known, seed, lambda f, message: progress(0.55 + 0.2 * f, message)
+    )
+    for name, finding in together.items():
+        found[name].append(finding)
+
+
+def _scene(obj: ArticulatedObject, unusable: dict[str, str]) -> Scene | None:
+    """What is measured once; None where no part can be used."""
+    usable = _without_geometry(obj, unusable) if unusable else obj
+    moving = sum(j.moves for j in obj.tree.joints)
+    points, samples = (2048, 25) if moving < MANY else (1024, 13)
+    surfaces = surfaces_of(usable, points)
+    if not surfaces:
+        return None
+    return Scene(
+        usable, surfaces, diagonal_of(surfaces), sweep_tolerance(surfaces), samples, points
+    )
+
+
+def _without_geometry(obj: ArticulatedObject, unusable: dict[str, str]) -> ArticulatedObject:
+    """The object whose unusable parts are empty: their links stay."""
+    from model.geometry.mesh import Mesh
+
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    parts = tuple(
+        Part(p.link, nothing, None, p.name) if p.link in unusable else p for p in obj.parts
+    )
+    return replace(obj, parts=parts)
+
+
+def _unusable(part: Part) -> str:
+    """Why nothing can be measured of a part, or ""."""
+    mesh, cloud = part.mesh, part.cloud
+    at = mesh.vertices if mesh is not None and len(mesh.faces) else None
+    at = cloud.points if at is None and cloud is not None and len(cloud) else at
+    if at is None:
+        return "The part has no face and no point."
+    bad = int((~np.isfinite(at)).any(axis=1).sum())
+    if bad:
+        return f"{bad} of the part's {len(at)} points are no numbers (NaN or infinite)."
+    if not np.ptp(at, axis=0).any():
+        return "The part is a single point."
+    return ""
+
+
+def _blame(
+    obj: ArticulatedObject, found: dict[str, list[Finding]], link: str, finding: Finding
+) -> None:
+    """Put a finding about a part to the joint that moves it; of the root's to its children's."""
+    joint = obj.tree.joint_of.get(link)
+    named = (
+        [joint] if joint is not None else [obj.tree.joint_of[c] for c in obj.tree.children(link)]
+    )
+    for one in named:
+        said = finding
+        if joint is None:
+            said = replace(finding, sentence=f"Of {title(obj, link)}: {finding.sentence}")
+        found.setdefault(one.name, []).append(said)
+
+
+def _floating(scene: Scene, found: dict[str, list[Finding]]) -> None:
+    touching = max(TOUCHING * scene.diagonal, 1.5 * scene.tolerance)
+    for link, (gap, other) in loose_parts(scene.obj.tree, scene.surfaces, touching).items():
+        near = "" if other is None else f"; {scene.titled(other)} is {length(gap)} away"
+        said = f"Touches nothing that holds it{near}."
+        verdict = "broken" if gap > AFLOAT * scene.diagonal else "look"
+        center = scene.surfaces[link].bounds.mean(axis=0)
+        at = (float(center[0]), float(center[1]), float(center[2]))
+        _blame(scene.obj, found, link, Finding("floating", verdict, said, gap, {}, at, other))
+
+
+def _take_physics(
+    obj: ArticulatedObject, said: PhysicsReport, found: dict[str, list[Finding]]
+) -> None:
+    for name, what in said.exploded.items():
+        if name in found:
+            found[name].append(Finding("physics", "broken", f"In MuJoCo it {what}."))
+    for name, share in said.drifted.items():
+        if name in found and name not in said.exploded:
+            text = f"In MuJoCo it drifts by {100 * share:.0f} % of its range while others move."
+            found[name].append(Finding("physics", "look", text))
+    for name, share in said.missed.items():
+        if name in found and name not in said.exploded:
+            text = f"In MuJoCo it stops {100 * share:.0f} % of its range short of its limit."
+            found[name].append(Finding("physics", "look", text))
+
+
+def _rank(finding: Finding) -> tuple[int, int]:
+    order = SEVERE.index(finding.kind) if finding.kind in SEVERE else len(SEVERE)
+    return -VERDICTS.index(finding.verdict), order
+
+
+def _badness(joint: JointVerdict) -> tuple[int, float, str]:
+    return -VERDICTS.index(joint.verdict), -joint.depth, joint.joint

@@ -1,0 +1,172 @@
+"""Changes of a joint that cure what the gate found. Each is tried out before it is offered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import ArtiworldError
+from model.gate.examine import (
+    Scene,
+    attached_range,
+    collision_finding,
+    detached_finding,
+    limits_of,
+)
+from model.gate.report import Finding, Mend
+from model.gate.words import interval
+from model.kinematics.contact import contact_between
+from model.kinematics.joint import Joint
+from model.kinematics.snapping import box_of
+from model.kinematics.sweep import sweep_joint
+
+CURED = ("collision", "jammed", "detached", "limits")
+LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
+"""Ranges below these are no mend: radians, and diagonals."""
+LEAST_SHARE = 0.1
+"""Nor is less than this share of the range before."""
+INSET = 0.01
+"""Limits end this share of the range before the contact."""
+ALONG_CONTACT = 0.9
+"""Linearity from which a contact is a hinge line."""
+NEAR_HINGE = 0.02
+"""Axes that lie nearer to the present one than this share of the part's size are no other axes."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def mends_for(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[Mend, ...]:
+    """What would cure a joint, best first: the other direction, another axis, a shorter range."""
+    bad = [f for f in findings if f.verdict != "fine" and f.kind in CURED]
+    if not bad or joint.mimic is not None:
+        return ()
+    out: list[Mend] = []
+    if any(f.kind in ("collision", "jammed") for f in bad):
+        out += _flip(scene, joint)
+    if joint.rotates and any(f.kind != "limits" for f in bad):
+        out += _shift(scene, joint)
+    out += _limits(scene, joint)
+    return tuple(out)
+
+
+def _cured(scene: Scene, joint: Joint) -> bool:
+    """Whether ``joint`` neither collides nor comes off over its whole range."""
+    sweep = sweep_joint(
+        scene.obj, joint, max(scene.samples // 2, 9), tolerance=scene.tolerance,
+        points=scene.points // 2,
+    )  # fmt: skip
+    changed = scene.with_joint(joint)
+    hit = collision_finding(changed, joint, sweep)
+    off = detached_finding(changed, joint)
+    return all(f is None or f.verdict == "fine" for f in (hit, off))
+
+
+def _flip(scene: Scene, joint: Joint) -> list[Mend]:
+    """The same limits the other way round."""
+    lower, upper = limits_of(joint)
+    if not joint.limited or math.isclose(-lower, upper, rel_tol=0.02):
+        return []
+    x, y, z = (-v if v else 0.0 for v in joint.axis)
+    turned = replace(joint, axis=(x, y, z))
+    if not _cured(scene, turned):
+        return []
+    return [Mend("flip", turned, "Flip the direction: the other way is free.")]
+
+
+def _shift(scene: Scene, joint: Joint) -> list[Mend]:
+    """The axis on the line where part and parent touch, or on an edge of the part that is held."""
+    for moved in _other_axes(scene, joint):
+        x, y, z = (-v if v else 0.0 for v in moved.axis)
+        turned = replace(moved, axis=(x, y, z))
+        for tried, also in ((moved, ""), (turned, ", opening the other way")):
+            if _cured(scene, tried):
+                said = f"Shift the axis to the contact line{also}."
+                return [Mend("shift", tried, said)]
+    return []
+
+
+def _other_axes(scene: Scene, joint: Joint) -> Iterator[Joint]:
+    parts = {p.link: p for p in scene.obj.parts}
+    child, parent = scene.surfaces.get(joint.child), scene.surfaces.get(joint.parent)
+    if child is None or parent is None:
+        return
+    axis, origin = np.asarray(joint.axis), np.asarray(joint.origin)
+    lines: list[tuple[FloatArray, FloatArray]] = []
+    touch = max(0.01 * scene.diagonal, 2 * scene.tolerance)
+    try:
+        contact = contact_between(parts[joint.child], parts[joint.parent], touch)
+        if contact.touches and contact.line.linearity > ALONG_CONTACT:
+            lines.append((contact.line.point, contact.line.direction))
+    except ArtiworldError:
+        pass  # nothing touches: only the part's edges are left
+    lines += _held_edges(child.points, parent.distance(child.points)[0] <= touch, axis)
+    for point, along in lines:
+        direction = along if along @ axis >= 0 else -along
+        apart = float(np.linalg.norm(np.cross(point - origin, direction)))
+        turned = math.acos(min(abs(float(direction @ axis)), 1.0))
+        if apart > NEAR_HINGE * child.diagonal or turned > math.radians(5):
+            yield replace(
+                joint,
+                origin=tuple(float(v) for v in point),
+                axis=tuple(float(v) for v in direction),
+            )
+
+
+def _held_edges(
+    points: FloatArray, touching: npt.NDArray[np.bool_], axis: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Edges of the part's box along ``axis`` at which it touches its parent, most contact first."""
+    if not touching.any():
+        return []
+    box = box_of(points)
+    along = int(np.argmax(np.abs(axis @ box.axes)))
+    a, b = (k for k in range(3) if k != along)
+    local = (points[touching] - box.center) @ box.axes
+    found = []
+    for s in (-1, 1):
+        for t in (-1, 1):
+            edge = np.array([s * box.half[a], t * box.half[b]])
+            reach = 0.1 * max(2 * box.half[a], 2 * box.half[b])
+            held = int((np.linalg.norm(local[:, [a, b]] - edge, axis=1) <= reach).sum())
+            place = box.center + edge[0] * box.axes[:, a] + edge[1] * box.axes[:, b]
+            found.append((held, place, box.axes[:, along]))
+    found.sort(key=lambda e: -e[0])
+    return [(place, direction) for held, place, direction in found if held]
+
+
+def _limits(scene: Scene, joint: Joint) -> list[Mend]:
+    """The range that is free and in which the part stays on what holds it."""
+    lower, upper = limits_of(joint)
+    least = LEAST_ANGLE if joint.rotates else LEAST_SLIDE * scene.diagonal
+    wide = math.pi if joint.rotates else scene.diagonal
+    empty = upper - lower < 1e-9 + 0.1 * least
+    if empty:
+        lower, upper = 0.0, wide / 2
+    if joint.rotates:
+        lower, upper = max(lower, -2 * math.pi), min(upper, 2 * math.pi)
+    else:
+        lower, upper = max(lower, -wide), min(upper, wide)
+    tried = replace(
+        joint,
+        type="revolute" if joint.rotates else "prismatic",
+        lower=min(lower, 0.0),
+        upper=max(upper, 0.0),
+    )
+    sweep = sweep_joint(scene.obj, tried, 9, tolerance=scene.tolerance, points=scene.points)
+    low, high = attached_range(scene.with_joint(tried), tried)
+    low, high = max(low, sweep.free[0]), min(high, sweep.free[1])
+    inset = INSET * (high - low)
+    low = low + inset if low > tried.lower else low  # type: ignore[operator]
+    high = high - inset if high < tried.upper else high  # type: ignore[operator]
+    span = high - low
+    if span < max(least, 0.0 if empty else LEAST_SHARE * (upper - lower)):
+        return []
+    mended = replace(tried, lower=float(low), upper=float(high))
+    if mended == joint or not _cured(scene, mended):
+        return []
+    word = "Set" if empty else "Shorten"
+    return [Mend("limits", mended, f"{word} the range to {interval(mended, low, high)}.")]

@@ -1,0 +1,42 @@
+"""What the physics run says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class PhysicsReport:
+    """Each joint driven there and back in a simulator, without gravity and with it.
+
+    Attributes:
+        ran: whether it ran; False where no simulator is installed, or none could load the object.
+        problem: why it didn't run, or "".
+        exploded: joint → what happened (not a number, far outside the limits).
+        drifted: joint → share of its range by which it moved on its own while others were driven.
+        missed: joint → share of its range that it fell short of its target.
+        colliders: what stood for the parts' shapes.
+        seconds: simulated.
+    """
+
+    ran: bool
+    problem: str = ""
+    exploded: Mapping[str, str] = field(default_factory=dict)
+    drifted: Mapping[str, float] = field(default_factory=dict)
+    missed: Mapping[str, float] = field(default_factory=dict)
+    colliders: str = ""
+    seconds: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "ran": self.ran,
+            "problem": self.problem,
+            "exploded": dict(self.exploded),
+            "drifted": {k: round(v, 4) for k, v in self.drifted.items()},
+            "missed": {k: round(v, 4) for k, v in self.missed.items()},
+            "colliders": self.colliders,
+            "seconds": round(self.seconds, 3),
+        }

@@ -1,0 +1,270 @@
+"""Objects that are known to be good or bad get exactly the verdict that they should."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cabinets import DOOR, DRAWER, W, box, cabinet, part, two
+
+from model.gate.gate import run_gate
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.progress import Cancelled
+
+
+def judge(obj: ArticulatedObject, **options):
+    return run_gate(obj, physics=False, **options)
+
+
+def mended(obj: ArticulatedObject, report, joint: str, kind: str) -> ArticulatedObject:
+    """The object after the mend of that kind."""
+    mend = next(m for m in report.of(joint).mends if m.kind == kind)
+    return replace(obj, tree=obj.tree.with_joint(mend.joint))
+
+
+def test_a_good_cabinet_passes():
+    report = judge(cabinet())
+    assert report.verdict == "fine"
+    assert [j.verdict for j in report.joints] == ["fine", "fine"]
+    assert all(not j.mends for j in report.joints)
+    assert report.of("door").sentence == "Moves freely over its range."
+
+
+def test_a_door_that_opens_inward_is_broken_and_flipping_mends_it():
+    x, y, z = DOOR.axis
+    bad = cabinet(replace(DOOR, axis=(-x, -y, -z)))
+    report = judge(bad)
+    found = report.joints[0]
+    assert (found.joint, found.verdict) == ("door", "broken")
+    assert report.of("drawer").verdict == "fine"
+    assert "carcass 0" in found.sentence
+    assert found.worst.where is not None and found.worst.q.keys() == {"door"}
+    assert found.mends[0].kind == "flip"
+    assert found.mends[0].joint == DOOR
+    assert judge(mended(bad, report, "door", "flip")).verdict == "fine"
+
+
+def test_a_door_hinged_where_nothing_holds_it_is_broken_and_the_axis_can_be_shifted():
+    """No board in the middle: hinged there, an open door hangs in the air."""
+    frame = part(
+        "link_0",
+        box([-0.4, 0, 0], [0.4, 0.4, W]),
+        box([-0.4, 0, 0.6 - W], [0.4, 0.4, 0.6]),
+        box([-0.4, 0, 0], [-0.4 + W, 0.4, 0.6]),
+        box([0.4 - W, 0, 0], [0.4, 0.4, 0.6]),
+        box([-0.4, 0.4 - W, 0], [0.4, 0.4, 0.6]),
+    )
+    leaf = part("link_1", box([-0.4, -W - 0.002, 0.05], [-0.002, -0.002, 0.55]), name="door")
+    hinge = replace(DOOR, axis=(0, 0, 1), origin=(-0.002, -0.1, 0.3), upper=1.6)
+    bad = two(hinge, frame, leaf)
+    report = judge(bad)
+    found = report.of("door")
+    assert found.verdict == "broken"
+    assert found.worst.kind == "detached"
+    assert found.sentence.startswith("Comes off link_0")
+    after = mended(bad, report, "door", "shift")
+    assert abs(after.tree.by_name["door"].origin[0] + 0.4) < 0.03
+    assert judge(after).verdict == "fine"
+
+
+def test_a_drawer_that_goes_through_the_back_is_broken():
+    bad = cabinet(drawer=replace(DRAWER, axis=(0, 1, 0)))
+    report = judge(bad)
+    found = report.joints[0]
+    assert (found.joint, found.verdict) == ("drawer", "broken")
+    assert found.depth > 0.1
+    assert found.worst.other == "link_0"
+    assert judge(mended(bad, report, "drawer", "flip")).verdict == "fine"
+
+
+def test_a_door_that_opens_into_a_wall_has_its_limit_shortened():
+    wall = box([-0.46, -0.8, 0], [-0.44, 0.4, 0.6])
+    shelf = box([-0.46, 0, 0], [-0.4, 0.4, W])
+    bad = cabinet(replace(DOOR, upper=math.pi), DRAWER, wall, shelf)
+    report = judge(bad)
+    found = report.of("door")
+    assert found.verdict == "broken"
+    free = next(m for m in found.mends if m.kind == "limits").joint
+    assert free.lower == 0
+    assert math.radians(75) < free.upper < math.radians(115)
+    assert judge(mended(bad, report, "door", "limits")).verdict == "fine"
+
+
+def test_a_drawer_that_falls_out_has_its_limit_shortened():
+    bad = cabinet(drawer=replace(DRAWER, upper=0.7))
+    report = judge(bad)
+    found = report.of("drawer")
+    assert (found.verdict, found.worst.kind) == ("broken", "detached")
+    assert found.worst.q == {"drawer": pytest.approx(0.7)}
+    after = mended(bad, report, "drawer", "limits")
+    assert 0.2 < after.tree.by_name["drawer"].upper < 0.45
+    assert judge(after).verdict == "fine"
+
+
+def test_a_lid_that_is_lifted_off_is_fine():
+    pot = part("link_0", box([0, 0, 0], [0.3, 0.3, 0.2]))
+    lid = part("link_1", box([0, 0, 0.2], [0.3, 0.3, 0.22]), name="lid")
+    report = judge(two(Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.15), pot, lid))
+    assert report.verdict == "fine"
+    assert report.of("j").sentence.startswith("Lifts off")
+
+
+def test_a_floating_part_is_broken():
+    base = part("link_0", box([0, 0, 0], [1, 1, 0.1]))
+    above = part("link_1", box([0.4, 0.4, 0.5], [0.6, 0.6, 0.6]))
+    joint = Joint("j", "revolute", "link_0", "link_1", origin=(0.5, 0.5, 0.5), lower=0, upper=1)
+    report = judge(two(joint, base, above))
+    found = report.of("j")
+    assert (found.verdict, found.worst.kind) == ("broken", "floating")
+    assert "link_0 is 400 mm away" in found.sentence
+    near = part("link_1", box([0.4, 0.4, 0.13], [0.6, 0.6, 0.2]))
+    assert judge(two(joint, base, near)).of("j").verdict == "look"
+
+
+def test_a_part_of_a_fixed_joint_that_floats_is_told_too():
+    base = part("link_0", box([0, 0, 0], [1, 1, 0.1]))
+    above = part("link_1", box([0.4, 0.4, 0.5], [0.6, 0.6, 0.6]))
+    report = judge(two(Joint("glue", "fixed", "link_0", "link_1"), base, above))
+    assert report.of("glue").verdict == "broken"
+
+
+def test_a_part_that_is_wedged_in_is_jammed():
+    walls = part(
+        "link_0", box([0, 0, 0], [0.1, 0.5, 0.5]), box([0.4, 0, 0], [0.5, 0.5, 0.5]),
+        box([0, 0, -0.1], [0.5, 0.5, 0]),
+    )  # fmt: skip
+    plug = part("link_1", box([0.1, 0.1, 0], [0.4, 0.4, 0.3]))
+    joint = Joint("j", "prismatic", "link_0", "link_1", (1, 0, 0), lower=-0.2, upper=0.2)
+    found = judge(two(joint, walls, plug)).of("j")
+    assert (found.verdict, found.worst.kind) == ("broken", "jammed")
+    assert found.sentence == "Can't move from rest: it runs into link_0 at once."
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_geometry_that_is_no_number_is_broken_and_the_others_are_still_judged(value):
+    obj = cabinet()
+    at = np.array(obj.parts[1].mesh.vertices)
+    at[3, 1] = value
+    door = Part("link_1", replace(obj.parts[1].mesh, vertices=at), name="door")
+    report = run_gate(replace(obj, parts=(obj.parts[0], door, obj.parts[2])))
+    assert report.of("door").verdict == "broken"
+    assert "no numbers" in report.of("door").sentence
+    assert report.of("drawer").verdict == "fine"
+    assert report.physics is None
+
+
+def test_empty_parts_and_an_object_of_nothing_else_get_a_verdict():
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    obj = cabinet()
+    report = judge(replace(obj, parts=(Part("link_0", nothing), *obj.parts[1:])))
+    assert {j.verdict for j in report.joints} == {"broken"}
+    report = judge(two(Joint("j", "continuous", "link_0", "link_1"), Part("link_0", nothing),
+                       Part("link_1", cloud=PointCloud(np.zeros((0, 3), np.float32)))))  # fmt: skip
+    assert report.of("j").verdict == "broken"
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "word"),
+    [
+        ({"lower": 0.0, "upper": 0.0}, "broken", "empty"),
+        ({"lower": 0.0, "upper": 5.0}, "broken", "slides"),
+        ({"lower": 0.05, "upper": 0.2}, "look", "outside"),
+    ],
+)
+def test_limits_that_make_no_sense(change, verdict, word):
+    found = judge(cabinet(drawer=replace(DRAWER, **change))).of("drawer")
+    assert any(f.kind == "limits" and word in f.sentence for f in found.findings)
+    assert found.verdict == verdict or word == "slides"
+
+
+def test_an_empty_range_can_be_set_to_the_free_one():
+    bad = cabinet(drawer=replace(DRAWER, upper=0.0))
+    report = judge(bad)
+    after = mended(bad, report, "drawer", "limits").tree.by_name["drawer"]
+    assert after.lower == 0
+    assert after.upper > 0.15
+
+
+def test_a_knob_of_many_turns_is_looked_at():
+    base = part("link_0", box([0, 0, 0], [0.3, 0.3, 0.1]))
+    knob = part("link_1", box([0.1, 0.1, 0.1], [0.2, 0.2, 0.12]))
+    joint = Joint("j", "revolute", "link_0", "link_1", origin=(0.15, 0.15, 0), lower=0, upper=19)
+    found = judge(two(joint, base, knob)).of("j")
+    assert found.verdict == "look"
+    assert "3.0 times round" in found.sentence
+
+
+def buttons(count: int) -> ArticulatedObject:
+    """A board with buttons in a row that all stand above it, and sink in front of it."""
+    board = part("link_0", box([0, 0, -0.02], [0.02 * count, 0.05, 0]))
+    parts, joints = [board], []
+    for k in range(count):
+        low = [0.02 * k + 0.004, 0.01, 0.0]
+        parts.append(part(f"link_{k + 1}", box(low, [low[0] + 0.012, 0.03, 0.01])))
+        joints.append(Joint(f"j{k}", "prismatic", "link_0", f"link_{k + 1}", lower=0, upper=0.004))
+    tree = KinematicTree(tuple(p.link for p in parts), tuple(joints))
+    return ArticulatedObject("buttons", tuple(parts), tree)
+
+
+def test_sixty_joints_are_all_judged():
+    report = run_gate(buttons(60))
+    assert len(report.joints) == 60
+    assert report.verdict == "fine"
+    assert report.physics is not None
+
+
+def test_what_meets_only_together_is_told_of_both():
+    left = part("link_1", box([-0.8, 0, 0], [-0.05, 0.02, 1]), name="leaf")
+    right = part("link_2", box([0.05, 0, 0], [0.8, 0.02, 1]), name="leaf")
+    rail = part("link_0", box([-1, -0.05, -0.1], [1, 0.05, 0]))
+    tree = KinematicTree(
+        ("link_0", "link_1", "link_2"),
+        (
+            Joint("a", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.09),
+            Joint("b", "prismatic", "link_0", "link_2", (-1, 0, 0), lower=0, upper=0.09),
+        ),
+    )
+    report = judge(ArticulatedObject("x", (rail, left, right), tree))
+    for name in ("a", "b"):
+        found = report.of(name)
+        kinds = [f.kind for f in found.findings]
+        assert kinds == ["combination"]
+        assert set(found.worst.q) == {"a", "b"}
+        assert "Leaf 1 and leaf 2 meet" in found.sentence
+    assert judge(ArticulatedObject("x", (rail, left, right), tree)).joints == report.joints
+
+
+def test_a_drawer_behind_a_door_is_free_once_the_door_is_open():
+    wide = part("link_1", box([-0.4, -W - 0.002, 0], [0.4, -0.002, 0.6]), name="door")
+    obj = cabinet()
+    inner = replace(obj.parts[2].mesh, vertices=obj.parts[2].mesh.vertices + [0, 0.03, 0])
+    parts = (obj.parts[0], wide, Part("link_2", inner, name="drawer"))
+    found = judge(replace(obj, parts=parts)).of("drawer")
+    assert found.verdict == "fine"
+    assert found.sentence == "Free once door 1 is moved out of the way."
+
+
+def test_the_report_is_plain_json_and_the_work_can_be_stopped():
+    x, y, z = DOOR.axis
+    bad = cabinet(replace(DOOR, axis=(-x, -y, -z)))
+    data = json.loads(json.dumps(judge(bad).to_json(), allow_nan=False))
+    assert data["verdict"] == "broken"
+    assert data["joints"][0]["joint"] == "door"
+    assert 0 < data["joints"][0]["depth_share"] < 1
+    told: list[float] = []
+
+    def stop(fraction: float, message: str) -> None:
+        told.append(fraction)
+        if len(told) == 3:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run_gate(bad, progress=stop)
+    assert told == sorted(told)
