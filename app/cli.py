@@ -73,7 +73,8 @@ def make_parser() -> argparse.ArgumentParser:
         ("serve", _add_serve, _serve, "open scans in the browser and articulate them"),
         ("segment", _add_segment, _segment, "cut a scan into parts by clicks from a file"),
         ("predict", _add_predict, _predict, "predict the joints of a folder of parts"),
-        ("export", _add_export, _export, "write an articulated object in another format"),
+        ("export", _add_export, _export, "write articulated objects for simulators"),
+        ("check", _add_check, _check, "say whether articulated objects work in simulators"),
         ("evaluate", _add_evaluate, _evaluate, "score a predictor on a data set"),
         ("generate", _add_generate, _generate, "make articulated objects with ground truth"),
         ("train", _add_train, _train, "train Arti4URDF on objects made here or your own"),
@@ -223,11 +224,15 @@ def _add_predict(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("asset", type=Path, metavar="ASSET", help="a folder with an object.urdf, or a URDF file")
-    add("--format", required=True, metavar="NAME", help="such as urdf, mjcf or glb")
-    add("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
-    _add_json(parser)
+    from app.export_command import add_options
+
+    add_options(parser)
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    from app.check_command import add_options
+
+    add_options(parser)
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
@@ -309,12 +314,15 @@ def _predict(args: argparse.Namespace) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
-    from app import headless, printing
+    from app.export_command import run_export
 
-    with printing.session(args.json) as show:
-        report = headless.export(args.asset, args.format, args.out, progress=show.progress)
-    show.result(report, lambda: printing.files_table(report, args.out))
-    return 0
+    return run_export(args)
+
+
+def _check(args: argparse.Namespace) -> int:
+    from app.check_command import run_check
+
+    return run_check(args)
 
 
 def _generate(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""What ``artiworld segment``, ``predict`` and ``export`` do: files in, files out, no browser."""
+"""What ``artiworld segment`` and ``predict`` do: files in, files out, no browser."""
 
 from __future__ import annotations
 
@@ -148,32 +148,6 @@ def predict(
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
     return report
-
-
-def export(
-    asset: Path, format_name: str, out: Path, *, progress: Progress = no_progress
-) -> dict[str, Any]:
-    """Write a saved asset in another format.
-
-    Returns:
-        The format and the files, the one to open first.
-
-    Raises:
-        ArtiworldError: for an unknown format, or an asset that can't be read.
-    """
-    from model.exporters.registry import export as write
-    from model.exporters.registry import load_exporter
-
-    check_output(out, asset, *_folder_of(asset))
-    load_exporter(format_name)
-    files = write(asset, format_name, out, progress=progress)
-    return {
-        "format": format_name,
-        "asset": str(asset),
-        "files": [
-            {"file": os.path.relpath(file, out), "bytes": file.stat().st_size} for file in files
-        ],
-    }
 
 
 def prediction_json(segmented: SegmentedObject, answer: Prediction) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from model.errors import ConfigurationError, InputFileError
 from model.exporters.physics import Physics
 from model.exporters.protocol import Exporter
 from model.exporters.saved import load_object
+from model.kinematics.articulated_object import ArticulatedObject
 from model.progress import Progress, no_progress
 
 ENTRY_POINTS = "artiworld.exporters"
@@ -120,8 +121,23 @@ def export(
         ConfigurationError: for an unknown format.
         InputFileError: where the asset can't be read or the folder not written.
     """
-    exporter, out = load_exporter(format), Path(out)
-    obj = load_object(asset)
+    exporter = load_exporter(format)
+    return write_object(load_object(asset), exporter, Path(out), physics=physics, progress=progress)
+
+
+def write_object(
+    obj: ArticulatedObject,
+    exporter: Exporter,
+    out: Path,
+    *,
+    physics: Physics | None = None,
+    progress: Progress = no_progress,
+) -> tuple[Path, ...]:
+    """Write an object into ``out``, which is created where needed.
+
+    Raises:
+        InputFileError: where the folder can't be written.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         return exporter.export(obj, out, physics=physics, progress=progress)

@@ -1,0 +1,235 @@
+"""``artiworld check``: whether assets work in a simulator, with figures."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from app.batch import asset_names, find_assets, run_all
+from app.physics_options import add_physics, physics_settings, store_folder
+from model.errors import ArtiworldError
+
+if TYPE_CHECKING:
+    from model.exporters.physics import Physics, PhysicsSettings
+    from model.kinematics.articulated_object import ArticulatedObject
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add = parser.add_argument
+    add("assets", nargs="+", type=Path, metavar="ASSET",
+        help="asset folders, URDF files, or folders of assets")  # fmt: skip
+    add("--format", action="append", default=[], metavar="NAME,NAME",
+        help="formats to write and read back (default: all)")  # fmt: skip
+    add("--gate", action=argparse.BooleanOptionalAction, default=True,
+        help="sweep every joint, and drive it in MuJoCo")  # fmt: skip
+    add("--compare-coacd", type=float, default=0.0, metavar="SECONDS",
+        help="also run coacd with its defaults, this long a part at most")  # fmt: skip
+    add_physics(parser)
+    add("--jobs", type=int, default=None, metavar="N",
+        help="processes (default: as many as processors)")  # fmt: skip
+    add("--json", action="store_true", help="print JSON and nothing else")
+
+
+@dataclass(frozen=True)
+class CheckTask:
+    """One asset to check; picklable."""
+
+    asset: Path
+    name: str
+    formats: tuple[str, ...]
+    physics: PhysicsSettings
+    store: Path | None
+    gate: bool
+    coacd_seconds: float
+
+
+def run_check(args: argparse.Namespace) -> int:
+    """Run the command and return the exit code: 1 where an asset has something wrong."""
+    from app import printing
+    from app.export_command import named_formats
+
+    formats = named_formats(args.format or ["all"])
+    assets = find_assets(args.assets)
+    settings, store = physics_settings(args), store_folder(args)
+    tasks = [
+        CheckTask(asset, name, tuple(formats), settings, store, args.gate, args.compare_coacd)
+        for asset, name in zip(assets, asset_names(assets), strict=True)
+    ]
+    rows: dict[int, dict[str, Any]] = {}
+    with printing.session(args.json) as show:
+        show.progress(0.0, f"checking {len(tasks)} assets")
+        for i, answer in run_all(check_one, tasks, args.jobs or os.cpu_count() or 1):
+            rows[i] = answer if isinstance(answer, dict) else _failed(tasks[i], answer)
+            show.progress(len(rows) / len(tasks), tasks[i].name)
+    report = {"assets": [rows[i] for i in range(len(tasks))]}
+    report["summary"] = summary(report["assets"])  # type: ignore[assignment]
+    show.result(report, lambda: _print(report))
+    return 0 if all(row["fine"] for row in report["assets"]) else 1
+
+
+def _failed(task: CheckTask, error: Exception) -> dict[str, Any]:
+    kind = "" if isinstance(error, ArtiworldError) else f"{type(error).__name__}: "
+    return {"asset": str(task.asset), "name": task.name, "fine": False, "error": f"{kind}{error}"}
+
+
+def check_one(task: CheckTask) -> dict[str, Any]:
+    """Everything about one asset.
+
+    Raises:
+        ArtiworldError: where it can't be read.
+    """
+    from model.exporters.inertia import inertial_problems
+    from model.exporters.physics import physics_of
+    from model.exporters.saved import load_object
+
+    obj = load_object(task.asset)
+    start = time.perf_counter()
+    physics = physics_of(obj, task.physics, store=task.store)
+    seconds = time.perf_counter() - start
+    row: dict[str, Any] = {
+        "asset": str(task.asset),
+        "name": task.name,
+        "category": obj.category,
+        "links": len(obj.parts),
+        "moving_joints": sum(j.moves for j in obj.tree.joints),
+        "kilograms": round(sum(i.mass for i in physics.inertials.values()), 4),
+        "inertia_problems": inertial_problems(physics.inertials),
+        "formats": _formats(obj, physics, task.formats),
+        "collision": _collision(obj, physics, seconds, task.coacd_seconds)
+        if physics.collision else None,
+        "gate": _gate(obj) if task.gate else None,
+    }  # fmt: skip
+    row["fine"] = not row["inertia_problems"] and all(f["fine"] for f in row["formats"])
+    return row
+
+
+def _formats(
+    obj: ArticulatedObject, physics: Physics, formats: tuple[str, ...]
+) -> list[dict[str, Any]]:
+    from model.exporters.readback import read_back
+    from model.exporters.registry import load_exporter, write_object
+
+    out: list[dict[str, Any]] = []
+    with TemporaryDirectory(prefix="artiworld-") as folder:
+        for name in formats:
+            start = time.perf_counter()
+            try:
+                files = write_object(obj, load_exporter(name), Path(folder, name), physics=physics)
+                back = read_back(name, files[0], obj)
+                readers, problems, fine = back.readers, back.problems, back.fine
+            except ArtiworldError as error:
+                readers, problems, fine = (), (str(error),), False
+            if not readers and not problems:
+                problems = ("none of its readers is installed",)
+            out.append({
+                "format": name, "fine": fine, "readers": list(readers), "problems": list(problems),
+                "seconds": round(time.perf_counter() - start, 3),
+            })  # fmt: skip
+    return out
+
+
+def _collision(
+    obj: ArticulatedObject, physics: Physics, seconds: float, coacd_seconds: float
+) -> dict[str, Any]:
+    from model.collision.measure import free_volume, overlaps_of
+    from model.collision.shapes import Primitive
+
+    held = physics.collision
+    shapes = [s for each in held.values() for s in each]
+    met = overlaps_of(obj, held)
+    free = free_volume(obj, held, coacd_seconds=coacd_seconds)
+    return {
+        "shapes": len(shapes),
+        "shapes_a_link": round(len(shapes) / max(len(held), 1), 2),
+        "most_of_a_link": max((len(each) for each in held.values()), default=0),
+        "primitives": sum(isinstance(s, Primitive) for s in shapes),
+        "overlap_at_rest_m": round(met.at_rest, 6),
+        "links_overlapping_at_rest": [list(pair) for pair in met.links_at_rest],
+        "overlap_over_range_m": {name: round(d, 6) for name, d in met.over_range.items()},
+        "free_kept": round(free.kept, 4),
+        "free_kept_by_one_hull": round(free.kept_by_hull, 4),
+        "free_kept_by_coacd": None if free.kept_by_coacd is None else round(free.kept_by_coacd, 4),
+        "coacd_hulls": free.coacd_hulls,
+        "seconds": round(seconds, 3),
+    }
+
+
+def _gate(obj: ArticulatedObject) -> dict[str, Any]:
+    from model.gate.gate import run_gate
+
+    return run_gate(obj, mends=False).to_json()
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means and counts over assets that could be read."""
+    read = [r for r in rows if "error" not in r]
+    shaped = [r["collision"] for r in read if r["collision"]]
+    against = [c for c in shaped if c["free_kept_by_coacd"] is not None]
+    names = list(dict.fromkeys(f["format"] for r in read for f in r["formats"]))
+    links = sum(r["links"] for r in read if r["collision"])
+    ranges = [d for c in shaped for d in c["overlap_over_range_m"].values()]
+
+    def mean(values: list[float]) -> float | None:
+        return round(sum(values) / len(values), 4) if values else None
+
+    return {
+        "assets": len(rows),
+        "unreadable": len(rows) - len(read),
+        "fine": sum(r["fine"] for r in rows),
+        "fine_by_format": {
+            n: sum(f["fine"] for r in read for f in r["formats"] if f["format"] == n) for n in names
+        },
+        "shapes_a_link": round(sum(c["shapes"] for c in shaped) / links, 2) if links else None,
+        "free_kept": mean([c["free_kept"] for c in shaped]),
+        "free_kept_by_one_hull": mean([c["free_kept_by_one_hull"] for c in shaped]),
+        "compared_with_coacd": len(against),
+        "free_kept_there": mean([c["free_kept"] for c in against]),
+        "free_kept_by_coacd": mean([c["free_kept_by_coacd"] for c in against]),
+        "overlapping_at_rest": sum(c["overlap_at_rest_m"] > 0 for c in shaped),
+        "joints": len(ranges),
+        "joints_overlapping_over_range": sum(d > 0 for d in ranges),
+        "collision_seconds": mean([c["seconds"] for c in shaped]),
+        "gate": {v: sum(1 for r in read if r["gate"] and r["gate"]["verdict"] == v)
+                 for v in ("fine", "look", "broken")},
+    }  # fmt: skip
+
+
+def _print(report: dict[str, Any]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from app.printing import console
+
+    table = Table()
+    for column in ("asset", "read back", "shapes", "free kept", "one hull", "rest mm", "range mm",
+                   "gate", "wrong"):  # fmt: skip
+        table.add_column(column)
+    for row in report["assets"]:
+        if "error" in row:
+            table.add_row(row["name"], "", "", "", "", "", "", "", Text(row["error"], "bold red"))
+            continue
+        made = row["collision"] or {}
+        wrong = row["inertia_problems"] + [p for f in row["formats"] for p in f["problems"]]
+        shown = ["", "", "", "", ""]
+        if made:
+            ranges = made["overlap_over_range_m"].values()
+            shown = [
+                str(made["shapes"]), f"{100 * made['free_kept']:.1f} %",
+                f"{100 * made['free_kept_by_one_hull']:.1f} %",
+                f"{1000 * made['overlap_at_rest_m']:.1f}", f"{1000 * max(ranges, default=0):.1f}",
+            ]  # fmt: skip
+        fine = sum(f["fine"] for f in row["formats"])
+        gate = row["gate"]["verdict"] if row["gate"] else ""
+        table.add_row(
+            row["name"], f"{fine} of {len(row['formats'])}", *shown, gate,
+            Text("; ".join(wrong), "bold red"),
+        )  # fmt: skip
+    target = console()
+    target.print(table)
+    target.print(f"{report['summary']['fine']} of {len(report['assets'])} are fine")

@@ -1,0 +1,113 @@
+"""How good collision shapes are: free space kept, overlaps at rest and over the range, number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.collision.build import Collision, covered, thinned
+from model.collision.coacd_process import coacd_hulls
+from model.collision.hulls import Hull, thick_hull
+from model.collision.relief import moving_pairs, overlaps, poses_over_range
+from model.collision.shapes import hull_of_shape
+from model.collision.voxels import occupancy
+from model.kinematics.articulated_object import ArticulatedObject
+
+VOXELS = 200_000
+"""Finer than what shapes are made with, so that they are not judged by their own measure."""
+SAMPLES = 9
+"""Poses of each joint's range."""
+
+
+@dataclass(frozen=True)
+class FreeVolume:
+    """Free space of an object's parts, each by itself.
+
+    Free are the voxels of a part's box that can be reached from outside without passing through
+    its surface; kept are those whose centre no shape of the part holds.
+
+    Attributes:
+        volume: m³ of free space in all parts' boxes.
+        kept: share of it that the shapes leave free.
+        kept_by_hull: share that one convex hull a part leaves.
+        kept_by_coacd: share that coacd with its defaults leaves; None where it wasn't asked, isn't
+            installed, or failed or timed out on a part.
+        coacd_hulls: how many hulls it took.
+    """
+
+    volume: float
+    kept: float
+    kept_by_hull: float
+    kept_by_coacd: float | None = None
+    coacd_hulls: int | None = None
+
+
+@dataclass(frozen=True)
+class Overlaps:
+    """Overlap of shapes whose links move against each other, metres.
+
+    Attributes:
+        at_rest: deepest at rest.
+        links_at_rest: pairs of links that overlap there.
+        over_range: joint → deepest while it moves alone.
+    """
+
+    at_rest: float
+    links_at_rest: tuple[tuple[str, str], ...]
+    over_range: Mapping[str, float]
+
+
+def overlaps_of(obj: ArticulatedObject, collision: Collision) -> Overlaps:
+    """Overlaps at rest and over the range of each leading joint."""
+    bodies = {link: [hull_of_shape(s) for s in held] for link, held in collision.items()}
+    pairs = moving_pairs(obj.tree)
+    rest = overlaps(bodies, pairs, obj.tree.pose({}))
+    worst = {j.name: 0.0 for j in obj.tree.joints if j.moves and j.mimic is None}
+    for joint, _, poses in poses_over_range(obj.tree, SAMPLES):
+        moved = obj.tree.descendants(joint.child)
+        crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
+        for touch in overlaps(bodies, crossing, poses):
+            worst[joint.name] = max(worst[joint.name], touch.found.depth)
+    return Overlaps(
+        max((t.found.depth for t in rest), default=0.0),
+        tuple(dict.fromkeys((t.a, t.b) for t in rest)),
+        worst,
+    )
+
+
+def free_volume(
+    obj: ArticulatedObject, collision: Collision, *, coacd_seconds: float = 0.0
+) -> FreeVolume:
+    """How much free space shapes leave, against one hull a part and coacd's defaults.
+
+    Args:
+        coacd_seconds: time limit of coacd on one part; 0 leaves it out.
+    """
+    from model.exporters.part_files import part_mesh
+
+    total = kept = by_hull = by_coacd = 0.0
+    hulls, asked = 0, coacd_seconds > 0
+    for part in obj.parts:
+        mesh = thinned(part_mesh(part))
+        alive = mesh.face_areas > 0
+        if not alive.any():
+            continue
+        space = occupancy(mesh.triangles[alive], VOXELS)
+        free = space.free_count * space.size**3
+        shapes = [hull_of_shape(s) for s in collision.get(part.link, ())]
+        whole = thick_hull(mesh.vertices[np.unique(mesh.faces)], space.size)
+        total += free
+        kept += free * (1 - covered(space, shapes))
+        by_hull += free * (1 - covered(space, [whole]))
+        if asked:
+            found: Sequence[Hull] | None = coacd_hulls(mesh, coacd_seconds)
+            asked = found is not None
+            by_coacd += free * (1 - covered(space, list(found or ())))
+            hulls += len(found or ())
+    share = 1.0 / max(total, 1e-30)
+    return FreeVolume(
+        total, kept * share if total else 1.0, by_hull * share if total else 1.0,
+        by_coacd * share if asked and total else None, hulls if asked else None,
+    )  # fmt: skip
