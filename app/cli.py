@@ -73,6 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
         ("serve", _add_serve, _serve, "open scans in the browser and articulate them"),
         ("segment", _add_segment, _segment, "cut a scan into parts by clicks from a file"),
         ("predict", _add_predict, _predict, "predict the joints of a folder of parts"),
+        ("backend", _add_backend, _backend, "predict for other machines over HTTP"),
         ("export", _add_export, _export, "write articulated objects for simulators"),
         ("check", _add_check, _check, "say whether articulated objects work in simulators"),
         ("evaluate", _add_evaluate, _evaluate, "score a predictor on a data set"),
@@ -178,6 +179,8 @@ _positive_number.__name__ = "positive number"
 
 
 def _add_serve(parser: argparse.ArgumentParser) -> None:
+    from app.backend_command import add_client_options
+
     add = parser.add_argument
     add("paths", nargs="*", type=Path, metavar="PATH",
         help="files or folders to open (default: the bundled examples)")  # fmt: skip
@@ -199,6 +202,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
         help="largest file that a browser may send (default: 500)")  # fmt: skip
     add("--segmenter", default="default", metavar="NAME", help="who answers clicks")
     add("--predictor", default="geometric", metavar="NAME", help="who predicts joints")
+    add_client_options(parser, "--backend-token")
     add("--open", action=argparse.BooleanOptionalAction, default=False, help="open a browser")
 
 
@@ -213,14 +217,23 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_predict(parser: argparse.ArgumentParser) -> None:
+    from app.backend_command import add_client_options
+
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="folder with link_0, link_1, … or an object.json")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the URDF and its meshes")
     add("--predictor", default="geometric", metavar="NAME", help="who predicts")
+    add_client_options(parser, "--token")
     add("--category", metavar="NAME", help="what the object is, such as cabinet")
     add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
     _add_reading(parser)
     _add_json(parser)
+
+
+def _add_backend(parser: argparse.ArgumentParser) -> None:
+    from app.backend_command import add_options
+
+    add_options(parser)
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
@@ -302,15 +315,22 @@ def _segment(args: argparse.Namespace) -> int:
 
 def _predict(args: argparse.Namespace) -> int:
     from app import headless, printing
+    from app.backend_command import chosen_predictor
 
     with printing.session(args.json) as show:
         report = headless.predict(
-            args.folder, args.out, predictor=args.predictor, category=args.category,
+            args.folder, args.out, predictor=chosen_predictor(args), category=args.category,
             seed=args.seed, reading=headless.ReadOptions(args.up_axis, args.unit_scale),
             progress=show.progress,
         )  # fmt: skip
     show.result(report, lambda: printing.joints_table(report, args.out))
     return 0
+
+
+def _backend(args: argparse.Namespace) -> int:
+    from app.backend_command import run_backend
+
+    return run_backend(args)
 
 
 def _export(args: argparse.Namespace) -> int:

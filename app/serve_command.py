@@ -12,10 +12,12 @@ import urllib.request
 import webbrowser
 from urllib.parse import quote
 
+from app.backend_command import chosen_predictor, greet
 from app.config import TOKEN_VARIABLE, ServeConfig
 from app.login import Login, new_token
 from app.network import check_address, free_port, is_loopback
 from model.errors import ConfigurationError, InputFileError
+from model.remote import is_backend
 
 
 def run_serve(args: argparse.Namespace) -> int:
@@ -55,6 +57,9 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
         token = new_token()
     Login(token)  # refuses one that is too short
     _check_names(args)
+    predictor = chosen_predictor(args)
+    if is_backend(predictor):
+        greet(predictor)
     port = args.port
     if port is None:
         port = free_port(args.host)
@@ -72,7 +77,7 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
         unit_scale=args.unit_scale,
         max_upload_mb=args.max_upload_mb,
         segmenter=args.segmenter,
-        predictor=args.predictor,
+        predictor=predictor,
         allowed_origins=tuple(args.allow_origin),
         **settings,
     )
@@ -86,7 +91,7 @@ def _check_names(args: argparse.Namespace) -> None:
         ("--predictor", args.predictor, predictor_names()),
         ("--segmenter", args.segmenter, segmenter_names()),
     ):
-        if name not in known:
+        if name not in known and not is_backend(name):
             raise ConfigurationError(f"{option} {name} is unknown; there are {', '.join(known)}")
 
 

@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 
 from model.errors import ConfigurationError
 from model.predictor import Predictor
+from model.remote import is_backend
 
 ENTRY_POINTS = "artiworld.predictors"
 """Entry-point group of plug-ins; each names a callable without arguments that gives a Predictor."""
@@ -37,11 +38,15 @@ def predictor_names() -> tuple[str, ...]:
 
 
 def load_predictor(name: str = DEFAULT) -> Predictor:
-    """The predictor called ``name``.
+    """The predictor called ``name``; the address of a backend is a name too.
 
     Raises:
         ConfigurationError: where there is none, naming those that are there.
     """
+    if is_backend(name):
+        from model.remote.http_predictor import HttpPredictor
+
+        return HttpPredictor(name)
     table = _table()
     if name not in table:
         raise ConfigurationError(f"no predictor {name!r}; there are {', '.join(table)}")

@@ -1,0 +1,39 @@
+"""What a backend's worker processes do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.predictor import Predictor
+from model.progress import Progress, no_progress
+
+_loaded: list[Predictor] = []
+
+
+def load(name: str) -> None:
+    """Load the predictor once; the first thing that a worker does."""
+    from model.predictors import load_predictor
+
+    _loaded[:] = [load_predictor(name)]
+
+
+def ready() -> str:
+    """The predictor's name, once it is loaded."""
+    return _loaded[0].name
+
+
+def predict(body: npt.NDArray[np.uint8], progress: Progress = no_progress) -> dict[str, Any]:
+    """Answer the bytes of a request.
+
+    Raises:
+        ArtiworldError: where they are none.
+    """
+    from model.remote.wire import decode_request, encode_answer
+
+    progress(0.0, "Reading the parts")
+    segmented, locked, seed = decode_request(body.tobytes())
+    answer = _loaded[0].predict(segmented, locked=locked, seed=seed, progress=progress)
+    return encode_answer(answer)

@@ -1,0 +1,9 @@
+"""Prediction on another machine: the wire format and the client."""
+
+TOKEN_VARIABLE = "ARTIWORLD_BACKEND_TOKEN"
+"""Environment variable with the backend's token, so that it stands in no list of processes."""
+
+
+def is_backend(name: str) -> bool:
+    """Whether a predictor's name is the address of a backend."""
+    return name.startswith(("http://", "https://"))
