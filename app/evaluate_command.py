@@ -47,6 +47,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--execute", action="store_true",
         help="also drive every joint of the predictions, in MuJoCo too")  # fmt: skip
     add("--jobs", type=int, default=2, help="processes (default: 2)")
+    add("--timeout", type=float, default=120.0, metavar="SECONDS",
+        help="an object that takes longer counts as failed (default: 120)")  # fmt: skip
     add("--limit", type=int, help="at most this many objects")
     add("--seed", type=int, default=0, help="of predictors, splits and made objects (default: 0)")
     add("--out", type=Path, metavar="DIR", help="folder for the reports; a stopped run goes on")
@@ -156,7 +158,8 @@ def configurations(args: argparse.Namespace) -> list[EvaluationConfig]:
     base = EvaluationConfig(
         data=_data(args), split=args.split, names=args.names,
         corruption=Corruption(yaw=None if turned else 0.0, scan=args.scan, noise=args.noise),
-        jobs=args.jobs, limit=args.limit, seed=args.seed, execute=args.execute, out=args.out,
+        jobs=args.jobs, limit=args.limit, seed=args.seed, timeout=args.timeout,
+        execute=args.execute, out=args.out,
     )  # fmt: skip
     listed = args.predictor or ("" if args.predictions else "geometric")
     out = [replace(base, predictor=name.strip()) for name in listed.split(",") if name.strip()]
@@ -222,21 +225,21 @@ def _person(args: argparse.Namespace, progress: Progress) -> Answer:
     from app.annotator import AnnotatorConfig
     from app.headless import write_json
     from app.person_report import COLUMNS, run_person
-    from model.evaluation.run import chosen_ids
+    from model.evaluation.run import TRUTH, chosen_ids, require_predictor
     from model.evaluation.table import print_table
-    from model.predictors import load_predictor
     from model.segmentation.registry import load_segmenter
 
     configs = configurations(args)
-    if any(c.predictions is not None for c in configs):
-        raise ConfigurationError("--person needs predictors that run; leave --predictions")
     names = tuple(c.predictor for c in configs)
+    if TRUTH in names or any(c.predictions is not None for c in configs):
+        raise ConfigurationError("--person needs predictors, not --predictions or truth")
     for name in names:
-        load_predictor(name)  # say now what isn't there
+        require_predictor(name, args.jobs)
     load_segmenter(args.segmenter)
     config = AnnotatorConfig(
-        configs[0].data, names, segmenter=args.segmenter, names=args.names, seed=args.seed
-    )
+        configs[0].data, names, segmenter=args.segmenter, names=args.names, seed=args.seed,
+        timeout=max(args.timeout, 300.0),
+    )  # fmt: skip
     report = run_person(config, chosen_ids(configs[0]), args.jobs, progress)
     if args.out is not None:
         write_json(args.out / "person.json", report.to_json())

@@ -26,7 +26,7 @@ def robust_map(
         ids: each one once.
         jobs: processes; with one, everything runs in this process and a death is ours too.
     """
-    if jobs <= 1 or len(ids) <= 1:
+    if jobs <= 1:
         for i in ids:
             yield i, function(i)
         return

@@ -26,7 +26,7 @@ from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
 from model.kinematics.articulated_object import ArticulatedObject, Prediction
 from model.predictor import Predictor
-from model.predictors import load_predictor, predictor_names
+from model.predictors import DEFAULT, load_predictor, predictor_names
 from model.progress import Progress, no_progress
 
 FRAME_SAMPLE = 24
@@ -130,8 +130,8 @@ def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> R
         if config.frame is None:
             progress(0.0, "comparing frames")
             config = replace(config, frame=find_frame(config, ids))
-    elif config.predictor not in (TRUTH, *predictor_names()):
-        load_predictor(config.predictor)  # raises, naming those that are there
+    else:
+        require_predictor(config.predictor, config.jobs)
     started = time.perf_counter()
     results = _finished(config, ids)
     log = _open_log(config, results)
@@ -176,6 +176,33 @@ def spread(ids: Sequence[str], most: int) -> list[str]:
     if most >= len(ids):
         return list(ids)
     return [ids[int(i)] for i in np.linspace(0, len(ids) - 1, most).round()]
+
+
+def require_predictor(name: str, jobs: int) -> None:
+    """Say before the run what is wrong with a predictor: its name, missing weights or libraries.
+
+    Raises:
+        ConfigurationError: with the predictor's own words.
+    """
+    if name == TRUTH:
+        return
+    if name not in predictor_names():
+        load_predictor(name)  # raises, naming those that are there
+    if name != DEFAULT:
+        # In a process of its own: what a network imports must not be there when we fork.
+        for _, said in robust_map(_cannot_load, [name], jobs):
+            if said != "":
+                raise ConfigurationError(
+                    said or f"loading the predictor {name!r} kills its process"
+                )
+
+
+def _cannot_load(name: str) -> str:
+    try:
+        load_predictor(name)
+    except (ArtiworldError, ImportError) as error:
+        return f"the predictor {name!r} can't be loaded: {error}"
+    return ""
 
 
 def find_frame(config: EvaluationConfig, ids: list[str]) -> Frame:

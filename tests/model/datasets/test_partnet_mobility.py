@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from model.datasets.merging import rigid_groups
 from model.datasets.part_export import export_parts
 from model.datasets.partnet_mobility import PartNetMobility, read_partnet_mobility
 from model.datasets.protocol import Dataset
 from model.errors import InputFileError
+from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf_reader import read_urdf_model
 
 URDF = """<?xml version="1.0"?>
 <robot name="made">
@@ -93,6 +96,20 @@ def test_quirks_of_a_folder(folder: Path) -> None:
     assert bounds["link_2"][1][2] == pytest.approx(1.2, abs=1e-6)
 
 
+def test_the_urdf_counts_where_the_other_description_differs(folder: Path) -> None:
+    limit = {"a": 90, "b": 0, "noLimit": False}
+    nodes = [
+        {"id": 0, "joint": "slider", "jointData": {"limit": limit}},
+        {"id": 1, "joint": "free", "jointData": {}},
+        {"id": 2, "joint": "slider", "jointData": {"limit": {**limit, "a": 0.5}}},
+    ]
+    (folder / "mobility_v2.json").write_text(json.dumps(nodes))
+    truth = read_partnet_mobility(folder)
+    assert truth.object.tree.joint_of["link_0"].type == "revolute"
+    said = [n for n in truth.notes if "mobility_v2" in n]
+    assert len(said) == 2 and "slider" in said[0] and "another range" in said[1]
+
+
 def test_names_can_be_kept_back(folder: Path) -> None:
     truth = read_partnet_mobility(folder)
     bare = truth.segmented(names=False)
@@ -144,7 +161,7 @@ def test_exported_parts_are_read_back(folder: Path, tmp_path: Path, with_names: 
 
 
 def test_real_objects_agree_with_yourdfpy(shared_data: Path) -> None:
-    """Every part of every object is where another reader has it, at random joint values."""
+    """Every link of every object is where another reader has it, at random joint values."""
     import yourdfpy
 
     data = PartNetMobility(shared_data / "partnet_mobility")
@@ -152,28 +169,34 @@ def test_real_objects_agree_with_yourdfpy(shared_data: Path) -> None:
     rng = np.random.default_rng(0)
     for object_id in ids:
         obj = data.load(object_id).object
-        other = yourdfpy.URDF.load(
-            str(data.root / object_id / "mobility.urdf"),
-            load_meshes=False,
-            build_collision_scene_graph=False,
-        )
+        path = data.root / object_id / "mobility.urdf"
+        other = yourdfpy.URDF.load(str(path), load_meshes=False, build_collision_scene_graph=False)
         for joint in other.joint_map.values():
             # Some axes are not of unit length; yourdfpy takes them as they are.
             if joint.axis is not None and np.linalg.norm(joint.axis) > 0:
                 joint.axis = joint.axis / np.linalg.norm(joint.axis)
         base = other.base_link
-        rest = {
-            p.link: other.get_transform(p.link, base) for p in obj.parts if p.link in other.link_map
-        }
-        assert rest, object_id
+        carried = carriers(read_urdf_model(path).tree, obj.tree, other)
+        assert set(carried) == set(other.link_map), object_id
+        rest = {link: other.get_transform(link, base) for link in carried}
         for _ in range(2):
             q = {j.name: float(rng.uniform(-1, 1)) for j in obj.tree.joints}
             other.update_cfg({n: q[n] for n in other.actuated_joint_names})
             posed = obj.pose(q)
             for link, world_from_link in rest.items():
                 expected = other.get_transform(link, base)
-                assert np.allclose(posed[link] @ world_from_link, expected, atol=1e-6), (
-                    object_id,
-                    link,
-                )
+                moved = posed[carried[link]] if carried[link] else np.eye(4)
+                assert np.allclose(moved @ world_from_link, expected, atol=1e-6), (object_id, link)
     assert len(ids) >= 79
+
+
+def carriers(whole: KinematicTree, tree: KinematicTree, other) -> dict[str, str]:
+    """Link in the file → the link of the merged tree that carries it, "" for the empty root."""
+    written = {j.child: other.joint_map[j.name].child for j in whole.joints}
+    written[whole.root] = other.base_link
+    out: dict[str, str] = {}
+    for links in rigid_groups(whole).values():
+        found = {name for x in links for name in (x, f"link_{x}") if name in tree.links}
+        assert len(found) <= 1
+        out |= {written[x]: next(iter(found), "") for x in links}
+    return out
