@@ -114,7 +114,22 @@ def _run(report: Report) -> list[str]:
         lines.append(
             f"- {escaped(o.object_id)} ({escaped(o.category or 'unknown')}): {shown}{more}"
         )
-    return lines
+    return lines + _execution(report)
+
+
+def _execution(report: Report) -> list[str]:
+    driven = [(o, o.execution) for o in report.scores if o.execution is not None]
+    if not driven:
+        return []
+    stuck = [(o, run) for o, run in driven if not run.executable]
+    kinds: dict[str, int] = {}
+    for _, run in stuck:
+        for kind in run.kinds:
+            kinds[kind] = kinds.get(kind, 0) + 1
+    said = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items(), key=lambda k: -k[1]))
+    lines = ["", f"### Not executable: {len(stuck)} of {len(driven)} objects", ""]
+    lines += [f"Objects by what is broken: {said}.", ""] if said else []
+    return lines + [f"- {escaped(o.object_id)}: {escaped(run.why)}" for o, run in stuck]
 
 
 def _seconds(report: Report) -> str:

@@ -281,7 +281,7 @@ def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
             unmatched_parts=len(written.object.parts) - len(found.matches),
         )  # fmt: skip
         note = "; ".join(n for n in written.notes if not n.startswith("link_"))[:500]
-        return Judged(truth, found.object, replace(score, note=note), seconds)
+        return Judged(truth, found.object, replace(score, object_id=truth.id, note=note), seconds)
     if config.predictor == TRUTH:
         prediction = Prediction(truth.object.tree)
     else:
@@ -297,7 +297,7 @@ def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
     predicted = None
     if prediction.tree is not None:
         predicted = replace(truth.object, tree=prediction.tree)
-    return Judged(truth, predicted, score, seconds)
+    return Judged(truth, predicted, replace(score, object_id=truth.id), seconds)
 
 
 @lru_cache(maxsize=2)
@@ -320,7 +320,8 @@ def _failed(
     except ArtiworldError:
         return ObjectScore(object_id, category, (), problem=problem)
     score = score_object(truth, None, limits=config.limits, problem=problem, matches=matches)
-    return replace(score, execution=execute(None)) if config.execute else score
+    run = execute(None) if config.execute else None
+    return replace(score, object_id=object_id, execution=run)
 
 
 def _to_json(result: ObjectResult) -> dict[str, Any]:
