@@ -23,7 +23,9 @@ from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
 from model.errors import ArtiworldError, CommandError, InputFileError
 from model.kinematics.tree import KinematicTree
+from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 from model.progress import Cancelled
+from model.remote.http_predictor import BackendError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession, SessionHub
@@ -139,6 +141,7 @@ class OpenObject:
         self.live: LiveSession = bench.hub.session(record.id)
         self.asset: tasks.OpenedAsset | None = None
         self.problem: str | None = None
+        self.backend_away = False
         self.busy: dict[str, tuple[float, str]] = {}
         self.labels: npt.NDArray[np.int16] | None = None
         self.payloads: dict[str, list[tasks.PartPayload]] = {}
@@ -424,8 +427,13 @@ class OpenObject:
 
     # --- jobs that a person asks for
 
-    def predict(self, who: str) -> None:
-        """Predict joints from the parts; the answer becomes a command."""
+    def predict(self, who: str, *, here: bool = False) -> None:
+        """Predict joints from the parts; the answer becomes a command.
+
+        Args:
+            who: decides it.
+            here: with the predictor of this machine, whatever backend is set.
+        """
         if self.predicting:
             return
         source, doc = self.source(), self.document
@@ -437,7 +445,7 @@ class OpenObject:
         job = self.bench.prediction.submit(
             tasks.predict,
             source,
-            self.bench.config.predictor,
+            DEFAULT_PREDICTOR if here else self.bench.config.predictor,
             doc.locked_joints,
             0,
             on_progress=self._progress("predict"),
@@ -445,6 +453,7 @@ class OpenObject:
         )
 
         def keep(prediction: Any) -> None:
+            self.backend_away = self.backend_away and here
             if prediction.tree is None:
                 problems = "; ".join(prediction.problems) or "the predictor gave no reason"
                 self.tell("No prediction", problems, "red")
@@ -537,6 +546,9 @@ class OpenObject:
         except Cancelled:
             if what in ("predict", "save"):
                 self.tell("Cancelled", "Nothing was changed", "gray")
+        except BackendError as error:
+            self.backend_away = True
+            self._failed(what, f"{error}. Press “Predict on this machine”, or predict again later")
         except ArtiworldError as error:
             self._failed(what, str(error))
         except Exception as error:  # a job's boundary: say it and go on

@@ -54,6 +54,9 @@ class AnnotatePanel:
             self._prompt_buttons: list[tuple[Any, int]] = []
             self._prompt_actions = gui.add_button_group("Remove", ("Last", "Of this part", "All"))
         self._predict = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
+        self._here = gui.add_button(
+            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
+        )
         with gui.add_folder("Source", expand_by_default=False):
             self._source = gui.add_markdown("")
             self._up = gui.add_dropdown("Up axis", ("z", "y", "x", "-z", "-y", "-x"))
@@ -78,6 +81,7 @@ class AnnotatePanel:
             lambda e: app.act(lambda: self._prompt_action(e.target.value))
         )
         self._predict.on_click(lambda _: app.act(app.predict))
+        self._here.on_click(lambda _: app.act(app.predict_here))
         self._frame.on_click(lambda _: app.act(self._read_again))
 
     # --- what a person does
@@ -172,6 +176,7 @@ class AnnotatePanel:
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
+        put(self._here, "visible", obj.backend_away)
         app, doc = self._app, obj.document
         counts = {} if doc.segmentation is None else dict(doc.segmentation.counts)
         now = (

@@ -354,6 +354,10 @@ class ClientApp:
         """Ask for joints."""
         self.need_object().predict(self.who)
 
+    def predict_here(self) -> None:
+        """Ask this machine for joints where the backend is away."""
+        self.need_object().predict(self.who, here=True)
+
     def cancel(self) -> None:
         """Stop what runs."""
         for what in ("predict", "save", "segment"):

@@ -38,6 +38,9 @@ class JointsPanel:
         gui = app.client.gui
         self._empty = gui.add_markdown("")
         self._again = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
+        self._here = gui.add_button(
+            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
+        )
         self._tree = gui.add_markdown("")
         self._motion = gui.add_folder("Motion")
         with self._motion:
@@ -48,6 +51,7 @@ class JointsPanel:
         with self._editor:
             self._build_editor()
         self._again.on_click(lambda _: app.act(app.predict))
+        self._here.on_click(lambda _: app.act(app.predict_here))
         self._all.on_click(
             lambda e: app.act(app.play if e.target.value.startswith("Play") else app.reset_pose)
         )
@@ -186,6 +190,7 @@ class JointsPanel:
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
+        put(self._here, "visible", obj.backend_away)
         app, doc = self._app, obj.document
         tree = doc.tree
         checks = tuple((c.joint, c.where) for c in obj.checks)
