@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -96,8 +97,9 @@ def collision_of(
     ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic)
               for j in obj.tree.joints]  # fmt: skip
     key = fingerprint("object", settings, ranges, *(v for p in obj.parts for v in (p.link, p)))
-    kept = load_shapes(store, key)
+    kept = _recent.get(key) or load_shapes(store, key)
     if kept is not None:
+        _remember(key, kept)
         progress(1.0, "collision shapes were there already")
         return kept
     diagonal = _diagonal(obj)
@@ -110,8 +112,19 @@ def collision_of(
     free = relieve(slim, obj.tree, diagonal) if settings.relief else slim
     shapes = _shapes(obj, free, bodies if settings.primitives else {})
     save_shapes(store, key, shapes)
+    _remember(key, shapes)
     progress(1.0, "collision shapes are there")
     return shapes
+
+
+_recent: OrderedDict[str, dict[str, tuple[Shape, ...]]] = OrderedDict()
+"""The last objects of this process: the gate and the exporters ask for the same ones."""
+
+
+def _remember(key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
+    _recent[key] = shapes
+    while len(_recent) > 8:
+        _recent.popitem(last=False)
 
 
 def _kept_bodies(

@@ -4,6 +4,7 @@
 
     object.urdf        links, joints, inertia; see model.kinematics.urdf
     meshes/            link_0.obj, link_0.mtl, texture_….png; link_0.ply beside it for a cloud
+    meshes/collision/  link_0_0.obj, …: convex hulls; other shapes are in the URDF itself
     tree.json          the kinematic tree without numbers; see model.kinematics.tree_json
     provenance.json    where it comes from
 
@@ -34,8 +35,8 @@ from pathlib import Path
 from typing import Any
 
 from model.errors import GeometryError, InputFileError
-from model.exporters.inertia import inertials_of
 from model.exporters.part_files import PartFile, write_parts
+from model.exporters.physics import Physics
 from model.exporters.reload import AREA_TOLERANCE, reload_check
 from model.exporters.saved import (
     FORMAT,
@@ -43,12 +44,14 @@ from model.exporters.saved import (
     TREE,
     URDF,
     load_object,
+    old_name,
     read_provenance,
+    recover,
 )
+from model.exporters.urdf import write_urdf_of
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.tree_json import tree_to_json
-from model.kinematics.urdf import write_urdf
 from model.progress import Progress, no_progress
 
 __all__ = ["AssetFiles", "load_object", "read_provenance", "reload_check", "write_asset"]
@@ -77,6 +80,7 @@ def write_asset(
     *,
     provenance: Mapping[str, Any],
     original: Asset | None = None,
+    physics: Physics | None = None,
     progress: Progress = no_progress,
 ) -> AssetFiles:
     """Save ``obj``. An asset that is there already is replaced only by a complete new one.
@@ -86,6 +90,7 @@ def write_asset(
         folder: created where needed, its parents as well.
         provenance: anything that JSON can hold.
         original: what the parts were cut from; their areas, or points, must add up to its own.
+        physics: mass, collision shapes and joint dynamics; None leaves the shapes out.
         progress: told of each part.
 
     Raises:
@@ -93,6 +98,7 @@ def write_asset(
         InputFileError: where the folder holds something else, or can't be written.
     """
     folder = Path(folder).absolute()
+    recover(folder)
     _check_sums(obj, original)
     text = json.dumps(dict(provenance), allow_nan=False)  # fails before anything is written
     _check_target(folder)
@@ -104,7 +110,7 @@ def write_asset(
         raise _unwritable(folder, error) from error
     try:
         parts = write_parts(obj, fresh, progress=progress)
-        _write_texts(obj, fresh, parts, json.loads(text), original)
+        _write_texts(obj, fresh, parts, json.loads(text), original, physics)
         _take_place(fresh, folder)
     except OSError as error:
         raise _unwritable(folder, error) from error
@@ -161,14 +167,9 @@ def _write_texts(
     parts: tuple[PartFile, ...],
     provenance: dict[str, Any],
     original: Asset | None,
+    physics: Physics | None,
 ) -> None:
-    write_urdf(
-        obj,
-        folder / URDF,
-        {p.link: [p.mesh] for p in parts},
-        inertials=inertials_of(obj),
-        mujoco_visuals=not any(p.flat for p in parts),
-    )
+    write_urdf_of(obj, parts, folder / URDF, physics)
     _write_json(folder / TREE, tree_to_json(obj.tree))
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     provenance["asset"] = {
@@ -218,11 +219,15 @@ def _versions() -> dict[str, str]:
 
 
 def _take_place(fresh: Path, folder: Path) -> None:
-    """Put ``fresh`` where ``folder`` is; whatever fails, one of the two is left whole."""
+    """Put ``fresh`` where ``folder`` is; whatever fails, one of the two is left whole.
+
+    Between the two renames there is no ``folder``; who is killed there leaves the old one beside
+    it, and :func:`~model.exporters.saved.recover` puts it back.
+    """
     if not folder.exists():
         fresh.rename(folder)
         return
-    old = fresh.with_name(fresh.name + ".old")
+    old = old_name(fresh)
     folder.rename(old)
     try:
         fresh.rename(folder)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +25,28 @@ def bullet_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
     """What is wrong when PyBullet loads the file and its joints are set."""
+    with _silent():
+        return list(dict.fromkeys(_problems(path, obj, settings)))
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """PyBullet prints from C, past Python's own streams."""
+    sys.stdout.flush()
+    kept = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        for number, saved in enumerate(kept, start=1):
+            os.dup2(saved, number)
+            os.close(saved)
+        os.close(nowhere)
+
+
+def _problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]) -> list[str]:
     from model.exporters.readback import pose_problems
 
     bullet: Any = import_module("pybullet")
@@ -38,7 +64,7 @@ def bullet_problems(
             _set(bullet, bodies[0], client, index, obj, q)
             seen = _poses(bullet, bodies[0], client, index, obj.tree.root)
             problems += pose_problems("PyBullet", object_from_links(obj, q), seen)
-        return list(dict.fromkeys(problems))
+        return problems
     except bullet.error as error:
         return [f"PyBullet can't load {path.name}: {error}"]
     finally:

@@ -18,6 +18,30 @@ MIN_CLOUD = 4
 """Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
 
 
+_OLD = ".old"
+
+
+def old_name(fresh: Path) -> Path:
+    """Where an asset waits while ``fresh``, the folder written beside it, takes its place."""
+    return fresh.with_name(fresh.name + _OLD)
+
+
+def recover(folder: Path) -> None:
+    """Put an asset back whose replacement was killed between its two renames."""
+    if folder.exists() or not folder.parent.is_dir() or not folder.name:
+        return
+    start = f".{folder.name}."
+    try:
+        waiting = [
+            p for p in folder.parent.iterdir()
+            if p.name.startswith(start) and p.name.endswith(_OLD) and (p / PROVENANCE).is_file()
+        ]  # fmt: skip
+        if waiting:
+            max(waiting, key=lambda p: p.stat().st_mtime).rename(folder)
+    except OSError:
+        return  # whoever reads the folder next says what is wrong with it
+
+
 def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
     """The object of a saved asset, with its category, part names and clouds.
 
@@ -31,6 +55,7 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     from model.geometry.readers import read_asset
 
     path = Path(asset)
+    recover(path)
     if path.is_file():
         return read_urdf(path, progress=progress)
     if not (path / URDF).is_file():
@@ -56,6 +81,7 @@ def read_provenance(folder: str | Path) -> dict[str, Any]:
     Raises:
         InputFileError: where it is missing, damaged, or of a newer format.
     """
+    recover(Path(folder))
     path = Path(folder) / PROVENANCE
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

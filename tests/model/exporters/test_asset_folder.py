@@ -22,6 +22,7 @@ from model.exporters.asset_folder import (
     write_asset,
 )
 from model.exporters.part_files import file_stems
+from model.exporters.physics import physics_of
 from model.geometry.asset import Asset
 from model.geometry.mesh import Material, Mesh
 from model.geometry.parts import split
@@ -263,7 +264,7 @@ def test_an_asset_is_replaced_whole(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
 
-@pytest.mark.parametrize("step", ["write_urdf", "_write_json", "_sha256"])
+@pytest.mark.parametrize("step", ["write_urdf_of", "_write_json", "_sha256"])
 def test_a_failure_leaves_the_old_asset_as_it_was(tmp_path, monkeypatch, step):
     obj, _ = textured_object()
     folder = write_asset(obj, tmp_path / "a", provenance={"version": 1}).folder
@@ -277,6 +278,44 @@ def test_a_failure_leaves_the_old_asset_as_it_was(tmp_path, monkeypatch, step):
         write_asset(obj, folder, provenance={"version": 2})
     assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("read", [load_object, read_provenance])
+def test_an_asset_comes_back_after_a_kill_between_the_renames(tmp_path, monkeypatch, read):
+    obj, _ = textured_object()
+    folder = write_asset(obj, tmp_path / "a", provenance={"version": 1}).folder
+
+    class Killed(BaseException):
+        pass
+
+    moves: list[Path] = []
+    rename = Path.rename
+
+    def killed(self, target):
+        moves.append(self)
+        if len(moves) == 2:
+            raise Killed
+        return rename(self, target)
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Path, "rename", killed)
+        write_asset(replace(obj, name="second"), folder, provenance={"version": 2})
+    assert not folder.exists()
+    read(folder)
+    assert read_provenance(folder)["version"] == 1 and reload_check(folder) == []
+
+
+def test_an_asset_with_shapes_loads_everywhere(tmp_path):
+    obj, asset = textured_object()
+    physics = physics_of(obj)
+    files = write_asset(obj, tmp_path / "a", provenance={}, original=asset, physics=physics)
+    assert reload_check(files.folder) == []
+    text = files.urdf.read_text()
+    assert text.count("<collision>") == sum(len(held) for held in physics.collision.values()) > 0
+    assert "<dynamics damping=" in text
+    hulls = sorted((files.folder / "meshes" / "collision").iterdir())
+    recorded = read_provenance(files.folder)["asset"]["files"]
+    assert {p.relative_to(files.folder).as_posix() for p in hulls} <= set(recorded)
 
 
 def test_a_folder_of_other_things_is_left_alone(tmp_path):

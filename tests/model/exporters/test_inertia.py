@@ -6,12 +6,21 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.exporters.inertia import MIN_MASS, MIN_RADIUS, hull_inertial, inertials_of
+from model.errors import ConfigurationError, InputFileError
+from model.exporters.inertia import (
+    MIN_MASS,
+    MIN_RADIUS,
+    hull_inertial,
+    inertial_problems,
+    inertials_of,
+)
+from model.exporters.materials import PartMaterial, read_materials
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf import Inertial
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -74,3 +83,69 @@ def test_every_link_but_a_bare_root_has_mass():
     found = inertials_of(ArticulatedObject("x", parts, tree))
     assert set(found) == {"helper", "link_0", "link_1"}
     np.testing.assert_allclose(found["helper"].center, [1, 2, 3])
+
+
+WOOD = PartMaterial(600.0, 0.012)
+
+
+def of_material(body: trimesh.Trimesh, material: PartMaterial = WOOD):
+    part = Part("link_0", Mesh(np.asarray(body.vertices), np.asarray(body.faces)))
+    obj = ArticulatedObject("x", (part,), KinematicTree(("link_0",)))
+    return inertials_of(obj, material_of=lambda _: material)["link_0"]
+
+
+def test_a_board_is_solid_and_a_large_block_is_hollow():
+    board = trimesh.creation.box((1.0, 0.5, 0.02)).apply_translation([3, 2, 1])
+    found = of_material(board)
+    assert found.mass == pytest.approx(600 * 0.01)
+    np.testing.assert_allclose(found.center, [3, 2, 1], atol=1e-9)
+    wanted = 6.0 * np.array([0.5**2 + 0.02**2, 1 + 0.02**2, 1 + 0.5**2]) / 12
+    np.testing.assert_allclose(np.diag(found.tensor), wanted, rtol=1e-3)
+    block = trimesh.creation.box((1, 1, 1))
+    found = of_material(block)
+    assert found.mass == pytest.approx(600 * 6 * 0.012)
+    # A thin cubic shell: 5/18 of the mass times the edge squared.
+    np.testing.assert_allclose(np.diag(found.tensor), 5 / 18 * found.mass, rtol=1e-3)
+
+
+def test_an_open_sheet_weighs_its_area_and_one_of_two_sides_no_more():
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    one = of_material(trimesh.Trimesh(square, faces, process=False))
+    both = np.concatenate([faces, faces[:, ::-1]])
+    two = of_material(trimesh.Trimesh(square, both, process=False))
+    assert one.mass == pytest.approx(7.2) and two.mass == pytest.approx(7.2)
+
+
+@settings(max_examples=100, deadline=None)
+@given(points=points, flat=st.sampled_from([(1, 1, 1), (1, 1, 0), (1, 0, 0), (1e-4, 1, 1)]))
+def test_whatever_the_mesh_its_mass_is_valid(points, flat):
+    at = np.array(points) * flat
+    faces = np.random.default_rng(0).integers(0, len(at), (6, 3))
+    found = of_material(trimesh.Trimesh(at, faces, process=False))
+    assert inertial_problems({"link_0": found}) == [] and found.mass >= MIN_MASS
+
+
+def test_invalid_inertia_is_named():
+    thin = Inertial(1.0, np.zeros(3), np.diag([1.0, 1.0, 3.0]))
+    assert "triangle" in inertial_problems({"a": thin})[0]
+    assert "above 0" in inertial_problems({"a": Inertial(0.0, np.zeros(3), np.eye(3))})[0]
+
+
+def test_the_table_knows_parts_categories_and_a_default(tmp_path):
+    table = read_materials()
+    box = Mesh(trimesh.creation.box().vertices, trimesh.creation.box().faces)
+    glass = table.of(Part("a", box, name="glass_door"), "Oven")
+    assert glass == table.materials["glass"]
+    assert table.of(Part("a", box, name="door"), "oven") == table.materials["metal"]
+    assert table.of(Part("a", box), None) == table.materials[table.default]
+    assert table.only("paper").of(Part("a", box, name="glass"), "Oven").density == 700
+    assert table.with_density(5).of(Part("a", box), "Oven").density == 5
+    with pytest.raises(ConfigurationError, match="wood"):
+        table.only("unobtainium")
+    path = tmp_path / "mine.json"
+    for text in ("{", "{}", '{"materials": {"a": {"density": -1, "thickness": 1}}, "default": "a"}',
+                 '{"materials": {}, "default": "a"}'):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(InputFileError, match=r"mine\.json"):
+            read_materials(path)

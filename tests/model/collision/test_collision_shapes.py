@@ -1,0 +1,257 @@
+"""Collision shapes: hollows stay open, everything is covered, neighbours don't touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from model.collision import build
+from model.collision.build import CollisionSettings, collision_of
+from model.collision.coacd_process import coacd_hulls
+from model.collision.hulls import hull_of
+from model.collision.measure import free_volume, overlaps_of
+from model.collision.overlap import overlap
+from model.collision.shapes import Primitive, hull_of_shape
+from model.errors import GeometryError
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+from model.geometry.sampling import sample_surface
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+WALL = 0.01
+
+
+def mesh_of(body: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.asarray(body.vertices), np.asarray(body.faces))
+
+
+def boxes(*spans: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Mesh:
+    """One mesh of boxes from low to high corners."""
+    made = []
+    for low, high in spans:
+        box = trimesh.creation.box(np.subtract(high, low))
+        made.append(box.apply_translation(np.add(low, high) / 2))
+    return mesh_of(trimesh.util.concatenate(made))
+
+
+def tray(x: float = 0.4, y: float = 0.3, z: float = 0.1, w: float = WALL) -> Mesh:
+    return boxes(
+        ((0, 0, 0), (x, y, w)),
+        ((0, 0, 0), (w, y, z)),
+        ((x - w, 0, 0), (x, y, z)),
+        ((0, 0, 0), (x, w, z)),
+        ((0, y - w, 0), (x, y, z)),
+    )
+
+
+def alone(mesh: Mesh | None = None, cloud: PointCloud | None = None) -> ArticulatedObject:
+    return ArticulatedObject("x", (Part("link_0", mesh, cloud),), KinematicTree(("link_0",)))
+
+
+def shapes_of(mesh: Mesh, **options) -> tuple:
+    return collision_of(alone(mesh), CollisionSettings(**options))["link_0"]
+
+
+def inside(shapes, points) -> np.ndarray:
+    return np.any([hull_of_shape(s).contains(np.atleast_2d(points)) for s in shapes], axis=0)
+
+
+def test_a_tray_stays_a_tray():
+    mesh = tray()
+    shapes = shapes_of(mesh)
+    assert len(shapes) == 5 and all(isinstance(s, Primitive) and s.kind == "box" for s in shapes)
+    assert not inside(shapes, [0.2, 0.15, 0.05]).any()
+    free = free_volume(alone(mesh), {"link_0": shapes})
+    assert free.kept > 0.99 and free.kept_by_hull < 0.05
+
+
+def test_a_tray_of_single_sheets_stays_one_too():
+    sheet = boxes(((0, 0, 0), (0.4, 0.3, 0.1)))
+    open_top = sheet.take_faces(np.flatnonzero(sheet.face_normals[:, 2] < 0.5))
+    shapes = shapes_of(open_top)
+    assert 5 <= len(shapes) <= 10
+    assert free_volume(alone(open_top), {"link_0": shapes}).kept > 0.97
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "sizes"),
+    [
+        (trimesh.creation.box((0.3, 0.2, 0.1)), "box", (0.1, 0.2, 0.3)),
+        (trimesh.creation.cylinder(0.05, 0.4, sections=32), "cylinder", (0.05, 0.4)),
+        (trimesh.creation.icosphere(3, 0.1), "sphere", (0.1,)),
+        (trimesh.creation.capsule(0.3, 0.05, count=[24, 24]), "capsule", (0.05, 0.3)),
+    ],
+)
+def test_a_primitive_is_found_whatever_its_pose(body, kind, sizes):
+    turned = body.copy()
+    turned.apply_transform(trimesh.transformations.random_rotation_matrix([0.3, 0.6, 0.9]))
+    turned.apply_translation([1, 2, 3])
+    (shape,) = shapes_of(mesh_of(turned))
+    assert isinstance(shape, Primitive) and shape.kind == kind
+    found = sorted(shape.sizes) if kind == "box" else shape.sizes
+    assert found == pytest.approx(sizes, rel=0.03)
+    np.testing.assert_allclose(shape.object_from_shape[:3, 3], turned.bounds.mean(0), atol=0.005)
+
+
+def test_a_solid_with_a_notch_is_filled_and_the_notch_is_free():
+    mesh = boxes(((0, 0, 0), (0.3, 0.3, 0.1)), ((0, 0, 0), (0.1, 0.3, 0.3)))
+    shapes = shapes_of(mesh)
+    assert len(shapes) <= 3
+    assert inside(shapes, [[0.05, 0.15, 0.2], [0.2, 0.15, 0.05]]).all()
+    assert not inside(shapes, [0.25, 0.15, 0.25]).any()
+
+
+@pytest.mark.parametrize("budget", [1, 3, 12])
+def test_the_budget_is_kept_and_the_surface_is_covered(budget):
+    body = trimesh.creation.annulus(0.1, 0.2, 0.05)
+    mesh = mesh_of(body)
+    shapes = shapes_of(mesh, max_hulls=budget, primitives=False)
+    assert 1 <= len(shapes) <= budget
+    points = sample_surface(mesh, 500, np.random.default_rng(0))[0].points.astype(float)
+    apart = np.min([(points @ s.planes[:, :3].T + s.planes[:, 3]).max(1) for s in shapes], axis=0)
+    assert apart.max() < 0.004
+    assert max(len(s.vertices) for s in shapes) <= 32
+
+
+def test_a_mesh_that_crosses_itself_and_one_turned_inside_out():
+    cross = boxes(((0, 0.1, 0), (0.3, 0.15, 0.3)), ((0.1, 0, 0), (0.15, 0.3, 0.3)))
+    turned = Mesh(cross.vertices, np.where(np.arange(24)[:, None] % 3 == 0, cross.faces[:, ::-1],
+                                           cross.faces))  # fmt: skip
+    for mesh in (cross, turned):
+        shapes = shapes_of(mesh)
+        assert inside(shapes, [[0.02, 0.12, 0.1], [0.12, 0.02, 0.1]]).all()
+        assert not inside(shapes, [0.03, 0.03, 0.1]).any()
+
+
+def test_a_part_without_volume_gets_some():
+    square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]),
+                  np.array([[0, 1, 2], [0, 2, 3]]))  # fmt: skip
+    line = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0.5, 0, 0.0]]), np.array([[0, 1, 2]]))
+    for mesh in (square, line):
+        (shape,) = shapes_of(mesh)
+        assert hull_of_shape(shape).volume > 0 and hull_of_shape(shape).thickness >= 5e-4
+
+
+def test_a_part_without_geometry_is_named():
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    with pytest.raises(GeometryError, match="link_0"):
+        shapes_of(nothing)
+
+
+def test_two_million_faces():
+    side = 1001
+    u, v = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side), indexing="ij")
+    z = np.maximum(np.abs(u - 0.5), np.abs(v - 0.5)) ** 4 * 4  # a bowl
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).reshape(-1)
+    other = corner + side
+    one = np.stack([corner, other, corner + 1], axis=1)
+    faces = np.concatenate([one, np.stack([corner + 1, other, other + 1], axis=1)])
+    mesh = Mesh(np.stack([u, v, z], axis=2).reshape(-1, 3), faces.astype(np.int32))
+    assert len(mesh.faces) == 2_000_000
+    shapes = shapes_of(mesh)
+    assert len(shapes) <= 24
+    assert not inside(shapes, [0.5, 0.5, 0.15]).any()
+
+
+def test_a_cloud_alone_keeps_its_hollow():
+    points = sample_surface(tray(), 6000, np.random.default_rng(0))[0].points
+    shapes = collision_of(alone(cloud=PointCloud(points)))["link_0"]
+    assert 2 <= len(shapes) <= 24
+    middle = np.column_stack([np.full(40, 0.2), np.full(40, 0.15), np.linspace(0.03, 0.1, 40)])
+    assert not inside(shapes, middle).any()
+
+
+# parts that touch
+
+
+def chest(gap: float = 0.0) -> ArticulatedObject:
+    body = boxes(
+        ((0, 0, 0), (0.4, 0.3, WALL)),
+        ((0, 0, 0.2), (0.4, 0.3, 0.2 + WALL)),
+        ((0, -WALL, 0), (0.4, 0, 0.2)),
+        ((0, 0.3, 0), (0.4, 0.3 + WALL, 0.2)),
+        ((-WALL, 0, 0), (0, 0.3, 0.2)),
+    )
+    inner = tray(0.4 - gap, 0.3 - 2 * gap, 0.15)
+    moved = Mesh(inner.vertices + [gap, gap, WALL + gap], inner.faces)
+    tree = KinematicTree(
+        ("link_0", "link_1"),
+        (Joint("slide", "prismatic", "link_0", "link_1", (1, 0, 0), (0, 0, 0), 0, 0.3),),
+    )
+    return ArticulatedObject("chest", (Part("link_0", body), Part("link_1", moved)), tree)
+
+
+@pytest.mark.parametrize("gap", [0.0, -0.002, 0.003])
+def test_a_drawer_without_a_gap_gets_one(gap):
+    obj = chest(gap)
+    before = collision_of(obj, CollisionSettings(relief=False))
+    after = collision_of(obj)
+    assert (overlaps_of(obj, before).at_rest > 1e-4) == (gap < 0)
+    met = overlaps_of(obj, after)
+    assert met.at_rest == 0 and met.links_at_rest == ()
+    assert met.over_range["slide"] == 0
+    assert free_volume(obj, after).kept > 0.97
+    assert not inside(after["link_1"], [0.2, 0.15, 0.1]).any()
+
+
+def test_overlap_of_two_boxes_is_exact():
+    a = hull_of(trimesh.creation.box((1, 1, 1)).vertices)
+    b = hull_of(trimesh.creation.box((1, 1, 1)).vertices + [0.7, 0.2, 0.1])
+    assert a is not None and b is not None
+    found = overlap(a, b)
+    assert found is not None and found.depth == pytest.approx(0.3)
+    np.testing.assert_allclose(found.axis, [1, 0, 0], atol=1e-6)
+    assert overlap(a, b, least=0.31) is None
+    far = hull_of(trimesh.creation.box((1, 1, 1)).vertices + [0.9, 0.9, 1.01])
+    assert far is not None and overlap(a, far) is None
+
+
+# keeping, coacd, arbitrary input
+
+
+def test_shapes_are_kept_by_content(tmp_path, monkeypatch):
+    obj = chest()
+    first = collision_of(obj, store=tmp_path)
+    build._recent.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "hollow_bodies", None)
+        again = collision_of(obj, store=tmp_path)
+    assert {k: len(v) for k, v in again.items()} == {k: len(v) for k, v in first.items()}
+    for link, shapes in first.items():
+        for a, b in zip(shapes, again[link], strict=True):
+            np.testing.assert_allclose(hull_of_shape(a).bounds, hull_of_shape(b).bounds)
+    for path in tmp_path.glob("*.npz"):
+        path.write_bytes(path.read_bytes()[:100])
+    build._recent.clear()
+    assert collision_of(obj, store=tmp_path).keys() == first.keys()
+
+
+def test_coacd_answers_or_is_stopped():
+    pytest.importorskip("coacd")
+    mesh = boxes(((0, 0, 0), (0.3, 0.3, 0.1)), ((0, 0, 0), (0.1, 0.3, 0.3)))
+    found = coacd_hulls(mesh, 240.0, mcts_iterations=20, resolution=500)
+    assert found is not None and len(found) >= 2
+    assert coacd_hulls(mesh, 0.01) is None
+
+
+@settings(max_examples=20, deadline=None)
+@given(hnp.arrays(np.float64, (9, 3), elements=st.floats(-1, 1, allow_subnormal=False)),
+       st.sampled_from([1.0, 1e-3, 1e3]))  # fmt: skip
+def test_whatever_the_triangles_there_is_a_shape(points, scale):
+    mesh = Mesh(points * scale, np.arange(9).reshape(3, 3))
+    shapes = collision_of(alone(mesh))["link_0"]
+    for shape in shapes:
+        hull = hull_of_shape(shape)
+        assert hull.volume > 0 and np.isfinite(hull.vertices).all()
+
+
+@pytest.mark.parametrize("options", [{"max_hulls": 0}, {"max_vertices": 3}])
+def test_senseless_settings_are_refused(options):
+    with pytest.raises(GeometryError):
+        CollisionSettings(**options)
