@@ -201,9 +201,17 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     add("--max-upload-mb", type=int, default=500, metavar="MB",
         help="largest file that a browser may send (default: 500)")  # fmt: skip
     add("--segmenter", default="default", metavar="NAME", help="who answers clicks")
+    _add_point_sam(parser)
     add("--predictor", default="geometric", metavar="NAME", help="who predicts joints")
     add_client_options(parser, "--backend-token")
     add("--open", action=argparse.BooleanOptionalAction, default=False, help="open a browser")
+
+
+def _add_point_sam(parser: argparse.ArgumentParser) -> None:
+    """``--point-sam PATH`` is ``--segmenter point-sam:PATH``."""
+    parser.add_argument(
+        "--point-sam", dest="segmenter", type="point-sam:{}".format, metavar="PATH",
+        help="let Point-SAM answer, with the published weights at PATH (needs PyTorch)")  # fmt: skip
 
 
 def _add_segment(parser: argparse.ArgumentParser) -> None:
@@ -212,6 +220,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     add("--prompts", type=Path, required=True, metavar="FILE", help="JSON file of clicks")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the parts")
     add("--segmenter", default="default", metavar="NAME", help="who answers the clicks")
+    _add_point_sam(parser)
     _add_reading(parser)
     _add_json(parser)
 

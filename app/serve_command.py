@@ -85,14 +85,12 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
 
 def _check_names(args: argparse.Namespace) -> None:
     from model.predictors import predictor_names
-    from model.segmentation.registry import segmenter_names
+    from model.segmentation.registry import check_segmenter
 
-    for option, name, known in (
-        ("--predictor", args.predictor, predictor_names()),
-        ("--segmenter", args.segmenter, segmenter_names()),
-    ):
-        if name not in known and not is_backend(name):
-            raise ConfigurationError(f"{option} {name} is unknown; there are {', '.join(known)}")
+    check_segmenter(args.segmenter)
+    name, known = args.predictor, predictor_names()
+    if name not in known and not is_backend(name):
+        raise ConfigurationError(f"--predictor {name} is unknown; there are {', '.join(known)}")
 
 
 def _name_of(host: str) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.errors import ArtiworldError, CommandError
+from model.gate.report import GateReport
 from model.geometry.asset import Asset, ElementKind, UpAxis
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import (
@@ -39,7 +40,7 @@ SWEEP_POINTS = 3000
 ENCODINGS_KEPT = 3
 
 
-class _Recent(Generic[K, V]):
+class Recent(Generic[K, V]):
     """The last few values of an expensive function; for one process."""
 
     def __init__(self, size: int) -> None:
@@ -47,6 +48,7 @@ class _Recent(Generic[K, V]):
         self._kept: OrderedDict[K, V] = OrderedDict()
 
     def get(self, key: K, make: Callable[[], V]) -> V:
+        """The value of ``key``; made where it isn't kept."""
         if key not in self._kept:
             self._kept[key] = make()
             while len(self._kept) > self._size:
@@ -57,10 +59,17 @@ class _Recent(Generic[K, V]):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How a source is read: None is the format's default."""
+    """How a source is read.
+
+    Attributes:
+        up_axis: None is the format's default.
+        unit_scale: metres per unit.
+        left_out: reference of the stored elements that are not looked at, or None.
+    """
 
     up_axis: UpAxis | None = None
     unit_scale: float = 1.0
+    left_out: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,18 +138,18 @@ class PartPayload:
 
 @dataclass(frozen=True, eq=False)
 class JointCheck:
-    """A motion sweep of one joint.
+    """A joint that runs into something.
 
     Attributes:
-        q: (S,) radians or metres; depth: (S,) penetration beyond that at rest, metres.
-        where: (3,) worst contact in the object frame, or None where nothing touches.
+        q: radians or metres where it is deepest. depth: metres beyond the penetration at rest.
+        where: (3,) the contact in the object frame.
         other: the link that is hit.
     """
 
     joint: str
-    q: npt.NDArray[np.float64]
-    depth: npt.NDArray[np.float64]
-    where: tuple[float, float, float] | None
+    q: float
+    depth: float
+    where: tuple[float, float, float]
     other: str | None
 
 
@@ -169,7 +178,7 @@ class PartSource:
 
 
 def open_asset(
-    path: Path, cache: Path, options: ReadOptions, progress: Progress = no_progress
+    path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
 ) -> OpenedAsset:
     """Read ``path``, lay its arrays down for the other workers, and prepare what is shown."""
     from model.geometry.cache import load_asset, save_asset
@@ -177,8 +186,10 @@ def open_asset(
 
     progress(0.02, "Reading")
     identity = (str(path.resolve()), _stamp(path), options.up_axis, options.unit_scale)
+    if options.left_out is not None:
+        identity = (*identity, options.left_out)
     key = hashlib.sha256(repr(identity).encode()).hexdigest()[:24]
-    folder = cache / key
+    folder = workspace / "cache" / key
     asset: Asset | None = None
     if folder.exists():
         try:
@@ -189,10 +200,22 @@ def open_asset(
         asset = read_asset(
             path, up_axis=options.up_axis, unit_scale=options.unit_scale, progress=progress
         )
+        if options.left_out is not None:
+            asset = _without(asset, arrays_of(workspace).get(options.left_out))
         progress(0.6, "Keeping a working copy")
         save_asset(asset, folder)
     progress(0.8, "Preparing the picture")
     return _opened(asset, folder, path)
+
+
+def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
+    from model.segmentation.crop import crop
+
+    keep = np.ones(asset.element_count, bool)
+    if len(elements) and elements[-1] >= len(keep):
+        raise CommandError("the source has fewer elements than when some were left out; undo that")
+    keep[elements] = False
+    return crop(asset, keep)
 
 
 def _stamp(path: Path) -> tuple[tuple[str, int, int], ...]:
@@ -239,9 +262,11 @@ def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float
     the side whose outer layer holds the most elements is the front. Near ties go to -y, glTF's
     front. The sides are those of the tightest upright box.
     """
+    from model.geometry.upright_box import box_yaw
+
     flat = np.asarray(points, np.float64)[:: max(1, len(points) // 20_000), :2]
     best, score = (0.0, -1.0, 0.0), 0.0
-    turn = _box_yaw(flat)
+    turn = box_yaw(flat)
     for quarter in np.array([-0.5, 0.0, 1.0, 0.5]) * np.pi:
         direction = np.array([np.cos(turn + quarter), np.sin(turn + quarter)])
         along, across = flat @ direction, flat @ np.array([-direction[1], direction[0]])
@@ -250,18 +275,6 @@ def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float
         share = float(np.mean(high - along < 0.15 * max(high - low, 1e-9))) * broad
         if share > score * 1.4:
             best, score = (float(direction[0]), float(direction[1]), 0.0), share
-    return best
-
-
-def _box_yaw(flat: npt.NDArray[np.float64]) -> float:
-    """Angle in (-π/4, π/4] of the smallest upright box around (N, 2) points; 0 on near ties."""
-    best, least = 0.0, np.inf
-    for yaw in np.radians([0, *range(-44, 46, 2)]):
-        turned = flat @ np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        low, high = np.percentile(turned, (1, 99), axis=0)
-        area = float(np.prod(high - low + 1e-9))
-        if area < least * 0.8:
-            best, least = float(yaw), area
     return best
 
 
@@ -276,32 +289,35 @@ def _colors(cloud: PointCloud) -> npt.NDArray[np.uint8]:
 
 
 @lru_cache(maxsize=8)
-def _asset(folder: Path) -> Asset:
+def asset_of(folder: Path) -> Asset:
+    """The asset laid down in a folder."""
     from model.geometry.cache import load_asset
 
     return load_asset(folder)
 
 
-_pickers: _Recent[Path, Any] = _Recent(4)
-_encodings: _Recent[tuple[Path, str], Any] = _Recent(ENCODINGS_KEPT)
+_pickers: Recent[Path, Any] = Recent(4)
+_encodings: Recent[tuple[Path, str], Any] = Recent(ENCODINGS_KEPT)
+_regions: Recent[tuple[Path, str], npt.NDArray[np.int64]] = Recent(100)
 
 
-def _picker(folder: Path) -> Any:
+def picker_of(folder: Path) -> Any:
+    """Its picker, kept in this process."""
     from model.geometry.picking import Picker
 
-    return _pickers.get(folder, lambda: Picker(_asset(folder)))
+    return _pickers.get(folder, lambda: Picker(asset_of(folder)))
 
 
 def prepare_picking(folder: Path) -> None:
     """Build the ray structure before the first click needs it."""
-    _picker(folder)
+    picker_of(folder)
 
 
 def pick(
     folder: Path, origin: tuple[float, float, float], direction: tuple[float, float, float]
 ) -> Any:
     """The surface under a ray: ``Pick(position, element, normal)``, or None for the background."""
-    return _picker(folder).pick(np.asarray(origin), np.asarray(direction))
+    return picker_of(folder).pick(np.asarray(origin), np.asarray(direction))
 
 
 def select_box(
@@ -312,14 +328,15 @@ def select_box(
     corner_max: tuple[float, float],
 ) -> tuple[str, int]:
     """Visible elements inside a rectangle of the screen: their stored array and their number."""
-    chosen = _picker(folder).select_box(camera, corner_min, corner_max, visible_only=True)
-    return _arrays(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
+    chosen = picker_of(folder).select_box(camera, corner_min, corner_max, visible_only=True)
+    return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
 
 
 # --- segmentation ---------------------------------------------------------------------------
 
 
-def _arrays(workspace: Path) -> Any:
+def arrays_of(workspace: Path) -> Any:
+    """The workspace's arrays."""
     from sessions.arrays import ArrayFiles
 
     return ArrayFiles(workspace / "arrays")
@@ -329,13 +346,18 @@ def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> fl
     """Encode an asset once; the later clicks find it here. Returns the seconds it took."""
     import time
 
+    start = time.perf_counter()
+    session_of(folder, segmenter, progress)
+    return time.perf_counter() - start
+
+
+def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -> Any:
+    """The asset as the segmenter has encoded it, kept in this process."""
     from model.segmentation.registry import load_segmenter
 
-    start = time.perf_counter()
-    _encodings.get(
-        (folder, segmenter), lambda: load_segmenter(segmenter).encode(_asset(folder), progress)
+    return _encodings.get(
+        (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset_of(folder), progress)
     )
-    return time.perf_counter() - start
 
 
 def segment(
@@ -348,94 +370,17 @@ def segment(
     progress: Progress = no_progress,
 ) -> SegmentationAnswer:
     """Answer the prompts; labels for all elements go to the workspace, for the shown ones back."""
-    encode(folder, segmenter, progress)
-    session = _encodings.get((folder, segmenter), lambda: None)
-    answer = session.segment(_prompts(workspace, items))
+    session = session_of(folder, segmenter, progress)
+    answer = session.segment(prompts_of(workspace, items))
     return _answer(workspace, answer, prompts_key, element)
-
-
-@dataclass(frozen=True)
-class RegionOffer:
-    """Elements that a tool gives to a part, or takes from it. ``part`` -1 asks for a new part."""
-
-    part: int
-    elements: str
-    count: int
-    positive: bool = True
-
-
-def use_tool(
-    folder: Path,
-    workspace: Path,
-    segmenter: str,
-    items: tuple[Click | StoredRegion, ...],
-    part: int,
-    tool: str,
-    turn: int = 0,
-) -> list[RegionOffer]:
-    """What a segmentation tool makes of ``part``.
-
-    Args:
-        tool: "next mask", "connected", "same shape", "grow", "shrink" or "propose".
-        turn: how often "next mask" was asked before.
-
-    Raises:
-        CommandError: where the segmenter has no such tool, or nothing comes of it.
-    """
-    from model.segmentation import tools
-
-    encode(folder, segmenter)
-    session = _encodings.get((folder, segmenter), lambda: None)
-    if not hasattr(session, "encoding"):
-        raise CommandError(f"the segmenter {segmenter!r} has no tools; use the default one")
-    if tool == "propose":
-        labels = tools.propose(session).labels
-        return [_offer(workspace, labels == i, -1) for i in np.unique(labels) if i > 0]
-    prompts = _prompts(workspace, items)
-    mask = session.segment(prompts).labels == part
-    if tool == "next mask":
-        return _next_mask(workspace, session, prompts, part, mask, turn)
-    if tool == "connected":
-        clicks = [c for c in prompts.clicks if c.part == part and c.positive]
-        if not clicks:
-            raise CommandError("click on the part first; what is connected with it joins it")
-        more = tools.connected(session, clicks[-1].position, clicks[-1].element) & ~mask
-        return [_offer(workspace, more, part)] if more.any() else []
-    if not mask.any():
-        raise CommandError("click on the part first")
-    if tool == "same shape":
-        return [_offer(workspace, m, -1) for m in tools.same_shape(session, mask)]
-    changed = tools.grow(session, mask, 1 if tool == "grow" else -1)
-    moved = changed & ~mask if tool == "grow" else mask & ~changed
-    return [_offer(workspace, moved, part, tool == "grow")] if moved.any() else []
-
-
-def _next_mask(
-    workspace: Path, session: Any, prompts: Prompts, part: int, mask: Any, turn: int
-) -> list[RegionOffer]:
-    others = session.candidates(prompts, part)
-    turn %= len(others) + 1
-    if turn == len(others):
-        return []  # all were shown: back to the first
-    chosen = others[turn]
-    out = []
-    for positive, moved in ((False, mask & ~chosen), (True, chosen & ~mask)):
-        if moved.any():
-            out.append(_offer(workspace, moved, part, positive))
-    return out
-
-
-def _offer(workspace: Path, mask: Any, part: int, positive: bool = True) -> RegionOffer:
-    elements = np.flatnonzero(mask).astype(np.int64)
-    return RegionOffer(part, _arrays(workspace).put(elements), len(elements), positive)
 
 
 def source_regions(folder: Path, workspace: Path) -> dict[int, tuple[str, int]]:
     """The parts that the source was already cut into: part → stored elements and their number."""
-    part = _asset(folder).element_part
+    part = asset_of(folder).element_part
     if part is None:
         return {}
-    arrays = _arrays(workspace)
+    arrays = arrays_of(workspace)
     out = {}
     for i in np.unique(part[part >= 0]):
         elements = np.flatnonzero(part == i).astype(np.int64)
@@ -443,14 +388,20 @@ def source_regions(folder: Path, workspace: Path) -> dict[int, tuple[str, int]]:
     return out
 
 
-def _prompts(workspace: Path, items: tuple[Click | StoredRegion, ...]) -> Prompts:
-    arrays = _arrays(workspace)
+def prompts_of(workspace: Path, items: tuple[Click | StoredRegion, ...]) -> Prompts:
+    """Prompts with the elements of their regions."""
     return Prompts(
         tuple(
-            p if isinstance(p, Click) else Region(p.part, arrays.get(p.elements), p.positive)
+            p
+            if isinstance(p, Click)
+            else Region(p.part, _elements(workspace, p.elements), p.positive)
             for p in items
         )
     )
+
+
+def _elements(workspace: Path, ref: str) -> npt.NDArray[np.int64]:
+    return _regions.get((workspace, ref), lambda: arrays_of(workspace).get(ref))
 
 
 def _answer(
@@ -460,7 +411,7 @@ def _answer(
     ids, counts = np.unique(labels, return_counts=True)
     return SegmentationAnswer(
         prompts_key=prompts_key,
-        labels=_arrays(workspace).put(labels),
+        labels=arrays_of(workspace).put(labels),
         display_labels=labels if element is None else labels[element],
         counts={int(i): int(n) for i, n in zip(ids, counts, strict=True)},
         segmenter=answer.segmenter,
@@ -472,13 +423,13 @@ def display_labels(
     workspace: Path, labels: str, element: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.int16]:
     """Stored labels for the displayed elements."""
-    return _arrays(workspace).get(labels)[element].astype(np.int16)
+    return arrays_of(workspace).get(labels)[element].astype(np.int16)
 
 
 # --- parts, prediction, saving ----------------------------------------------------------------
 
 
-_cut: _Recent[Any, tuple[Part, ...]] = _Recent(2)
+_cut: Recent[Any, tuple[Part, ...]] = Recent(2)
 
 
 def _parts(source: PartSource) -> tuple[Part, ...]:
@@ -486,8 +437,8 @@ def _parts(source: PartSource) -> tuple[Part, ...]:
     from model.geometry.parts import split
 
     def cut() -> tuple[Part, ...]:
-        labels = _arrays(source.workspace).get(source.labels)
-        return split(_asset(source.folder), labels, source.names)
+        labels = arrays_of(source.workspace).get(source.labels)
+        return split(asset_of(source.folder), labels, source.names)
 
     names = tuple(sorted(source.names.items()))
     return _cut.get((source.folder, source.labels, names), cut)
@@ -507,8 +458,8 @@ def part_payloads(
     from model.geometry.display import display_asset
     from model.geometry.glb import mesh_to_glb
 
-    shown = display_asset(_asset(source.folder))
-    labels = _arrays(source.workspace).get(source.labels)[element]
+    shown = display_asset(asset_of(source.folder))
+    labels = arrays_of(source.workspace).get(source.labels)[element]
     out = []
     parts = [int(p) for p in np.unique(labels)]
     for k, part in enumerate(parts):
@@ -553,24 +504,24 @@ def predict(
     return load_predictor(predictor).predict(segmented, locked=locked, seed=seed, progress=progress)
 
 
-def check_joints(
+def judge_joints(
     source: PartSource, tree: KinematicTree, progress: Progress = no_progress
-) -> list[JointCheck]:
-    """Sweep every joint over its range against the other parts."""
-    from model.kinematics.sweep import sweep_joint
+) -> GateReport:
+    """Ask the gate about every joint."""
+    from model.gate.gate import run_gate
 
     obj = ArticulatedObject(source.title, _parts(source), tree, source.category)
-    moving = [j for j in tree.joints if j.moves]
-    out = []
-    for k, joint in enumerate(moving):
-        progress(k / max(len(moving), 1), f"Sweeping {joint.name}")
-        sweep = sweep_joint(obj, joint.name)
-        worst = int(np.argmax(sweep.depth)) if len(sweep.depth) else 0
-        hit = bool(sweep.collides.any())
-        where = tuple(float(v) for v in sweep.where[worst]) if hit else None
-        other = sweep.others[worst] if hit else None
-        out.append(JointCheck(joint.name, sweep.q, sweep.depth, where, other))  # type: ignore[arg-type]
-    return out
+    return run_gate(obj, progress=progress)
+
+
+def checks_of(report: GateReport) -> list[JointCheck]:
+    """The collisions of a gate's answer as the views mark them."""
+    return [
+        JointCheck(j.joint, f.q.get(j.joint, 0.0), f.depth, f.where, f.other)
+        for j in report.joints
+        for f in j.findings
+        if f.kind in ("collision", "jammed") and f.verdict != "fine" and f.where is not None
+    ]
 
 
 def save_asset_folder(
@@ -586,13 +537,16 @@ def save_asset_folder(
         ArtiworldError: where what was written doesn't load as it should.
     """
     from model.exporters.asset_folder import write_asset
+    from model.exporters.physics import physics_of
     from model.exporters.reload import reload_check
 
     progress(0.1, "Cutting out the parts")
-    asset = _asset(source.folder)
+    asset = asset_of(source.folder)
     obj = ArticulatedObject(source.title, _parts(source), tree, source.category)
-    progress(0.3, "Writing meshes and URDF")
-    write_asset(obj, folder, provenance=provenance, original=asset)
+    progress(0.2, "Collision shapes and masses")
+    physics = physics_of(obj, store=source.workspace / "collision")
+    progress(0.5, "Writing meshes and URDF")
+    write_asset(obj, folder, provenance=provenance, original=asset, physics=physics)
     progress(0.85, "Reading it back")
     problems = reload_check(folder)
     if problems:

@@ -7,7 +7,6 @@ feeds their answers back as commands.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import re
 import threading
@@ -18,20 +17,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app import tasks
+from app import room_tasks, tasks, tool_tasks
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
-from model.errors import ArtiworldError, CommandError, InputFileError
+from app.judging import Judging
+from app.review_order import ReviewOrder
+from model.errors import ArtiworldError, CommandError
+from model.gate.report import GateReport
 from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 from model.progress import Cancelled
 from model.remote.http_predictor import BackendError
-from model.segmentation.prompts import Click
+from model.segmentation.prompts import MAX_PARTS, Click
 from sessions import commands as cmd
 from sessions.live import LiveSession, SessionHub
 from sessions.provenance import provenance
 from sessions.state import Context, Document, SessionState, acceptance_problems, apply, needed_jobs
 from sessions.store import ObjectRecord, Store
+from sessions.tool_commands import ToolRegion
 
 log = logging.getLogger(__name__)
 Listener = Callable[[], None]
@@ -52,6 +55,7 @@ class Workbench:
         self.prediction = WorkerProcess("prediction")
         self._lock = threading.RLock()
         self._open: dict[int, OpenObject] = {}
+        self.review_order = ReviewOrder(lambda i: store.load(i).present)
         self._queue_listeners: list[Listener] = []
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
@@ -68,27 +72,17 @@ class Workbench:
         return ids
 
     def add_upload(self, name: str, content: bytes) -> int:
-        """Keep a file that a browser sent, under its content's digest; its object id.
+        """Keep a file that a browser sent, or what a zip holds; the first object's id.
 
         Raises:
-            InputFileError: where no reader knows the suffix, or nothing is in it.
+            InputFileError: where nothing in it can be opened, or a zip is hostile.
         """
-        from app.upload_guard import plain_name
-        from model.geometry.readers import SUFFIXES
+        from app.uploads import keep_upload
+        from model.geometry.readers import find_assets
 
-        safe = plain_name(name)
-        if Path(safe).suffix.lower() not in SUFFIXES:
-            known = ", ".join(sorted(SUFFIXES))
-            raise InputFileError(safe, "this kind of file can't be opened", f"give one of {known}")
-        if not content:
-            raise InputFileError(safe, "the file is empty", "choose one with a mesh or points")
-        folder = self.workspace / "uploads" / hashlib.sha256(content).hexdigest()[:16]
-        folder.mkdir(parents=True, exist_ok=True)
-        path, part = folder / safe, folder / f".{safe}.part"
-        if not path.exists():
-            part.write_bytes(content)
-            part.rename(path)
-        return self.add_paths([path])[0]
+        most = 4 * self.config.max_upload_mb * 1_000_000
+        kept = keep_upload(self.workspace / "uploads", name, content, most)
+        return self.add_paths(find_assets([kept]))[0]
 
     def records(self) -> list[ObjectRecord]:
         """The queue: objects of this run, in the order they were given."""
@@ -145,14 +139,13 @@ class OpenObject:
         self.busy: dict[str, tuple[float, str]] = {}
         self.labels: npt.NDArray[np.int16] | None = None
         self.payloads: dict[str, list[tasks.PartPayload]] = {}
-        self.checks: list[tasks.JointCheck] = []
         self._labels_ref: str | None = None
-        self._checked: tuple[KinematicTree, str] | None = None
-        self._frame: tuple[Any, float] | None = None
+        self._frame: tuple[Any, ...] | None = None
         self._jobs: dict[str, Job[Any]] = {}
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
         self._notices: list[Notice] = []
+        self.judging = Judging(self)
         self.live.subscribe(lambda state, command: self._state_changed())
 
     # --- who looks
@@ -201,6 +194,11 @@ class OpenObject:
         return "segment" in self._jobs
 
     @property
+    def checks(self) -> list[tasks.JointCheck]:
+        """The collisions that the gate found on the present joints."""
+        return self.judging.checks
+
+    @property
     def predicting(self) -> bool:
         """Whether a prediction is under way."""
         return "predict" in self._jobs
@@ -230,7 +228,7 @@ class OpenObject:
         """Read the asset in the background unless it is read or being read."""
         with self._lock:
             doc = self.document
-            frame = (doc.up_axis, doc.unit_scale)
+            frame = (doc.up_axis, doc.unit_scale, doc.left_out)
             if "open" in self._jobs or (self.asset is not None and self._frame == frame):
                 return
             if self.problem is not None and self._frame == frame:
@@ -240,12 +238,14 @@ class OpenObject:
             self.payloads.clear()
             config = self.bench.config
             options = tasks.ReadOptions(
-                doc.up_axis or config.up_axis, doc.unit_scale * config.unit_scale
+                doc.up_axis or config.up_axis,
+                doc.unit_scale * config.unit_scale,
+                None if doc.left_out is None else doc.left_out.elements,
             )
             job = self.bench.geometry.submit(
                 tasks.open_asset,
                 Path(self.record.path),
-                self.bench.workspace / "cache",
+                self.bench.workspace,
                 options,
                 on_progress=self._progress("open"),
                 priority=5,
@@ -297,45 +297,105 @@ class OpenObject:
         self.ensure_open()
         if self.asset is not None:
             self._ask_labels()
-            self._ask_checks()
+            self.judging.ask()
         self.bench.queue_changed(self.record.id)
         self.changed()
 
-    def use_tool(self, tool: str, part: int, who: str, turn: int = 0) -> int:
-        """Let a segmentation tool work on ``part``; the number of regions that came of it."""
-        if self.asset is None:
-            raise CommandError("the object is still being read")
-        if tool == "next mask":
-            self._take_back(tool, part, who)
-        doc = self.document
+    def use_tool(self, request: tool_tasks.ToolRequest, who: str) -> int:
+        """Let a segmentation tool work; the number of regions that came of it.
+
+        Raises:
+            CommandError: where the tool can't work on what there is.
+        """
+        asset, doc = self._opened_asset(), self.document
+        replaces = _last_of(doc, request.tool, request.part) if request.tool == "next mask" else 0
+        kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
         offers = self.bench.segmentation.submit(
-            tasks.use_tool,
-            self.asset.folder,
+            tool_tasks.use_tool,
+            asset.folder,
             self.bench.workspace,
             self.bench.config.segmenter,
-            _stored(doc),
-            part,
-            tool,
-            turn,
+            kept,
+            request,
             priority=12,
         ).result(TOOL_SECONDS)
-        name = doc.part_names.get(part) if tool == "same shape" else None
+        if not offers and not replaces:
+            return 0
+        named = request.tool in ("same shape", "mirror")
+        name = doc.part_names.get(request.part) if named else None
+        used = {p.id for p in doc.parts}
+        regions = []
         for offer in offers:
-            target = offer.part
-            if target < 0:
-                target = max((p.id for p in self.document.parts), default=0) + 1
-                self.do(cmd.AddPart(target, name), who)
-            region = cmd.AddRegion(target, offer.elements, offer.positive, offer.count, tool)
-            self.do(region, who)
+            part = offer.part
+            if part == tool_tasks.NEW_PART:
+                part = next(i for i in range(1, MAX_PARTS) if i not in used)
+                used.add(part)
+            regions.append(ToolRegion(part, offer.elements, offer.positive, offer.count, name))
+        gone = (request.other,) if request.tool == "merge" and request.other else ()
+        self.do(cmd.ApplyTool(request.tool, tuple(regions), replaces, gone), who)
         return len(offers)
 
-    def _take_back(self, tool: str, part: int, who: str) -> None:
-        """Remove what ``tool`` said last of ``part``, so that it can say something else."""
-        while self.document.prompts:
-            last = self.document.prompts[-1]
-            if isinstance(last, Click) or (last.tool, last.part) != (tool, part):
-                return
-            self.do(cmd.RemovePrompt(len(self.document.prompts) - 1), who)
+    # --- rooms
+
+    def leave_out(self, what: str, part: int, who: str) -> None:
+        """Look no more at floor and walls ("floor and walls"), or at one part ("part")."""
+        asset, doc = self._opened_asset(), self.document
+        left_out = None if doc.left_out is None else doc.left_out.elements
+        if what == "part":
+            labels = self.source().labels
+            arguments: tuple[Any, ...] = (labels, part, left_out)
+            function: Callable[..., room_tasks.Removal] = room_tasks.leave_out_part
+        else:
+            function, arguments = room_tasks.floor_and_walls, (left_out,)
+        job = self.bench.geometry.submit(
+            function,
+            asset.folder,
+            self.bench.workspace,
+            *arguments,
+            on_progress=self._progress("room"),
+            priority=6,
+        )
+
+        def keep(removal: room_tasks.Removal) -> None:
+            name = doc.part_names.get(part, f"part {part}") if what == "part" else what
+            self.do(cmd.LeaveOut(removal.elements, removal.count, name), who)
+
+        self._start("room", job, keep)
+        self.changed()
+
+    def cut_out(self, part: int, who: str, done: Callable[[int], None]) -> None:
+        """Make one part an object of its own in the queue; ``done`` gets its id."""
+        asset, doc = self._opened_asset(), self.document
+        if not doc.segmentation_current:
+            raise CommandError("the parts are still being computed; try again in a moment")
+        name = f"{asset.name}_{doc.part_names.get(part) or f'part_{part}'}"
+        job = self.bench.geometry.submit(
+            room_tasks.cut_out,
+            asset.folder,
+            self.bench.workspace,
+            self.source(doc).labels,
+            part,
+            None if doc.left_out is None else doc.left_out.elements,
+            name,
+            on_progress=self._progress("room"),
+            priority=6,
+        )
+
+        def keep(crop: room_tasks.Crop) -> None:
+            new = self.bench.add_paths([crop.path])[0]
+            placed = cmd.Placed(str(asset.path), asset.sha256, crop.elements, crop.position)
+            self.bench.hub.session(new).do(placed, who)
+            out = cmd.CropOut(crop.name, str(crop.path), crop.elements, crop.count, crop.position)
+            self.do(out, who)
+            done(new)
+
+        self._start("room", job, keep)
+        self.changed()
+
+    def _opened_asset(self) -> tasks.OpenedAsset:
+        if self.asset is None:
+            raise CommandError("the object is still being read")
+        return self.asset
 
     def _ask_labels(self) -> None:
         doc, asset = self.document, self.asset
@@ -348,7 +408,7 @@ class OpenObject:
                 asset.folder,
                 self.bench.workspace,
                 self.bench.config.segmenter,
-                _stored(doc),
+                stored_prompts(doc),
                 key,
                 asset.element,
                 on_progress=self._progress("segment"),
@@ -382,30 +442,15 @@ class OpenObject:
         with self._lock:
             self._labels_ref, self.labels = ref, labels
 
-    def _ask_checks(self) -> None:
-        doc = self.document
-        if doc.tree is None or doc.segmentation is None:
-            self.checks, self._checked = [], None
-            return
-        wanted = (doc.tree, doc.segmentation.labels)
-        if self._checked == wanted or "predict" in self._jobs:
-            return
-        self._checked = wanted
-        running = self._jobs.get("check")
-        if running is not None:
-            running.cancel()
+    def start_gate(self, tree: KinematicTree, keep: Callable[[GateReport], None]) -> None:
+        """Judge the joints of ``tree`` in the background."""
         job = self.bench.prediction.submit(
-            tasks.check_joints,
-            self.source(doc),
-            doc.tree,
+            tasks.judge_joints,
+            self.source(),
+            tree,
             on_progress=self._progress("check"),
             key=("check", self.record.id),
         )
-
-        def keep(checks: list[tasks.JointCheck]) -> None:
-            if self._checked == wanted:
-                self.checks = checks
-
         self._start("check", job, keep)
 
     def part_payloads(self) -> list[tasks.PartPayload] | None:
@@ -439,9 +484,8 @@ class OpenObject:
         source, doc = self.source(), self.document
         if not doc.segmentation_current:
             raise CommandError("the parts are still being computed; predict in a moment")
-        check = self._jobs.get("check")
-        if check is not None:
-            check.cancel()
+        self.cancel("check")
+        self.judging.forget_request()
         job = self.bench.prediction.submit(
             tasks.predict,
             source,
@@ -473,8 +517,15 @@ class OpenObject:
         if job is not None:
             job.cancel()
 
-    def accept(self, comment: str, who: str, at: str) -> None:
-        """Write the asset, read it back, and only then record the decision."""
+    def accept(self, comment: str, who: str, at: str, override: str = "") -> None:
+        """Write the asset, read it back, and only then record the decision.
+
+        Args:
+            override: why it is right although the gate calls a joint broken.
+
+        Raises:
+            CommandError: where something is missing, or the gate needs a reason.
+        """
         if "save" in self._jobs:
             return
         state = self.state
@@ -483,10 +534,14 @@ class OpenObject:
         if problems:
             raise CommandError("; ".join(problems))
         assert doc.tree is not None
-        command = cmd.Accept(comment)
+        if not self.judging.admits(comment, who, at, override):
+            return
+        gate = self.judging.report
+        command = cmd.Accept(comment, self.judging.doubts(), override)
         after = apply(state, command, Context(who, at))
         history = self.bench.store.history(self.record.id)
         record = provenance(after, history, self._source_record())
+        record["gate"] = None if gate is None else {**gate.to_json(), "override": override}
         folder = self.bench.workspace / "assets" / self._folder_name()
         job = self.bench.prediction.submit(
             tasks.save_asset_folder,
@@ -560,12 +615,24 @@ class OpenObject:
             self.changed()
 
     def _failed(self, what: str, message: str) -> None:
+        if what == "check":
+            self.judging.failed(message)
         if what == "open":
             self.problem = message
         self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
 
 
-def _stored(doc: Document) -> tuple[Click | tasks.StoredRegion, ...]:
+def _last_of(doc: Document, tool: str, part: int) -> int:
+    """How many prompts at the end ``tool`` gave to ``part``, so that it can say something else."""
+    count = 0
+    for prompt in reversed(doc.prompts):
+        if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (tool, part):
+            break
+        count += 1
+    return count
+
+
+def stored_prompts(doc: Document) -> tuple[Click | tasks.StoredRegion, ...]:
     """The prompts as workers take them."""
     return tuple(
         p if isinstance(p, Click) else tasks.StoredRegion(p.part, p.elements, p.positive)

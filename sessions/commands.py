@@ -8,7 +8,6 @@ and new fields have defaults.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast, get_args
@@ -19,33 +18,14 @@ from model.geometry.asset import UpAxis
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
+from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clean_name, put_field
 from sessions.review import REJECT_REASONS, RejectReason
 from sessions.text import clean_text
+from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 
-NAME_LIMIT = 80
 COMMENT_LIMIT = 2000
 NOTE_LIMIT = 500
 UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
-
-_ARRAY_REF = re.compile(r"[0-9a-f]{64}")
-
-
-def _set(command: object, field: str, value: object) -> None:
-    object.__setattr__(command, field, value)
-
-
-def _name(value: str | None, what: str) -> str | None:
-    return None if value is None else clean_text(value, NAME_LIMIT, what) or None
-
-
-def _check_part(part: int) -> None:
-    if isinstance(part, bool) or not 0 <= part < MAX_PARTS:
-        raise CommandError(f"part must be 0..{MAX_PARTS - 1}, got {part}")
-
-
-def _check_ref(ref: str, what: str) -> None:
-    if not _ARRAY_REF.fullmatch(ref):
-        raise CommandError(f"{what} must be the reference of a stored array, got {ref[:80]!r}")
 
 
 @dataclass(frozen=True)
@@ -74,11 +54,10 @@ class AddRegion:
     tool: str = "box"
 
     def __post_init__(self) -> None:
-        _check_part(self.part)
-        _check_ref(self.elements, "elements")
-        if self.count < 0:
-            raise CommandError(f"count must be 0 or more, got {self.count}")
-        _set(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
+        check_part(self.part)
+        check_ref(self.elements, "elements")
+        check_count(self.count)
+        put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
 
 
 @dataclass(frozen=True)
@@ -96,7 +75,7 @@ class ClearPrompts:
 
     def __post_init__(self) -> None:
         if self.part is not None:
-            _check_part(self.part)
+            check_part(self.part)
 
 
 @dataclass(frozen=True)
@@ -107,8 +86,8 @@ class AddPart:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        _check_part(self.part)
-        _set(self, "name", _name(self.name, "the part's name"))
+        check_part(self.part)
+        put_field(self, "name", clean_name(self.name, "the part's name"))
 
 
 @dataclass(frozen=True)
@@ -119,8 +98,8 @@ class NamePart:
     name: str | None
 
     def __post_init__(self) -> None:
-        _check_part(self.part)
-        _set(self, "name", _name(self.name, "the part's name"))
+        check_part(self.part)
+        put_field(self, "name", clean_name(self.name, "the part's name"))
 
 
 @dataclass(frozen=True)
@@ -130,7 +109,7 @@ class DeletePart:
     part: int
 
     def __post_init__(self) -> None:
-        _check_part(self.part)
+        check_part(self.part)
         if self.part == BASE:
             raise CommandError("part 0 is the base and can't be deleted; clear its prompts instead")
 
@@ -142,7 +121,7 @@ class SetCategory:
     category: str | None
 
     def __post_init__(self) -> None:
-        _set(self, "category", _name(self.category, "the category"))
+        put_field(self, "category", clean_name(self.category, "the category"))
 
 
 @dataclass(frozen=True)
@@ -178,7 +157,7 @@ class RecordSegmentation:
     counts: Mapping[int, int]
 
     def __post_init__(self) -> None:
-        _check_ref(self.labels, "labels")
+        check_ref(self.labels, "labels")
         for part, count in self.counts.items():
             if not -1 <= part < MAX_PARTS or count < 0:
                 raise CommandError(f"counts: {part} has {count} elements; not a part and a count")
@@ -197,7 +176,7 @@ class RecordPrediction:
     segmentation: str
 
     def __post_init__(self) -> None:
-        _check_ref(self.segmentation, "segmentation")
+        check_ref(self.segmentation, "segmentation")
 
 
 @dataclass(frozen=True)
@@ -236,15 +215,20 @@ class Accept:
     Attributes:
         comment: for people.
         note_problems: what was known to be doubtful and accepted all the same.
+        override: why it was accepted although the gate calls a joint broken, else "".
     """
 
     comment: str = ""
     note_problems: tuple[str, ...] = ()
+    override: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True))
+        put_field(
+            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
+        )
         notes = tuple(clean_text(n[:NOTE_LIMIT], NOTE_LIMIT, "a note") for n in self.note_problems)
-        _set(self, "note_problems", notes)
+        put_field(self, "note_problems", notes)
+        put_field(self, "override", clean_text(self.override, COMMENT_LIMIT, "the reason"))
 
 
 @dataclass(frozen=True)
@@ -258,7 +242,9 @@ class Reject:
         if self.reason not in REJECT_REASONS:
             allowed = ", ".join(REJECT_REASONS)
             raise CommandError(f"reason must be one of {allowed}, got {self.reason!r}")
-        _set(self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True))
+        put_field(
+            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -268,7 +254,9 @@ class Reopen:
     comment: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True))
+        put_field(
+            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -291,6 +279,10 @@ class Redo:
 Command = (
     AddClick
     | AddRegion
+    | ApplyTool
+    | LeaveOut
+    | CropOut
+    | Placed
     | RemovePrompt
     | ClearPrompts
     | AddPart
@@ -315,6 +307,10 @@ Command = (
 KINDS: Mapping[str, type[Command]] = {
     "add_click": AddClick,
     "add_region": AddRegion,
+    "apply_tool": ApplyTool,
+    "leave_out": LeaveOut,
+    "crop_out": CropOut,
+    "placed": Placed,
     "remove_prompt": RemovePrompt,
     "clear_prompts": ClearPrompts,
     "add_part": AddPart,

@@ -27,6 +27,7 @@ from sessions.commands import (
     Undo,
     kind_of,
 )
+from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 
 
 def describe(command: Command) -> str:
@@ -37,6 +38,14 @@ def describe(command: Command) -> str:
         case AddRegion():
             sign = "add" if command.positive else "remove"
             return f"{sign} {command.tool} of {command.count}, part {command.part}"
+        case ApplyTool(tool=tool):
+            return _tool_in_words(command, tool)
+        case LeaveOut(elements=elements, what=what):
+            return f"leave out {what}" if elements else "leave nothing out"
+        case CropOut(name=name):
+            return f"cut out {name}"
+        case Placed(scene=scene):
+            return f"placed in {scene.rpartition('/')[2]}"
         case AddPart(part=part) | DeletePart(part=part):
             return f"{'add' if isinstance(command, AddPart) else 'delete'} part {part}"
         case NamePart(part=part, name=name):
@@ -63,3 +72,12 @@ def describe(command: Command) -> str:
             return "clear all prompts" if part is None else f"clear the prompts of part {part}"
         case RemovePrompt() | Accept() | Reopen() | Saved() | Undo() | Redo():
             return kind_of(command).replace("_", " ")
+
+
+def _tool_in_words(command: ApplyTool, tool: str) -> str:
+    parts = sorted({r.part for r in command.regions})
+    if not parts:
+        return tool
+    if len(parts) == 1:
+        return f"{tool}, part {parts[0]}"
+    return f"{tool}, {len(parts)} parts"

@@ -82,6 +82,7 @@ class ReviewRecord:
         reason: why it was rejected, else None.
         comment: the reviewer's words.
         problems: what was known to be doubtful when it was accepted.
+        override: why it was accepted although the gate calls a joint broken, else "".
     """
 
     state: ReviewState = "todo"
@@ -90,6 +91,7 @@ class ReviewRecord:
     reason: RejectReason | None = None
     comment: str = ""
     problems: tuple[str, ...] = ()
+    override: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,38 @@ class SavedRecord:
     folder: str
     by: str
     at: str
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Elements of the source that are not looked at; see :class:`~sessions.commands.LeaveOut`."""
+
+    elements: str
+    count: int
+    what: str
+
+
+@dataclass(frozen=True)
+class CropRecord:
+    """An object that was cut out of this scan; see :class:`~sessions.commands.CropOut`."""
+
+    name: str
+    path: str
+    elements: str
+    count: int
+    position: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the object stood in a scan; see :class:`~sessions.commands.Placed`."""
+
+    scene: str
+    scene_sha256: str
+    elements: str
+    position: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -121,6 +155,9 @@ class Document:
         edits: steps that led here; undone ones don't count.
         joint_edits: how many of them corrected the tree since the last prediction.
         label: what the last of them did, in a few words.
+        left_out: elements of the source that are not looked at, or None.
+        crops: objects that were cut out of this scan.
+        placement: where the object stood in the scan it was cut out of, or None.
     """
 
     prompts: tuple[Click | RegionRef, ...] = ()
@@ -139,6 +176,9 @@ class Document:
     edits: int = 0
     joint_edits: int = 0
     label: str = ""
+    left_out: LeftOut | None = None
+    crops: tuple[CropRecord, ...] = ()
+    placement: Placement | None = None
 
     @cached_property
     def key(self) -> str:
@@ -199,6 +239,8 @@ def prompts_key(document: Document) -> str:
     the way it is computed is part of the format.
     """
     digest = hashlib.sha256(repr((document.up_axis, document.unit_scale)).encode())
+    if document.left_out is not None:
+        digest.update(document.left_out.elements.encode())
     for p in document.prompts:
         if isinstance(p, Click):
             position = tuple(map(float, p.position))

@@ -34,8 +34,11 @@ from sessions.commands import (
 )
 from sessions.describe import describe
 from sessions.document import (
+    CropRecord,
     Document,
+    LeftOut,
     PartInfo,
+    Placement,
     RegionRef,
     ReviewRecord,
     SavedRecord,
@@ -43,6 +46,7 @@ from sessions.document import (
     acceptance_problems,
 )
 from sessions.review import Action, Role, transition
+from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
 
 
@@ -78,10 +82,19 @@ def edit(document: Document, command: Command, context: Context) -> Document:
     return _reviewed(document, changed, command, action, context)
 
 
-def amend(document: Document, command: RecordSegmentation | Saved, context: Context) -> Document:
+def amend(
+    document: Document, command: RecordSegmentation | Saved | Placed, context: Context
+) -> Document:
     """The document with a job's answer noted; not a step that can be undone."""
     if isinstance(command, Saved):
         return replace(document, saved=SavedRecord(command.folder, context.who, context.at))
+    if isinstance(command, Placed):
+        placement = Placement(
+            command.scene, command.scene_sha256, command.elements, command.position, command.wxyz
+        )
+        return (
+            document if placement == document.placement else replace(document, placement=placement)
+        )
     if command.prompts_key != document.key:
         return document
     record = SegmentationRecord(
@@ -99,6 +112,12 @@ def _changed(document: Document, command: Command) -> tuple[Document, Action]:
                 command.part, command.elements, command.positive, command.count, command.tool
             )
             return _add_prompt(document, region), "annotate"
+        case ApplyTool():
+            return _apply_tool(document, command), "annotate"
+        case LeaveOut():
+            return _leave_out(document, command), "annotate"
+        case CropOut():
+            return _crop_out(document, command), "annotate"
         case RemovePrompt(index=index):
             return _remove_prompt(document, index), "annotate"
         case ClearPrompts(part=part):
@@ -130,7 +149,7 @@ def _changed(document: Document, command: Command) -> tuple[Document, Action]:
             return replace(document), "reject"
         case Reopen():
             return replace(document), "reopen"
-        case RecordSegmentation() | Saved() | Undo() | Redo():
+        case RecordSegmentation() | Saved() | Placed() | Undo() | Redo():
             raise AssertionError(f"{command} is no step")
 
 
@@ -148,6 +167,7 @@ def _reviewed(
             command.reason if isinstance(command, Reject) else None,
             command.comment,
             command.note_problems if isinstance(command, Accept) else (),
+            command.override if isinstance(command, Accept) else "",
         )
     elif state != review.state:
         # The reviewer's words stay readable while the annotator mends the object.
@@ -231,10 +251,13 @@ def _still_locked(locked: frozenset[str], tree: KinematicTree | None) -> frozens
 def _set_frame(document: Document, command: SetFrame) -> Document:
     if (document.up_axis, document.unit_scale) == (command.up_axis, command.unit_scale):
         return document
+    return replace(_afresh(document), up_axis=command.up_axis, unit_scale=command.unit_scale)
+
+
+def _afresh(document: Document) -> Document:
+    """Without all that was said about elements, which have other numbers now."""
     return replace(
         document,
-        up_axis=command.up_axis,
-        unit_scale=command.unit_scale,
         prompts=(),
         segmentation=None,
         prediction=None,
@@ -242,6 +265,51 @@ def _set_frame(document: Document, command: SetFrame) -> Document:
         tree=None,
         locked=frozenset(),
     )
+
+
+def _leave_out(document: Document, command: LeaveOut) -> Document:
+    left_out = None
+    if command.elements is not None:
+        left_out = LeftOut(command.elements, command.count, command.what)
+    if left_out == document.left_out:
+        return document
+    return replace(_afresh(document), left_out=left_out)
+
+
+def _crop_out(document: Document, command: CropOut) -> Document:
+    crop = CropRecord(
+        command.name,
+        command.path,
+        command.elements,
+        command.count,
+        command.position,
+        command.wxyz,
+    )
+    if crop in document.crops:
+        return document
+    return replace(document, crops=(*document.crops, crop))
+
+
+def _apply_tool(document: Document, command: ApplyTool) -> Document:
+    if command.replaces > len(document.prompts):
+        raise CommandError(
+            f"{command.tool} takes the place of {command.replaces} prompts, "
+            f"but there are {len(document.prompts)}"
+        )
+    before = document
+    if command.replaces:
+        document = replace(document, prompts=document.prompts[: -command.replaces])
+    for part in command.delete:
+        if document.part(part) is not None:
+            document = _delete_part(document, part)
+    for r in command.regions:
+        if document.part(r.part) is None:
+            document = _with_part(document, PartInfo(r.part, r.name))
+        region = RegionRef(r.part, r.elements, r.positive, r.count, command.tool)
+        document = _add_prompt(document, region)
+    if document is before:
+        return before
+    return _with_prompts(document, document.prompts)
 
 
 def _record_prediction(document: Document, command: RecordPrediction) -> tuple[Document, Action]:

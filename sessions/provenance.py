@@ -12,6 +12,7 @@ from model.geometry.asset import Source
 from model.segmentation.prompts import Click
 from sessions.commands import (
     LockJoint,
+    Placed,
     RecordPrediction,
     RecordSegmentation,
     Redo,
@@ -52,6 +53,8 @@ def provenance(
     return {
         "format": FORMAT,
         "source": None if source is None else _source(source),
+        "left_out": codec.write(document.left_out, "left_out"),
+        "placement": codec.write(document.placement, "placement"),
         "category": document.category,
         "parts": _parts(document),
         "prompts": [_prompt(p) for p in document.prompts],
@@ -78,7 +81,7 @@ def effective(history: Iterable[Entry]) -> list[Entry]:
             undone.append(done.pop())
         elif isinstance(entry.command, Redo):
             done.append(undone.pop())
-        elif isinstance(entry.command, (RecordSegmentation, Saved)):
+        elif isinstance(entry.command, (RecordSegmentation, Saved, Placed)):
             amendments.append(entry)
         else:
             done.append(entry)
@@ -157,7 +160,7 @@ def _people(kept: list[Entry]) -> list[dict[str, Any]]:
     """Everybody who decided something, first come first, with the number of their decisions."""
     counts: dict[str, int] = {}
     for e in kept:
-        if not isinstance(e.command, (RecordSegmentation, Saved)):
+        if not isinstance(e.command, (RecordSegmentation, Saved, Placed)):
             counts[e.who] = counts.get(e.who, 0) + 1
     return [{"who": who, "decisions": n} for who, n in counts.items()]
 

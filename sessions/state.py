@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from model.errors import CommandError
-from sessions.commands import Command, RecordSegmentation, Redo, Saved, Undo
+from sessions.commands import Command, Placed, RecordSegmentation, Redo, Saved, Undo
 from sessions.document import Document, acceptance_problems, prompts_key
 from sessions.edits import Context, amend, edit
 
@@ -98,7 +98,7 @@ def apply(state: SessionState, command: Command, context: Context) -> SessionSta
             _check_review_kept(state.present, state.future[-1], context)
             past = (*state.past, state.present)[-MAX_UNDO:]
             return SessionState(state.future[-1], past, state.future[:-1], seq)
-        case RecordSegmentation() | Saved():
+        case RecordSegmentation() | Saved() | Placed():
             amended = amend(state.present, command, context)
             if amended is state.present:
                 return state

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
+from app.tool_tasks import ToolRequest
 from app.viewer import palette
-from app.viewer.text import plain
 from app.viewer.widgets import put
 from app.workbench import OpenObject
 from model.segmentation.prompts import Click
@@ -18,9 +18,47 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 NONE, OTHER = "—", "other…"
-UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 PROMPTS_SHOWN = 12
 PARTS_SHOWN = 40
+
+TOOL_ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    (
+        "Draw",
+        ("Lasso", "Brush", "Cut"),
+        "Lasso (L) and brush (I): drag, Shift takes away. Cut (K): click two places, and the "
+        "part is cut along the line between them",
+    ),
+    (
+        "Mask",
+        ("Next", "Connected"),
+        "Next (Tab): another mask for the last click. Connected (O): all that hangs together "
+        "with it",
+    ),
+    ("Size", ("Grow", "Shrink"), "Grow (U) and shrink (J) by one neighbour; never over a gap"),
+    (
+        "Find",
+        ("Same shape", "Mirror", "All parts"),
+        "Same shape (Z): the other knobs, handles, … become parts of their own. Mirror: the "
+        "counterpart across the plane of symmetry. All parts: a first guess of everything",
+    ),
+    (
+        "Tidy",
+        ("Merge", "Split", "Leftovers"),
+        "Merge (M): click the part that joins the chosen one. Split: each separate piece becomes "
+        "a part. Leftovers: crumbs go to the part that they touch",
+    ),
+)
+"""Label, buttons and tooltip of each row of tools."""
+
+_TOOL_OF = {"Next": "next mask", "All parts": "propose"}
+_NEW_PARTS = ("same shape", "mirror", "propose", "split")
+_NOTHING = {
+    "split": "The part is one piece",
+    "same shape": "Nothing else looks like this part",
+    "leftovers": "There are no crumbs",
+    "mirror": "Nothing lies on the other side",
+    "merge": "That is the chosen part itself: choose the part to keep, then click the other",
+}
 
 
 class AnnotatePanel:
@@ -45,9 +83,14 @@ class AnnotatePanel:
                 "Part is a", (NONE, *palette.PART_NAMES, OTHER), initial_value=NONE
             )
             self._name_text = gui.add_text("Other name", "", visible=False)
-            self._tools = gui.add_button_group("This part", ("Next mask", "Connected"))
-            self._tools_size = gui.add_button_group("Its size", ("Grow", "Shrink"))
-            self._tools_more = gui.add_button_group("Find", ("Same shape", "All parts"))
+        with gui.add_folder("Tools"):
+            self._tools = [
+                gui.add_button_group(label, options, hint=hint)
+                for label, options, hint in TOOL_ROWS
+            ]
+            self._hover = gui.add_checkbox(
+                "Preview (V)", True, hint="Dots show what a click would take, before it is made"
+            )
         with gui.add_folder("Prompts", expand_by_default=True):
             self._prompt_note = gui.add_markdown("")
             self._prompt_box = gui.add_folder(None)
@@ -57,14 +100,6 @@ class AnnotatePanel:
         self._here = gui.add_button(
             "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
         )
-        with gui.add_folder("Source", expand_by_default=False):
-            self._source = gui.add_markdown("")
-            self._up = gui.add_dropdown("Up axis", ("z", "y", "x", "-z", "-y", "-x"))
-            self._unit = gui.add_dropdown("File's unit", tuple(UNITS))
-            self._frame = gui.add_button("Read again with these", color="gray")
-            self._touch = gui.add_checkbox(
-                "Touch screen", False, hint="A tap adds a prompt; keys are not needed"
-            )
         self._wire()
 
     def _wire(self) -> None:
@@ -73,16 +108,15 @@ class AnnotatePanel:
         app.on_update(self._category_text, self._category_typed)
         app.on_update(self._name, self._name_chosen)
         app.on_update(self._name_text, self._name_typed)
-        app.on_update(self._touch, self._touched)
+        app.on_update(self._hover, self._hover_set)
         self._part_actions.on_click(lambda e: app.act(lambda: self._part_action(e.target.value)))
-        for group in (self._tools, self._tools_size, self._tools_more):
+        for group in self._tools:
             group.on_click(lambda e: app.act(lambda: self.use_tool(e.target.value)))
         self._prompt_actions.on_click(
             lambda e: app.act(lambda: self._prompt_action(e.target.value))
         )
         self._predict.on_click(lambda _: app.act(app.predict))
         self._here.on_click(lambda _: app.act(app.predict_here))
-        self._frame.on_click(lambda _: app.act(self._read_again))
 
     # --- what a person does
 
@@ -142,17 +176,42 @@ class AnnotatePanel:
         app.invalidate()
 
     def use_tool(self, label: str) -> None:
-        """Let a segmentation tool work on the chosen part."""
-        app, obj = self._app, self._app.need_object()
-        tool = "propose" if label == "All parts" else label.lower()
-        last = (obj.record.id, app.part)
+        """Begin what a tool's button says, on the chosen part."""
+        app = self._app
+        if app.stage != "Annotate":
+            app.set_stage("Annotate")
+        match label:
+            case "Lasso" | "Brush":
+                app.pointing.set_tool(label.lower())  # type: ignore[arg-type]
+                return
+            case "Cut" | "Merge":
+                app.pointing.arm(label.lower())  # type: ignore[arg-type]
+                return
+        tool = _TOOL_OF.get(label, label.lower())
+        last = (app.need_object().record.id, app.part)
         self._turn = self._turn + 1 if tool == "next mask" and self._turned == last else 0
         self._turned = last if tool == "next mask" else None
-        found = obj.use_tool(tool, app.part, app.who, self._turn)
+        self.use(ToolRequest(tool, app.part, self._turn), label)
+
+    def use(self, request: ToolRequest, label: str) -> None:
+        """Let a tool work, and say what came of it."""
+        app = self._app
+        app.pointing.hover.forget()
+        found = app.need_object().use_tool(request, app.who)
         if not found:
-            app.notify(label, "It found nothing to change", "gray")
-        elif tool in ("same shape", "propose"):
+            app.notify(label, _NOTHING.get(request.tool, "It found nothing to change"), "gray")
+        elif request.tool in _NEW_PARTS:
             app.notify(label, f"{found} new part{'s'[: found != 1]}; undo takes them back", "green")
+
+    def toggle_hover(self) -> None:
+        """Preview under the pointer: on or off."""
+        self._hover.value = not self._hover.value
+        self._hover_set()
+
+    def _hover_set(self) -> None:
+        self._app.pointing.hover.on = self._hover.value
+        self._app.pointing.hover.forget()
+        self._app.invalidate()
 
     def _prompt_action(self, action: str) -> None:
         prompts = self._document().prompts
@@ -162,15 +221,6 @@ class AnnotatePanel:
             self._app.do(cmd.RemovePrompt(len(prompts) - 1))
         else:
             self._app.do(cmd.ClearPrompts(self._app.part if action == "Of this part" else None))
-
-    def _read_again(self) -> None:
-        app, obj = self._app, self._app.need_object()
-        scale = UNITS[self._unit.value]
-        app.do(cmd.SetFrame(self._up.value, scale))
-        obj.ensure_open()
-
-    def _touched(self) -> None:
-        self._app.touch_wanted = self._touch.value
 
     # --- drawing
 
@@ -191,15 +241,11 @@ class AnnotatePanel:
         )
         if now == self._drawn:
             return
-        before = self._drawn
-        source_changed = before is None or before[0] != now[0] or before[-1] != now[-1]
         self._drawn = now
         self._draw_hint(doc)
         self._draw_parts(doc, counts)
         self._draw_names(doc)
         self._draw_prompts(doc)
-        if source_changed:
-            self._draw_source(obj, doc)
 
     def _draw_hint(self, doc: Document) -> None:
         if not doc.prompts:
@@ -257,18 +303,6 @@ class AnnotatePanel:
                 )
             button.on_click(lambda _, index=index: app.act(lambda: app.do(cmd.RemovePrompt(index))))
             self._prompt_buttons.append((button, index))
-
-    def _draw_source(self, obj: OpenObject, doc: Document) -> None:
-        asset = obj.asset
-        lines = [f"`{plain(str(obj.record.path), 200)}`"]
-        if asset is not None:
-            lines += [f"⚠ {plain(w, 300)}" for w in asset.warnings]
-            self._up.value = asset.up_axis
-        for word, scale in UNITS.items():
-            if abs(scale - doc.unit_scale) < 1e-9:
-                self._unit.value = word
-        lines.append("Reading again starts this object afresh (undo brings it back).")
-        self._source.content = "\n\n".join(lines)
 
 
 def _part_name(doc: Document, part: int) -> str | None:

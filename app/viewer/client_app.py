@@ -18,29 +18,26 @@ from typing import Any, Literal
 import numpy as np
 import viser
 
-from app.viewer import palette
-from app.viewer.animation import Animation
 from app.viewer.annotate_panel import AnnotatePanel
 from app.viewer.joints_panel import JointsPanel
 from app.viewer.keys import KEYS, add_keys
+from app.viewer.motion import Motion
+from app.viewer.pointing import Pointing
 from app.viewer.queue_panel import QueuePanel
+from app.viewer.redraw import STAGES, Redraw
 from app.viewer.review_panel import ReviewPanel
-from app.viewer.scene_view import AxisMark, SceneView, axis_length
+from app.viewer.scene_view import SceneView
+from app.viewer.source_panel import SourcePanel
 from app.viewer.text import plain
-from app.viewer.widgets import put
 from app.workbench import OpenObject, Workbench
 from model.errors import ArtiworldError
-from model.geometry.picking import Camera
 from model.kinematics.joint import Joint
 from model.progress import Cancelled
-from model.segmentation.prompts import MAX_PARTS, Click
+from model.segmentation.prompts import MAX_PARTS
 from sessions import commands as cmd
-from sessions.document import Document
 
 log = logging.getLogger(__name__)
 Stage = Literal["Annotate", "Joints", "Review"]
-STAGES: tuple[Stage, ...] = ("Annotate", "Joints", "Review")
-PICK_SECONDS = 30.0
 
 
 class ClientApp:
@@ -53,21 +50,17 @@ class ClientApp:
         self.object: OpenObject | None = None
         self.part = 1
         self.child: str | None = None
-        self.q: dict[str, float] = {}
         self.stage: Stage = "Annotate"
         self.hidden: frozenset[int] = frozenset()
         self.touch_wanted = False
-        self.gizmo_on = False
-        self._gizmo: Any = None
-        self._gizmo_key: Any = None
         self._actions: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._dirty = threading.Event()
         self._closed = False
-        self._drawn_asset: Any = None
-        self._seen: tuple[int, Any] | None = None
         self._unwatch: Callable[[], None] = lambda: None
         self.scene = SceneView(client)
-        self.animation = Animation(self._animate)
+        self.motion = Motion(self)
+        self.pointing = Pointing(self)
+        self.redraw = Redraw(self)
         self._build()
         self._unqueue = bench.on_queue(self.invalidate)
         for target in (self._act_loop, self._draw_loop):
@@ -89,42 +82,22 @@ class ClientApp:
         self.cancel_button.on_click(lambda _: self.act(self.cancel))
         history = gui.add_button_group("History", ("Undo", "Redo"))
         history.on_click(lambda e: self.act(self.undo if e.target.value == "Undo" else self.redo))
-        self._stages = gui.add_button_group("Step", STAGES)
-        self._stages.on_click(lambda e: self._stage_clicked(e.target.value))
+        self.stage_buttons = gui.add_button_group("Step", STAGES)
+        self.stage_buttons.on_click(lambda e: self._stage_clicked(e.target.value))
         self.folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STAGES}
         with self.folders["Annotate"]:
             self.annotate_panel = AnnotatePanel(self)
+            self.source_panel = SourcePanel(self)
         with self.folders["Joints"]:
             self.joints_panel = JointsPanel(self)
         with self.folders["Review"]:
             self.review_panel = ReviewPanel(self)
-        with gui.add_folder("Keys and mouse", expand_by_default=False):
-            gui.add_markdown("\n".join(f"- **{k}** {plain(v)}" for k, v in KEYS))
+        keys = gui.add_button("Keys and mouse (?)", icon=viser.Icon.KEYBOARD, color="gray")
+        keys.on_click(lambda _: self.act(self.show_keys))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         add_keys(self)
-        self._listen()
-
-    def _listen(self) -> None:
-        scene = self.client.scene
-
-        @scene.on_click()
-        def _(event: viser.SceneClickEvent) -> None:
-            self._clicked(event, True)
-
-        @scene.on_click(modifier="shift")
-        def _(event: viser.SceneClickEvent) -> None:
-            self._clicked(event, False)
-
-        @scene.on_rect_select(modifier="alt")
-        def _(event: viser.SceneRectSelectEvent) -> None:
-            camera = self._camera()
-            self.act(lambda: self.box_select(event.screen_min, event.screen_max, camera, True))
-
-        @scene.on_rect_select(modifier="alt+shift")
-        def _(event: viser.SceneRectSelectEvent) -> None:
-            camera = self._camera()
-            self.act(lambda: self.box_select(event.screen_min, event.screen_max, camera, False))
+        self.pointing.listen()
 
     def _start(self) -> None:
         """Go back to where this browser was, else to the first object that is not done."""
@@ -152,11 +125,21 @@ class ClientApp:
         if self._closed:
             return
         self._closed = True
-        self.animation.stop()
+        self.pointing.close()
+        self.motion.stop()
         self._unwatch()
         self._unqueue()
         self._actions.put(None)
         self._dirty.set()
+
+    def show_keys(self) -> None:
+        """The sheet of keys, over the picture."""
+        modal = self.client.gui.add_modal("Keys and mouse")
+        with modal:
+            rows = "\n".join(f"| **{plain(k)}** | {plain(v)} |" for k, v in KEYS)
+            self.client.gui.add_markdown(f"| | |\n|---|---|\n{rows}")
+            close = self.client.gui.add_button("Close")
+        close.on_click(lambda _: modal.close())
 
     def act(self, action: Callable[[], None]) -> None:
         """Carry out ``action`` after those before it, off viser's threads."""
@@ -192,7 +175,7 @@ class ClientApp:
             if self._closed:
                 return
             try:
-                self._draw()
+                self.redraw.draw()
             except Exception:  # the boundary of drawing: a closing tab must not end the server
                 if not self._closed:
                     log.exception("drawing tab %s failed", self.client.client_id)
@@ -209,11 +192,12 @@ class ClientApp:
     def open(self, object_id: int) -> None:
         """Show another object."""
         self._unwatch()
-        self.animation.stop()
+        self.motion.begin()
+        self.pointing.begin()
         self.object = self.bench.object(object_id)
         self._unwatch = self.object.watch(self.invalidate, self.notify)
-        self.part, self.child, self.q = 1, None, {}
-        self.hidden, self.gizmo_on, self._drawn_asset = frozenset(), False, None
+        self.part, self.child = 1, None
+        self.hidden, self.redraw.asset = frozenset(), None
         doc = self.object.document
         self.set_stage("Joints" if doc.tree is not None else "Annotate")
         self.remember()
@@ -265,8 +249,10 @@ class ClientApp:
     def set_stage(self, stage: Stage) -> None:
         """Annotate, Joints or Review."""
         if stage == "Annotate":
-            self.animation.stop()
-            self.q = {}
+            self.motion.stop()
+            self.motion.q = {}
+        else:
+            self.pointing.disarm()
         self.stage = stage
         self.invalidate()
 
@@ -281,38 +267,8 @@ class ClientApp:
         if part and part not in {p.id for p in doc.parts}:
             self.do(cmd.AddPart(part))
 
-    def _clicked(self, event: Any, positive: bool) -> None:
-        origin = tuple(float(v) for v in event.ray_origin)
-        direction = tuple(float(v) for v in event.ray_direction)
-        self.act(lambda: self.click(origin, direction, positive))  # type: ignore[arg-type]
-
-    def click(
-        self,
-        origin: tuple[float, float, float],
-        direction: tuple[float, float, float],
-        positive: bool,
-    ) -> None:
-        """A click in the picture: a prompt while annotating, else the choice of a joint."""
-        from app import tasks
-
-        obj = self.need_object()
-        if obj.asset is None:
-            return
-        hit = self.bench.geometry.submit(
-            tasks.pick, obj.asset.folder, origin, direction, priority=20
-        ).result(PICK_SECONDS)
-        if hit is None:
-            return
-        if self.stage != "Annotate":
-            self._choose_joint_at(hit.element)
-            return
-        position = tuple(float(v) for v in hit.position)
-        known = {p.id for p in obj.document.parts}
-        if self.part and self.part not in known:
-            self.do(cmd.AddPart(self.part))
-        self.do(cmd.AddClick(Click(position, self.part, positive, int(hit.element))))  # type: ignore[arg-type]
-
-    def _choose_joint_at(self, element: int) -> None:
+    def choose_joint_at(self, element: int) -> None:
+        """The joint whose part holds a displayed element's source element."""
         obj = self.need_object()
         if obj.labels is None or obj.asset is None or any(self.q.values()):
             return
@@ -324,32 +280,6 @@ class ClientApp:
         if tree is not None and link in tree.joint_of:
             self.choose_joint(link)
 
-    def box_select(self, low: Any, high: Any, camera: Camera, positive: bool) -> None:
-        """Everything visible in a rectangle goes to the chosen part."""
-        from app import tasks
-
-        obj = self.need_object()
-        if obj.asset is None or self.stage != "Annotate":
-            return
-        ref, count = self.bench.geometry.submit(
-            tasks.select_box, obj.asset.folder, self.bench.workspace, camera, low, high, priority=20
-        ).result(PICK_SECONDS)
-        if not count:
-            self.notify("Nothing in the box", "Drag it over the object", "gray")
-            return
-        if self.part and self.part not in {p.id for p in obj.document.parts}:
-            self.do(cmd.AddPart(self.part))
-        self.do(cmd.AddRegion(self.part, ref, positive, count, "box"))
-
-    def _camera(self) -> Camera:
-        view = self.client.camera
-        return Camera(
-            position=np.asarray(view.position, np.float64),
-            world_from_camera=np.asarray(view.wxyz, np.float64),
-            fov=float(view.fov),
-            aspect=float(view.aspect),
-        )
-
     def predict(self) -> None:
         """Ask for joints."""
         self.need_object().predict(self.who)
@@ -360,30 +290,48 @@ class ClientApp:
 
     def cancel(self) -> None:
         """Stop what runs."""
-        for what in ("predict", "save", "segment"):
+        for what in ("predict", "save", "segment", "room"):
             self.need_object().cancel(what)
 
     def accept(self) -> None:
         """Accept the object; its asset is written first."""
+        self.set_stage("Review")  # where a reason is asked for, and the next object follows
+        panel = self.review_panel
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        self.need_object().accept(self.review_panel.comment_text, self.who, now)
+        self.need_object().accept(panel.comment_text, self.who, now, panel.override_text)
+        panel.decided()
 
     def reject(self) -> None:
         """Send the object back to its annotator."""
-        self.do(cmd.Reject(self.review_panel.chosen_reason, self.review_panel.comment_text))
-        self.review_panel.clear_comment()
+        self.set_stage("Review")
+        panel = self.review_panel
+        self.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
+        panel.decided()
+        panel.clear()
         self.notify("Rejected", "It is back with its annotator", "orange")
+
+    def go_on(self) -> None:
+        """To the object that wants a decision most, after one was made."""
+        bench, current = self.bench, self.need_object().record
+        following = bench.review_order.next(bench.records(), current.id)
+        if following is None:
+            return
+        self.open(following)
+        if self.need_object().document.tree is not None:
+            self.set_stage("Review")
 
     def choose_joint(self, child: str) -> None:
         """The joint that the editor shows."""
         self.child = child
-        self.gizmo_on = self.gizmo_on and self.stage == "Joints"
+        self.motion.gizmo_on = self.motion.gizmo_on and self.stage == "Joints"
         self.invalidate()
 
     def next_choice(self) -> None:
-        """While annotating the next mask for the part, else the next joint (Tab)."""
+        """The next mask for the part, the next joint, or the next one to look at (Tab)."""
         if self.stage == "Annotate":
-            self.annotate_panel.use_tool("Next mask")
+            self.annotate_panel.use_tool("Next")
+        elif self.stage == "Review":
+            self.review_panel.gate.show_next()
         else:
             self.next_joint()
 
@@ -412,7 +360,7 @@ class ClientApp:
     @property
     def drawn(self) -> bool:
         """Whether the open object's picture was sent."""
-        return self.object is not None and self._drawn_asset is self.object.asset is not None
+        return self.object is not None and self.redraw.asset is self.object.asset is not None
 
     @property
     def shows_labels(self) -> bool:
@@ -421,226 +369,28 @@ class ClientApp:
 
     # --- motion
 
+    @property
+    def q(self) -> dict[str, float]:
+        """Joint name → radians or metres."""
+        return self.motion.q
+
+    @property
+    def gizmo_on(self) -> bool:
+        """Whether the chosen joint's axis has handles."""
+        return self.motion.gizmo_on
+
     def set_q(self, name: str, value: float) -> None:
         """Move one joint; radians or metres."""
-        if abs(self.q.get(name, 0.0) - value) > 1e-9:
-            self.q[name] = value
-            self._pose()
-
-    def _animate(self, q: dict[str, float]) -> None:
-        self.q.update(q)
-        self._pose()
-        self.joints_panel.show_q(self.q)
+        self.motion.set_q(name, value)
 
     def reset_pose(self) -> None:
         """All joints back to the scanned pose."""
-        self.animation.stop()
-        self.q = {}
-        self.joints_panel.show_q({})
-        self._pose()
+        self.motion.reset()
 
     def play(self, name: str | None = None) -> None:
         """Start or stop moving one joint, or all of them."""
-        tree = self.need_object().document.tree
-        if tree is None:
-            self.notify("No joints yet", "Predict them first (P)", "gray")
-            return
-        if self.stage == "Annotate":
-            self.set_stage("Joints")
-        chosen = [j for j in tree.joints if j.moves and j.mimic is None]
-        self.animation.toggle([j for j in chosen if name in (None, j.name)], self.q)
-
-    def _pose(self) -> None:
-        tree = self.object.document.tree if self.object is not None else None
-        if tree is None:
-            return
-        names = tree.by_name
-        self.scene.pose(tree.pose({k: v for k, v in self.q.items() if k in names}))
-
-    # --- drawing
-
-    def _draw(self) -> None:
-        self.queue_panel.draw()
-        for stage, folder in self.folders.items():
-            if folder.visible != (stage == self.stage):
-                folder.visible = stage == self.stage
-        labels = tuple(("● " if s == self.stage else "") + s for s in STAGES)
-        if self._stages.options != labels:
-            self._stages.options = labels
-        obj = self.object
-        if obj is None:
-            return
-        self._draw_status(obj)
-        self._follow_prediction(obj)
-        if obj.asset is not None and obj.asset is not self._drawn_asset:
-            self.scene.show_asset(obj.asset)
-            self._drawn_asset, self._gizmo, self._gizmo_key = obj.asset, None, None
-        elif obj.asset is None and self._drawn_asset is not None:
-            self.scene.clear()
-            self._drawn_asset = None
-        self._draw_scene(obj)
-        self.annotate_panel.draw(obj)
-        self.joints_panel.draw(obj)
-        if self.stage == "Review":  # it reads the history, which no click should pay for
-            self.review_panel.draw(obj)
-
-    def _follow_prediction(self, obj: OpenObject) -> None:
-        """A new prediction is what the person waited for: show its joints."""
-        prediction = obj.document.prediction
-        before, self._seen = self._seen, (obj.record.id, prediction)
-        if prediction is None or before is None or before[0] != obj.record.id:
-            return
-        if prediction is not before[1] and self.stage == "Annotate":
-            self.set_stage("Joints")
-
-    def _draw_status(self, obj: OpenObject) -> None:
-        doc, asset = obj.document, obj.asset
-        lines = [f"**{plain(obj.record.name)}** · {palette.STATE_WORDS[doc.review.state]}"]
-        if asset is not None:
-            kind = {"face": "faces", "point": "points"}[asset.element_kind]
-            size = (asset.bounds[1] - asset.bounds[0]) * 1000
-            lines.append(
-                f"{asset.element_count:,} {kind} · {size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm"
-            )
-        if obj.problem:
-            lines.append(f"⚠ {plain(obj.problem, 400)}")
-        if doc.prediction_stale:
-            lines.append("⚠ The parts changed since the prediction: predict again (P)")
-        shown = [w for w in ("open", "save", "predict", "segment", "encode") if w in obj.busy]
-        words = {
-            "open": "Opening",
-            "save": "Saving",
-            "predict": "Predicting",
-            "segment": "Segmenting",
-            "encode": "Preparing for clicks",
-        }
-        fraction = 0.0
-        if shown:
-            fraction, message = obj.busy[shown[0]]
-            lines.append(f"*{words[shown[0]]}… {plain(message)}*")
-        put(self.status, "content", "\n\n".join(lines))
-        put(self.progress, "visible", bool(shown))
-        put(self.progress, "value", round(100 * fraction, 1))
-        stoppable = "predict" in obj.busy or "save" in obj.busy
-        put(self.cancel_button, "visible", stoppable)
-
-    def _draw_scene(self, obj: OpenObject) -> None:
-        doc = obj.document
-        if obj.asset is None:
-            return
-        moving = self.stage != "Annotate" and doc.tree is not None
-        payloads = obj.part_payloads() if moving else None
-        self.scene.show_labels(obj.labels, self.hidden)
-        clicks = [(i, p) for i, p in enumerate(doc.prompts) if isinstance(p, Click)]
-        self.scene.show_prompts(clicks, visible=self.stage == "Annotate")
-        self.scene.show_parts(payloads, moving and payloads is not None)
-        self.scene.hide_parts(self.hidden)
-        self.scene.show_axes(self._axis_marks(obj, doc) if moving else ())
-        self.scene.show_contacts(obj.checks, visible=moving)
-        self._pose()
-        self._draw_gizmo()
-        pad = self.scene.touch
-        new = self.scene.show_touch_pad(self.touch_wanted)
-        if new is not None and new is not pad:
-            new.on_click(lambda event: self._clicked(event, True))
-
-    def _axis_marks(self, obj: OpenObject, doc: Document) -> list[AxisMark]:
-        assert doc.tree is not None and obj.asset is not None
-        payloads = obj.part_payloads()
-        marks = []
-        for joint in doc.tree.joints:
-            if not joint.moves:
-                continue
-            chosen = joint.child == self.child
-            length = axis_length(payloads, joint, obj.asset.diagonal)
-            part = joint.child.removeprefix("link_")
-            color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
-            marks.append(
-                AxisMark(
-                    joint.name,
-                    joint.origin,
-                    joint.axis,
-                    length,
-                    palette.SELECTED if chosen else color,
-                    chosen,
-                )
-            )
-            predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
-            if predicted is not None and predicted.moves and _moved(predicted, joint):
-                marks.append(
-                    AxisMark(
-                        f"ghost-{joint.name}",
-                        predicted.origin,
-                        predicted.axis,
-                        length,
-                        palette.GHOST,
-                        False,
-                    )
-                )
-        return marks
-
-    # --- gizmo
+        self.motion.play(name)
 
     def toggle_gizmo(self) -> None:
         """Show or hide the handles for the chosen joint's axis."""
-        if self.joint is None or not self.joint.moves:
-            self.notify("Choose a joint first", "Tab chooses the next one", "gray")
-            return
-        self.gizmo_on = not self.gizmo_on
-        if self.gizmo_on:
-            self.reset_pose()
-            self.set_stage("Joints")
-        self.invalidate()
-
-    def _draw_gizmo(self) -> None:
-        joint = self.joint
-        wanted = joint if self.gizmo_on and joint is not None and joint.moves else None
-        key = None if wanted is None else (wanted.child, wanted.origin, wanted.axis)
-        if key == self._gizmo_key:
-            return
-        self._gizmo_key = key
-        if self._gizmo is not None:
-            self._gizmo.remove()
-            self._gizmo = None
-        if wanted is None or self.object is None or self.object.asset is None:
-            return
-        gizmo = self.client.scene.add_transform_controls(
-            "/gizmo",
-            scale=0.22 * self.object.asset.diagonal,
-            position=wanted.origin,
-            wxyz=_frame_along(wanted.axis),
-            depth_test=False,
-        )
-        self._gizmo = gizmo
-        gizmo.on_drag_end(lambda _: self.act(self.take_gizmo))
-
-    def take_gizmo(self) -> None:
-        """The handles were let go: their place is the joint's new axis."""
-        import dataclasses
-
-        from viser import transforms as vtf
-
-        gizmo, joint = self._gizmo, self.joint
-        if gizmo is None or joint is None:
-            return
-        axis = vtf.SO3(np.asarray(gizmo.wxyz)).as_matrix()[:, 2]
-        origin = tuple(float(v) for v in gizmo.position)
-        self.set_joint(
-            dataclasses.replace(joint, origin=origin, axis=tuple(float(v) for v in axis))
-        )
-
-
-def _moved(a: Joint, b: Joint) -> bool:
-    off = np.abs(np.subtract(a.origin, b.origin)).max() > 1e-9
-    return bool(off or np.abs(np.subtract(a.axis, b.axis)).max() > 1e-9)
-
-
-def _frame_along(axis: tuple[float, float, float]) -> Any:
-    """A rotation whose z is ``axis``; quaternion wxyz."""
-    from viser import transforms as vtf
-
-    z = np.asarray(axis)
-    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = np.cross(helper, z)
-    x /= np.linalg.norm(x)
-    return vtf.SO3.from_matrix(np.column_stack([x, np.cross(z, x), z])).wxyz
+        self.motion.toggle_gizmo()

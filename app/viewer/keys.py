@@ -12,21 +12,30 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Click", "prompt point on the chosen part"),
     ("Shift + click", "negative prompt point: not this part"),
     ("Alt + drag", "box: everything visible in it joins the part (with Shift: leaves it)"),
+    ("L, drag", "lasso (with Shift: takes away); Esc ends"),
+    ("I, drag", "brush (with Shift: takes away); square brackets change its size; Esc ends"),
+    ("K", "cut: click two places, the part is cut along the line between them"),
+    ("M", "merge: click the part that joins the chosen one"),
+    ("Tab", "the next mask for the part; the next joint; in review: the next doubtful joint"),
+    ("O", "everything connected joins the part"),
+    ("U / J", "grow / shrink the part"),
+    ("Z", "same shape: the other knobs, handles, …"),
+    ("V", "preview under the pointer on or off"),
     ("1 … 9", "choose the part (0 is the base)"),
+    ("H", "hide or show the chosen part"),
     ("P", "predict joints"),
     ("Space", "play or stop all joints"),
     ("R", "reset the pose"),
-    ("Tab", "next joint; while annotating: the next mask for the part"),
     ("T", "next joint type"),
     ("F", "flip the axis"),
     ("G", "axis handles on or off"),
-    ("H", "hide or show the chosen part"),
     ("Y", "accept"),
     ("X", "reject"),
     ("N / B", "next / previous object"),
     ("C", "frame the object"),
     ("Ctrl+Z / Ctrl+Shift+Z", "undo / redo"),
     ("Ctrl+K", "all commands by name"),
+    ("?", "this sheet"),
     ("W A S D Q E, arrows", "move the camera"),
 )
 
@@ -52,6 +61,27 @@ def add_keys(app: ClientApp) -> None:
     add("Flip the axis", "F", app.joints_panel.flip)
     add("Axis handles", "G", app.toggle_gizmo)
     add("Hide or show the part", "H", app.annotate_panel.toggle_hidden)
+    panel = app.annotate_panel
+    for label, key in (
+        ("Cut", "K"),
+        ("Merge", "M"),
+        ("Connected", "O"),
+        ("Grow", "U"),
+        ("Shrink", "J"),
+        ("Same shape", "Z"),
+        ("Mirror", None),
+        ("Split", None),
+        ("Leftovers", None),
+        ("All parts", None),
+        # The page itself hears L and I, since the drag may begin before a message is here.
+        ("Lasso", None),
+        ("Brush", None),
+    ):
+        add(f"Tool: {label}", key, lambda label=label: panel.use_tool(label))
+    add("Preview under the pointer", "V", panel.toggle_hover)
+    add("Leave out floor and walls", None, app.source_panel.leave_out)
+    add("Cut this part out as an object", None, app.source_panel.cut_out)
+    add("Keys and mouse", None, app.show_keys)
     add("Accept", "Y", app.accept)
     add("Reject", "X", app.reject)
     add("Next object", "N", lambda: app.step(1))

@@ -44,10 +44,11 @@ class QueuePanel:
             self._pages = gui.add_button_group("Page", ("◀", "▶"))
             self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
             self._upload = gui.add_upload_button(
-                "Add a file",
+                "Add files",
                 icon=viser.Icon.UPLOAD,
                 color="gray",
-                hint="A mesh or a scan in one file (GLB, PLY, STL, OBJ, PCD, XYZ)",
+                hint="A mesh or a scan (GLB, PLY, STL, OBJ, PCD, XYZ); choose an OBJ together with "
+                "its materials and textures, or give a zip",
             )
             self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
         panel.dock_left()

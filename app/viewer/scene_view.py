@@ -17,6 +17,7 @@ from viser import transforms as vtf
 
 from app.tasks import JointCheck, OpenedAsset, PartPayload
 from app.viewer import palette
+from app.viewer.overlays import Overlays
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import Click
 
@@ -55,9 +56,11 @@ class SceneView:
         self._axes: dict[str, tuple[AxisMark, Any]] = {}
         self._contacts: list[Any] = []
         self._contact_key: Any = None
+        self._moment: list[Any] = []
         self._hidden: frozenset[int] = frozenset()
         self._moving = False
         self._offset: npt.NDArray[np.float32] | None = None
+        self._overlays = Overlays(client)
         self.touch: Any = None
 
     # --- the object
@@ -235,6 +238,21 @@ class SceneView:
             )
             self._prompts[index] = (click, handle)
 
+    def show_hover(
+        self,
+        gained: npt.NDArray[np.float32] | None,
+        lost: npt.NDArray[np.float32] | None,
+        color: palette.Rgb,
+    ) -> None:
+        """Preview what a click would give to a part and take from it."""
+        if self._asset is not None:
+            self._overlays.show_hover(gained, lost, color, self._asset.diagonal)
+
+    def show_places(self, places: tuple[tuple[float, float, float], ...]) -> None:
+        """Mark the places that a cut goes through."""
+        if self._asset is not None:
+            self._overlays.show_places(places, self._asset.diagonal)
+
     # --- parts that move
 
     def show_parts(self, payloads: list[PartPayload] | None, moving: bool) -> None:
@@ -344,7 +362,7 @@ class SceneView:
 
     def show_contacts(self, checks: Sequence[JointCheck], visible: bool) -> None:
         """Mark where a sweep hits something."""
-        hits = tuple(c.where for c in checks if c.where is not None) if visible else ()
+        hits = tuple(c.where for c in checks) if visible else ()
         if hits == self._contact_key or self._asset is None:
             return
         self._contact_key = hits
@@ -364,6 +382,26 @@ class SceneView:
             )
             for k, where in enumerate(hits)
         ]
+
+    def show_moment(self, where: tuple[float, float, float] | None, text: str) -> None:
+        """Mark one contact so that it is seen through the parts; None takes the mark away."""
+        for handle in self._moment:
+            handle.remove()
+        self._moment = []
+        if where is None or self._asset is None:
+            return
+        ball = self._scene.add_icosphere(
+            "/moment",
+            radius=0.016 * self._asset.diagonal,
+            color=palette.CONTACT,
+            subdivisions=2,
+            opacity=0.9,
+            position=where,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        label = self._scene.add_label("/moment/label", f"✖ {text}", anchor="bottom-center")
+        self._moment = [label, ball]
 
     def show_touch_pad(self, wanted: bool) -> Any:
         """An invisible box that a finger can tap, since scene clicks don't fire on touch."""

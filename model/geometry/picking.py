@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from model.errors import GeometryError
 from model.geometry.asset import Asset
+from model.geometry.strokes import Stroke, covered
 
 Array = npt.NDArray[Any]
 
@@ -74,11 +75,14 @@ class Camera:
 
     def ray(self, screen: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Origin and unit direction of the ray through a place on the screen."""
-        x, y = np.asarray(screen, np.float64)
-        half = np.tan(self.fov / 2)
-        seen = np.array([(2 * x - 1) * half * self.aspect, (2 * y - 1) * half, 1.0])
-        direction = self.world_from_camera @ seen
-        return self.position, direction / np.linalg.norm(direction)
+        return self.position, self.directions(np.asarray(screen, np.float64)[None])[0]
+
+    def directions(self, screen: Array) -> npt.NDArray[np.float64]:
+        """(N, 3) unit directions of the rays through (N, 2) places on the screen."""
+        half = np.tan(self.fov / 2) * np.array([self.aspect, 1.0])
+        seen = np.concatenate([(2 * screen - 1) * half, np.ones((len(screen), 1))], axis=1)
+        directions = seen @ self.world_from_camera.T
+        return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 class Picker:
@@ -267,13 +271,43 @@ class Picker:
         corners = np.stack([np.asarray(lower_left, float), np.asarray(upper_right, float)])
         low, high = corners.min(axis=0), corners.max(axis=0)
         screen, depth = camera.project(self.centers)
-        inside = (depth > 1e-6) & ((screen >= low) & (screen <= high)).all(axis=1)
-        found = np.flatnonzero(inside)
+        inside = ((screen >= low) & (screen <= high)).all(axis=1)
+        return self._selected(camera, screen, depth, inside, visible_only)
+
+    def select_stroke(
+        self, camera: Camera, stroke: Stroke, *, visible_only: bool = True
+    ) -> npt.NDArray[np.int64]:
+        """(K,) elements whose middle a stroke covers, ascending; as :meth:`select_box`.
+
+        A brush also takes the faces that it passes over, however far their middle is.
+        """
+        raster = stroke.raster(camera.aspect)
+        screen, depth = camera.project(self.centers)
+        found = self._selected(camera, screen, depth, covered(raster, screen), visible_only)
+        if stroke.kind == "brush" and self._asset.mesh is not None:
+            found = np.union1d(found, self._faces_under(camera, raster))
+        return found
+
+    def _selected(
+        self, camera: Camera, screen: Array, depth: Array, inside: Array, visible_only: bool
+    ) -> npt.NDArray[np.int64]:
+        found = np.flatnonzero(inside & (depth > 1e-6))
         if not visible_only or not len(found):
             return found
         if self._asset.mesh is not None:
             return found[self._seen_faces(camera, found)]
         return found[self._seen_points(camera, screen[found], depth[found])]
+
+    def _faces_under(self, camera: Camera, raster: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """The faces behind a grid of covered places."""
+        step = max(1, round(np.sqrt(raster.sum() / 2000)))
+        y, x = np.nonzero(raster[::step, ::step])
+        if not len(x):
+            return np.zeros(0, np.int64)
+        at = (np.stack([x, y], axis=1) + 0.5) * step / np.array(raster.shape[::-1])
+        directions = camera.directions(at)
+        hit, face = self._cast(np.broadcast_to(camera.position, directions.shape), directions)
+        return np.unique(face[np.isfinite(hit)])
 
     def _seen_faces(self, camera: Camera, found: Array) -> Array:
         toward = self.centers[found] - camera.position
@@ -301,11 +335,6 @@ class Picker:
         front = minimum_filter(front.reshape(shape), size=3, mode="nearest").reshape(-1)
         # A surface seen at a slant spans some depth within one square.
         return depth <= front[key] + 3 * np.maximum(pixel * depth, self._spacing)
-
-    def select_brush(self, position: npt.ArrayLike, radius: float) -> npt.NDArray[np.int64]:
-        """(K,) elements whose middle is within ``radius`` metres of ``position``, ascending."""
-        away = self.centers - np.asarray(position, np.float32).reshape(3)
-        return np.flatnonzero(np.einsum("ij,ij->i", away, away) <= radius * radius)
 
 
 def _clip(o: Array, d: Array, low: Array, high: Array) -> tuple[float, float] | None:

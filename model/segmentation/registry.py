@@ -13,6 +13,7 @@ from model.segmentation.protocol import Segmenter
 
 GROUP = "artiworld.segmenters"
 DEFAULT = "default"
+POINT_SAM = "point-sam"
 
 _BUILT_IN: dict[str, Callable[[], Segmenter]] = {
     DEFAULT: DefaultSegmenter,
@@ -20,7 +21,6 @@ _BUILT_IN: dict[str, Callable[[], Segmenter]] = {
     "random-walk": baselines.random_walk,
     "nearest": baselines.nearest_click,
 }
-
 
 SEGMENTERS: list[str] = list(_BUILT_IN)
 """Names of the built-in segmenters; :func:`segmenter_names` adds the plug-ins."""
@@ -54,20 +54,43 @@ def _loader(entry) -> Callable[[], Segmenter]:
     return load
 
 
+def _with_weights(name: str) -> Callable[[], Segmenter] | None:
+    """The segmenter of a name like ``point-sam:PATH``, or None for other names."""
+    kind, colon, path = name.partition(":")
+    if not colon or kind != POINT_SAM:
+        return None
+    from model.segmentation.adapters.point_sam import PointSamSegmenter
+
+    return lambda: PointSamSegmenter(path)
+
+
+def check_segmenter(name: str) -> None:
+    """Refuse a name that :func:`load_segmenter` would refuse; loads no network.
+
+    Raises:
+        ConfigurationError, InputFileError: for an unknown name, or weights that aren't there.
+    """
+    made = _with_weights(name)
+    if made is not None:
+        made()
+    elif name not in _table():
+        raise ConfigurationError(
+            f"no segmenter is called {name!r}; there are {', '.join(segmenter_names())}, "
+            f"and {POINT_SAM}:PATH"
+        )
+
+
 def segmenter_names() -> list[str]:
     """Names that :func:`load_segmenter` knows, the default first."""
     return [DEFAULT, *sorted(n for n in _table() if n != DEFAULT)]
 
 
 def load_segmenter(name: str = DEFAULT) -> Segmenter:
-    """The segmenter called ``name``.
+    """The segmenter called ``name``; ``point-sam:PATH`` is Point-SAM with the weights at PATH.
 
     Raises:
         ConfigurationError: for an unknown name, or a plug-in that can't be loaded.
+        InputFileError: where there are no weights at PATH.
     """
-    table = _table()
-    if name not in table:
-        raise ConfigurationError(
-            f"no segmenter is called {name!r}; there are {', '.join(segmenter_names())}"
-        )
-    return table[name]()
+    check_segmenter(name)
+    return (_with_weights(name) or _table()[name])()

@@ -21,11 +21,15 @@ from sessions.commands import (
     AddClick,
     AddPart,
     AddRegion,
+    ApplyTool,
     ClearPrompts,
     Command,
+    CropOut,
     DeletePart,
+    LeaveOut,
     LockJoint,
     NamePart,
+    Placed,
     RecordPrediction,
     RecordSegmentation,
     Redo,
@@ -47,6 +51,7 @@ from sessions.provenance import effective, provenance
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, needed_jobs, replay
 from sessions.store import Store
+from sessions.tool_commands import ToolRegion
 
 parts = st.integers(0, 4)
 links = st.integers(0, 4).map("link_{}".format)
@@ -103,6 +108,18 @@ commands: st.SearchStrategy[Command] = st.one_of(
     answers,
     answers,
     st.builds(AddRegion, parts, refs, st.booleans(), parts),
+    st.builds(
+        ApplyTool,
+        st.just("cut"),
+        st.lists(st.builds(ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3).map(
+            tuple
+        ),
+        st.integers(0, 2),
+        st.sampled_from([(), (1,), (3,)]),
+    ),
+    st.builds(LeaveOut, st.none() | refs, parts),
+    st.builds(CropOut, st.just("oven"), st.just("/w/oven.ply"), refs, parts, point),
+    st.builds(Placed, st.just("/w/room.ply"), st.just(""), refs, point),
     st.builds(RemovePrompt, parts),
     st.builds(ClearPrompts, st.none() | parts),
     st.builds(AddPart, parts, texts),
@@ -139,6 +156,7 @@ def begun(rest: st.SearchStrategy[list[Command]]) -> st.SearchStrategy[list[Comm
     return st.tuples(beginnings, rest).map(lambda both: [*both[0], *both[1]])
 
 
+_NOTED = (RecordSegmentation, Saved, Placed)  # answers and facts, no steps
 sequences = begun(st.lists(commands, min_size=12, max_size=50))
 quick = settings(max_examples=35, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -244,9 +262,7 @@ def test_the_store_gives_back_what_was_live(sequence):
         assert store.load(live.object_id) == live.state
         history = store.history(live.object_id)
         # The way back holds just the steps that are in force.
-        steps = [
-            e for e in effective(history) if not isinstance(e.command, (RecordSegmentation, Saved))
-        ]
+        steps = [e for e in effective(history) if not isinstance(e.command, _NOTED)]
         assert len(steps) == len(live.state.past) == live.document.edits
         json.dumps(provenance(live.state, history, None), allow_nan=False)
         record = store.object(live.object_id)

@@ -13,6 +13,7 @@ from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.picking import Camera, Picker
 from model.geometry.point_cloud import PointCloud
+from model.geometry.strokes import Stroke
 
 FRONT = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # looks along +y, z up
 
@@ -143,8 +144,53 @@ def test_box_selects_what_can_be_seen() -> None:
     assert len(face) == 40_000
 
 
-def test_brush_takes_a_ball(cloud: PointCloud) -> None:
-    picker = Picker(Asset("scan", cloud=cloud))
-    found = picker.select_brush(cloud.points[5], 0.2)
-    away = np.linalg.norm(cloud.points - cloud.points[5], axis=1)
-    np.testing.assert_array_equal(found, np.flatnonzero(away <= 0.2))
+@pytest.mark.parametrize("kind", ["mesh", "cloud"])
+def test_a_lasso_takes_what_is_inside_and_seen(kind: str) -> None:
+    camera = Camera((0, -4, 0), FRONT, 1.0, 1.5)
+    box = trimesh.creation.box((1, 0.6, 2)).subdivide().subdivide().subdivide()
+    mesh = Mesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32))
+    asset = Asset("m", mesh=mesh) if kind == "mesh" else Asset("c", cloud=scan(40_000)[0])
+    corners = np.array([(-0.3, -0.3, -0.5), (0.3, -0.3, -0.5), (0, -0.3, 0.6)])
+    path = tuple(map(tuple, camera.project(corners)[0]))
+    found = Picker(asset).select_stroke(camera, Stroke("lasso", path))
+    x, y, z = asset.element_centers[found].T
+    assert len(found) and (y < -0.299).mean() > 0.995, "the back is not seen"
+    x, z = x[y < -0.299], z[y < -0.299]
+    assert (z > -0.505).all() and (np.abs(x) < 0.305 * (0.6 - z) / 1.1 + 0.005).all()
+    away = asset.element_centers
+    within = (away[:, 1] < -0.299) & (away[:, 2] > -0.49)
+    within &= np.abs(away[:, 0]) < 0.295 * (0.6 - away[:, 2]) / 1.1 - 0.005
+    assert np.isin(np.flatnonzero(within), found).mean() > 0.99
+
+
+def test_a_brush_takes_its_trace_and_the_large_faces_under_it() -> None:
+    camera = Camera((0, -4, 0), FRONT, 1.0, 1.5)
+    left, right = camera.project(np.array([(-0.3, -0.3, 0.2), (0.3, -0.3, 0.2)]))[0]
+    stroke = Stroke("brush", (tuple(left), tuple(right)), radius=0.02)
+    cloud, _ = scan(40_000)
+    found = Picker(Asset("c", cloud=cloud)).select_stroke(camera, stroke)
+    x, y, z = cloud.points[found].T
+    reach = 0.02 * 2 * np.tan(0.5) * 3.7
+    front = y < -0.299
+    assert len(found) > 500 and front.mean() > 0.99
+    assert (np.abs(z[front] - 0.2) < 1.1 * reach).all()
+    assert (np.abs(x[front]) < 0.3 + 1.1 * reach).all()
+    box = trimesh.creation.box((1, 0.6, 2))
+    mesh = Mesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32))
+    faces = Picker(Asset("m", mesh=mesh)).select_stroke(camera, stroke)
+    assert (mesh.face_normals[faces][:, 1] < -0.9).all() and len(faces) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("pen", ((0, 0),)), "lasso or a brush"),
+        (("lasso", ()), "places"),
+        (("brush", ((float("nan"), 0.0),)), "on the screen"),
+        (("brush", ((0.0, 0.0),), 2.0), "radius"),
+        (("lasso", ((0.5, 0.5),) * 6000), "places"),
+    ],
+)
+def test_strokes_that_are_none_are_refused(arguments: tuple, message: str) -> None:
+    with pytest.raises(GeometryError, match=message):
+        Stroke(*arguments)

@@ -9,19 +9,12 @@ from model.errors import GeometryError, PromptError
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.crop import crop, floor_and_walls, outliers
+from model.segmentation.cuts import pieces, straight_cut
 from model.segmentation.default import DefaultSegmenter
+from model.segmentation.proposal import propose, without_leftovers
+from model.segmentation.similar import mirrored, same_shape
 from model.segmentation.simulate import iou
-from model.segmentation.tools import (
-    connected,
-    grow,
-    hover,
-    mirrored,
-    pieces,
-    propose,
-    same_shape,
-    straight_cut,
-    without_leftovers,
-)
+from model.segmentation.tools import connected, grow, hover
 from model.segmentation.training.primitives import block
 
 
@@ -109,7 +102,7 @@ def test_straight_cut_by_two_and_three_clicks(session, cloud_cabinet):
 
 
 def test_mirrored_door_is_the_other_door(session, cloud_cabinet):
-    other = mirrored(session, cloud_cabinet.labels == 1, axis=0)
+    other = mirrored(session, cloud_cabinet.labels == 1)
     assert iou(other, cloud_cabinet.labels == 2) > 0.85
 
 

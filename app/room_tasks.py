@@ -1,0 +1,135 @@
+"""Rooms: floor and walls go, and an object is cut out to be worked on alone."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from app import tasks
+from model.errors import CommandError
+from model.geometry.asset import Asset
+from model.progress import Progress, no_progress
+
+ROOM_METRES = 2.5
+"""A scan that is wider than this may be a room."""
+
+Elements = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Removal:
+    """Elements of the whole source that are not looked at any more."""
+
+    elements: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Crop:
+    """An object cut out of a scan: see :class:`sessions.commands.CropOut`."""
+
+    name: str
+    path: Path
+    elements: str
+    count: int
+    position: tuple[float, float, float]
+
+
+def floor_and_walls(
+    folder: Path, workspace: Path, left_out: str | None, progress: Progress = no_progress
+) -> Removal:
+    """What stands for floor, ceiling, walls and stray points, with what was left out before.
+
+    Raises:
+        CommandError: where there is none, or nothing would stay.
+    """
+    from model.segmentation.crop import crop, floor_and_walls, outliers
+
+    asset = tasks.asset_of(folder)
+    progress(0.05, "Looking for stray points")
+    gone = outliers(asset)
+    progress(0.4, "Looking for floor and walls")
+    inside = np.flatnonzero(~gone)
+    border = floor_and_walls(crop(asset, ~gone))
+    if not border.any():
+        raise CommandError("no floor, ceiling or wall was found: this looks like a single object")
+    gone[inside[border]] = True
+    return _removal(workspace, asset, np.flatnonzero(gone), left_out)
+
+
+def leave_out_part(
+    folder: Path, workspace: Path, labels: str, part: int, left_out: str | None
+) -> Removal:
+    """The elements of one part, with what was left out before."""
+    mine = np.flatnonzero(tasks.arrays_of(workspace).get(labels) == part)
+    return _removal(workspace, tasks.asset_of(folder), mine, left_out)
+
+
+def _removal(workspace: Path, asset: Asset, gone: Elements, left_out: str | None) -> Removal:
+    if len(gone) >= asset.element_count:
+        raise CommandError("nothing would be left of the scan")
+    if not len(gone):
+        raise CommandError("there is nothing to leave out")
+    whole = in_source(workspace, gone, left_out)
+    if left_out is not None:
+        whole = np.union1d(whole, tasks.arrays_of(workspace).get(left_out))
+    return Removal(tasks.arrays_of(workspace).put(whole), len(whole))
+
+
+def in_source(workspace: Path, elements: Elements, left_out: str | None) -> Elements:
+    """(K,) elements of the whole source, where some of it is left out."""
+    if left_out is None:
+        return elements
+    out = tasks.arrays_of(workspace).get(left_out)
+    # The k-th element that stays is k plus the number of those left out before it.
+    before = out - np.arange(len(out))
+    return elements + np.searchsorted(before, elements, side="right")
+
+
+def cut_out(
+    folder: Path,
+    workspace: Path,
+    labels: str,
+    part: int,
+    left_out: str | None,
+    name: str,
+    progress: Progress = no_progress,
+) -> Crop:
+    """Write one part as an object of its own, standing on its own origin.
+
+    Raises:
+        CommandError: where the part is empty, or is all there is.
+    """
+    from model.geometry.writers import write_cloud, write_mesh
+    from model.segmentation.crop import crop
+
+    asset = tasks.asset_of(folder)
+    mine = tasks.arrays_of(workspace).get(labels) == part
+    if not mine.any():
+        raise CommandError("this part has nothing yet: click on the object, or draw a box round it")
+    if mine.all():
+        raise CommandError("this part is the whole scan; there is nothing to cut it out of")
+    progress(0.1, "Cutting it out")
+    cut = crop(asset, mine)
+    low, high = cut.bounds
+    origin = np.array([*((low + high) / 2)[:2], low[2]])
+    elements = in_source(workspace, np.flatnonzero(mine), left_out)
+    ref = tasks.arrays_of(workspace).put(elements)
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:60] or "object"
+    target = workspace / "crops" / ref[:16]
+    target.mkdir(parents=True, exist_ok=True)
+    progress(0.6, "Writing it")
+    if cut.mesh is not None:
+        path = target / f"{plain}.glb"
+        write_mesh(replace(cut.mesh, vertices=cut.mesh.vertices - origin), path)
+    else:
+        assert cut.cloud is not None
+        path = target / f"{plain}.ply"
+        points = cut.cloud.points.astype(np.float64) - origin
+        write_cloud(replace(cut.cloud, points=points.astype(np.float32)), path)
+    x, y, z = (float(v) for v in origin)
+    return Crop(plain, path, ref, int(mine.sum()), (x, y, z))

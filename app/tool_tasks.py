@@ -1,0 +1,326 @@
+"""Tools and the preview under the pointer, as the worker processes run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app import tasks
+from model.errors import CommandError
+from model.geometry.strokes import Stroke
+from model.segmentation.prompts import BASE, Click, Prompts
+from model.segmentation.registry import DEFAULT
+
+Bool = npt.NDArray[np.bool_]
+Point = tuple[float, float, float]
+
+NEW_PART = -1
+SAMPLE_POINTS = 150_000
+HOVER_POINTS = 8_000
+_LEAST_PIECE = 0.01
+"""Share of a part that a piece needs to become a part of its own."""
+
+
+@dataclass(frozen=True)
+class RegionOffer:
+    """Elements that a tool gives to a part, or takes from it. ``NEW_PART`` asks for a new part."""
+
+    part: int
+    elements: str
+    count: int
+    positive: bool = True
+
+
+@dataclass(frozen=True)
+class ToolRequest:
+    """What a person asks of a tool.
+
+    Attributes:
+        tool: a key of :data:`TOOLS`.
+        part: the chosen part.
+        turn: how often "next mask" was asked before.
+        other: the part to merge into the chosen one.
+        places: clicked places for a cut, metres, with the element of the first one.
+        element: see ``places``.
+        view: (3,) the direction that the person looks in.
+    """
+
+    tool: str
+    part: int
+    turn: int = 0
+    other: int | None = None
+    places: tuple[Point, ...] = ()
+    element: int | None = None
+    view: Point | None = None
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What a tool works on."""
+
+    request: ToolRequest
+    folder: Path
+    workspace: Path
+    session: Any
+    prompts: Prompts
+
+    @cached_property
+    def labels(self) -> npt.NDArray[np.int16]:
+        return self.session.segment(self.prompts).labels
+
+    @cached_property
+    def mask(self) -> Bool:
+        """The chosen part.
+
+        Raises:
+            CommandError: where it has no element yet.
+        """
+        mask = self.labels == self.request.part
+        if not mask.any():
+            raise CommandError("this part has nothing yet: click on it first")
+        return mask
+
+    @cached_property
+    def encoded(self) -> Any:
+        """The default segmenter's encoding, which the tools work on whoever answers the clicks."""
+        if hasattr(self.session, "encoding"):
+            return self.session
+        return tasks.session_of(self.folder, DEFAULT)
+
+    def offer(self, mask: Bool, part: int, positive: bool = True) -> list[RegionOffer]:
+        """One offer; none where the mask is empty."""
+        elements = np.flatnonzero(mask).astype(np.int64)
+        if not len(elements):
+            return []
+        ref = tasks.arrays_of(self.workspace).put(elements)
+        return [RegionOffer(part, ref, len(elements), positive)]
+
+
+def use_tool(
+    folder: Path,
+    workspace: Path,
+    segmenter: str,
+    items: tuple[Click | tasks.StoredRegion, ...],
+    request: ToolRequest,
+) -> list[RegionOffer]:
+    """What a segmentation tool makes of the parts.
+
+    Raises:
+        CommandError: for an unknown tool, or where it can't work on what there is.
+    """
+    tool = TOOLS.get(request.tool)
+    if tool is None:
+        raise CommandError(f"no tool is called {request.tool!r}; there are {', '.join(TOOLS)}")
+    session = tasks.session_of(folder, segmenter)
+    prompts = tasks.prompts_of(workspace, items)
+    return tool(_Work(request, folder, workspace, session, prompts))
+
+
+def _propose(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.proposal import propose
+
+    labels = propose(work.encoded).labels
+    out: list[RegionOffer] = []
+    for part in np.unique(labels[labels > BASE]):
+        out += work.offer(labels == part, NEW_PART)
+    return out
+
+
+def _next_mask(work: _Work) -> list[RegionOffer]:
+    part = work.request.part
+    others = work.session.candidates(work.prompts, part)
+    turn = work.request.turn % (len(others) + 1)
+    if turn == len(others):
+        return []  # all were shown: back to the first
+    mask, chosen = work.labels == part, others[turn]
+    return work.offer(mask & ~chosen, part, False) + work.offer(chosen & ~mask, part)
+
+
+def _connected(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.tools import connected
+
+    part = work.request.part
+    clicks = [c for c in work.prompts.clicks if c.part == part and c.positive]
+    if not clicks:
+        raise CommandError("click on the part first; what is connected with it joins it")
+    more = connected(work.encoded, clicks[-1].position, clicks[-1].element)
+    return work.offer(more & (work.labels != part), part)
+
+
+def _same_shape(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.similar import same_shape
+
+    out: list[RegionOffer] = []
+    for mask in same_shape(work.encoded, work.mask):
+        # What other parts have already stays theirs: asking twice finds nothing twice.
+        free = mask & (work.labels == BASE)
+        if free.sum() > 0.5 * mask.sum():
+            out += work.offer(free, NEW_PART)
+    return out
+
+
+def _mirror(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.similar import mirrored
+
+    return work.offer(mirrored(work.encoded, work.mask), NEW_PART)
+
+
+def _grow(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.tools import grow
+
+    return work.offer(grow(work.encoded, work.mask, 1) & ~work.mask, work.request.part)
+
+
+def _shrink(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.tools import grow
+
+    kept = grow(work.encoded, work.mask, -1)
+    return work.offer(work.mask & ~kept, work.request.part, False) if kept.any() else []
+
+
+def _split(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.cuts import pieces
+
+    least = _LEAST_PIECE * work.mask.sum()
+    out: list[RegionOffer] = []
+    for piece in pieces(work.encoded, work.mask)[1:]:
+        if piece.sum() >= least:
+            out += work.offer(piece, NEW_PART)
+    return out
+
+
+def _cut(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.cuts import straight_cut
+
+    request = work.request
+    if request.element is None:
+        raise CommandError("a cut needs the places that were clicked")
+    # What is cut is what was clicked; its smaller side goes to the chosen part while that has
+    # nothing yet, else to a new one.
+    part = int(work.labels[request.element])
+    first, _ = straight_cut(work.encoded, work.labels == part, request.places, request.view)
+    empty = request.part not in (part, BASE) and not (work.labels == request.part).any()
+    return work.offer(first, request.part if empty else NEW_PART)
+
+
+def _merge(work: _Work) -> list[RegionOffer]:
+    other, part = work.request.other, work.request.part
+    if other is None or other == part:
+        raise CommandError("choose another part to merge with this one")
+    return work.offer(work.labels == other, part)
+
+
+def _leftovers(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.proposal import without_leftovers
+
+    clean = without_leftovers(work.encoded, work.labels)
+    moved = clean != work.labels
+    out: list[RegionOffer] = []
+    for part in np.unique(clean[moved]):
+        out += work.offer(moved & (clean == part), int(part))
+    return out
+
+
+TOOLS: dict[str, Callable[[_Work], list[RegionOffer]]] = {
+    "propose": _propose,
+    "next mask": _next_mask,
+    "connected": _connected,
+    "same shape": _same_shape,
+    "mirror": _mirror,
+    "grow": _grow,
+    "shrink": _shrink,
+    "split": _split,
+    "cut": _cut,
+    "merge": _merge,
+    "leftovers": _leftovers,
+}
+"""The one table of tools."""
+
+
+# --- drawing on the screen -----------------------------------------------------------------------
+
+
+def select_stroke(folder: Path, workspace: Path, camera: Any, stroke: Stroke) -> tuple[str, int]:
+    """Visible elements that a stroke covers: their stored array and their number."""
+    chosen = tasks.picker_of(folder).select_stroke(camera, stroke)
+    return tasks.arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
+
+
+# --- the preview under the pointer ---------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class HoverAnswer:
+    """What a click would give to the part and take from it, as points on the surface.
+
+    Attributes:
+        gained, lost: (K, 3) metres; at most ``HOVER_POINTS`` of them.
+        count: elements that would change.
+    """
+
+    gained: npt.NDArray[np.float32]
+    lost: npt.NDArray[np.float32]
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Points spread over an asset's surface in random order, and the element of each."""
+
+    points: npt.NDArray[np.float32]
+    element: npt.NDArray[np.int64]
+
+    def inside(self, mask: Bool) -> npt.NDArray[np.float32]:
+        """(K, 3) the first points on the elements of a mask."""
+        return self.points[np.flatnonzero(mask[self.element])[:HOVER_POINTS]]
+
+
+@dataclass
+class _Now:
+    """The labels before the hovered click; of one process."""
+
+    key: Any = None
+    labels: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))
+
+
+_samples: tasks.Recent[Path, _Sample] = tasks.Recent(4)
+_now = _Now()
+
+
+def hover(
+    folder: Path,
+    workspace: Path,
+    segmenter: str,
+    items: tuple[Click | tasks.StoredRegion, ...],
+    click: Click,
+) -> HoverAnswer:
+    """What would change if ``click`` were said now: the segmenter's own answer, kept by nobody."""
+    session = tasks.session_of(folder, segmenter)
+    prompts = tasks.prompts_of(workspace, items)
+    key = (folder, segmenter, prompts.key())
+    if _now.key != key:
+        _now.key, _now.labels = key, session.segment(prompts).labels
+    after = session.segment(Prompts((*prompts.items, click))).labels
+    before = _now.labels
+    gained = (after == click.part) & (before != click.part)
+    lost = (before == click.part) & (after != click.part)
+    sample = _samples.get(folder, lambda: _sample(folder))
+    return HoverAnswer(sample.inside(gained), sample.inside(lost), int(gained.sum() + lost.sum()))
+
+
+def _sample(folder: Path) -> _Sample:
+    from model.geometry.sampling import sample_surface
+
+    asset, rng = tasks.asset_of(folder), np.random.default_rng(0)
+    if asset.mesh is not None:
+        cloud, face = sample_surface(asset.mesh, SAMPLE_POINTS, rng)
+        return _Sample(cloud.points.astype(np.float32), np.asarray(face, np.int64))
+    assert asset.cloud is not None
+    chosen = rng.permutation(len(asset.cloud))[:SAMPLE_POINTS]
+    return _Sample(np.asarray(asset.cloud.points[chosen], np.float32), chosen)

@@ -1,0 +1,144 @@
+"""Moving joints: sliders, animation, and the handles for a joint's axis."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from viser import transforms as vtf
+
+from app.viewer.animation import Animation
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+
+class Motion:
+    """What moves in one tab, and how far.
+
+    Attributes:
+        q: joint name → radians or metres; a joint that isn't in it rests.
+        gizmo_on: whether the chosen joint's axis has handles.
+    """
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self.q: dict[str, float] = {}
+        self.gizmo_on = False
+        self._gizmo: Any = None
+        self._gizmo_key: Any = None
+        self._animation = Animation(self._animate)
+
+    def begin(self) -> None:
+        """Another object: everything rests."""
+        self.stop()
+        self.q, self.gizmo_on = {}, False
+
+    def stop(self) -> None:
+        """End the animation where it is."""
+        self._animation.stop()
+
+    def forget_scene(self) -> None:
+        """The scene was cleared, and the handles with it."""
+        self._gizmo, self._gizmo_key = None, None
+
+    def set_q(self, name: str, value: float) -> None:
+        """Move one joint; radians or metres."""
+        if abs(self.q.get(name, 0.0) - value) > 1e-9:
+            self.q[name] = value
+            self.pose()
+
+    def _animate(self, q: dict[str, float]) -> None:
+        self.q.update(q)
+        self.pose()
+        self._app.joints_panel.show_q(self.q)
+
+    def reset(self) -> None:
+        """All joints back to the scanned pose."""
+        self.stop()
+        self.q = {}
+        self._app.joints_panel.show_q({})
+        self.pose()
+
+    def play(self, name: str | None = None) -> None:
+        """Start or stop moving one joint, or all of them."""
+        app = self._app
+        tree = app.need_object().document.tree
+        if tree is None:
+            app.notify("No joints yet", "Predict them first (P)", "gray")
+            return
+        if app.stage == "Annotate":
+            app.set_stage("Joints")
+        chosen = [j for j in tree.joints if j.moves and j.mimic is None]
+        self._animation.toggle([j for j in chosen if name in (None, j.name)], self.q)
+
+    def pose(self) -> None:
+        """Draw the links where ``q`` has them."""
+        app = self._app
+        tree = app.object.document.tree if app.object is not None else None
+        if tree is None:
+            return
+        names = tree.by_name
+        app.scene.pose(tree.pose({k: v for k, v in self.q.items() if k in names}))
+
+    # --- handles
+
+    def toggle_gizmo(self) -> None:
+        """Show or hide the handles for the chosen joint's axis."""
+        app = self._app
+        if app.joint is None or not app.joint.moves:
+            app.notify("Choose a joint first", "Tab chooses the next one", "gray")
+            return
+        self.gizmo_on = not self.gizmo_on
+        if self.gizmo_on:
+            self.reset()
+            app.set_stage("Joints")
+        app.invalidate()
+
+    def draw_gizmo(self) -> None:
+        """Bring the handles up to date."""
+        app = self._app
+        joint = app.joint
+        wanted = joint if self.gizmo_on and joint is not None and joint.moves else None
+        key = None if wanted is None else (wanted.child, wanted.origin, wanted.axis)
+        if key == self._gizmo_key:
+            return
+        self._gizmo_key = key
+        if self._gizmo is not None:
+            self._gizmo.remove()
+            self._gizmo = None
+        if wanted is None or app.object is None or app.object.asset is None:
+            return
+        self._gizmo = app.client.scene.add_transform_controls(
+            "/gizmo",
+            scale=0.22 * app.object.asset.diagonal,
+            position=wanted.origin,
+            wxyz=_frame_along(wanted.axis),
+            depth_test=False,
+        )
+
+        @self._gizmo.on_update
+        def _(event: Any) -> None:
+            if event.phase == "end":
+                app.act(self.take_gizmo)
+
+    def take_gizmo(self) -> None:
+        """The handles were let go: their place is the joint's new axis."""
+        gizmo, joint = self._gizmo, self._app.joint
+        if gizmo is None or joint is None:
+            return
+        axis = vtf.SO3(np.asarray(gizmo.wxyz)).as_matrix()[:, 2]
+        origin = tuple(float(v) for v in gizmo.position)
+        self._app.set_joint(
+            dataclasses.replace(joint, origin=origin, axis=tuple(float(v) for v in axis))
+        )
+
+
+def _frame_along(axis: tuple[float, float, float]) -> Any:
+    """A rotation whose z is ``axis``; quaternion wxyz."""
+    z = np.asarray(axis)
+    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return vtf.SO3.from_matrix(np.column_stack([x, np.cross(z, x), z])).wxyz

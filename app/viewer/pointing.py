@@ -1,0 +1,291 @@
+"""The pointer in the picture: clicks, boxes, strokes, and tools that ask for places or parts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import viser
+
+from app import tasks, tool_tasks
+from app.pointer_messages import (
+    ArtiworldHoverMessage,
+    ArtiworldStrokeMessage,
+    ArtiworldToolMessage,
+    tell_page,
+)
+from app.viewer.hover import Hover
+from model.geometry.picking import Camera
+from model.geometry.strokes import Stroke
+from model.segmentation.prompts import Click
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+PICK_SECONDS = 30.0
+Point = tuple[float, float, float]
+Armed = Literal["", "cut", "merge"]
+Tool = Literal["click", "lasso", "brush"]
+_STROKE_HINTS = {
+    "lasso": "Lasso: draw round what joins the part · Shift takes away · Esc ends",
+    "brush": "Brush: paint what joins the part · Shift takes away · [ ] size · Esc ends",
+}
+
+
+class Pointing:
+    """What a click or a drag in the picture means now.
+
+    Attributes:
+        armed: "cut" waits for places along a cut, "merge" for a part; "" for nothing.
+        tool: what a drag draws.
+    """
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self.armed: Armed = ""
+        self.tool: Tool = "click"
+        self.hover = Hover(app)
+        self._places: list[tuple[Point, int]] = []
+        self._third = False
+        self._told: dict[str, Any] = {}
+
+    def listen(self) -> None:
+        """Hear what the browser sends."""
+        app, scene = self._app, self._app.client.scene
+
+        @scene.on_click()
+        def _(event: viser.SceneClickEvent) -> None:
+            self.clicked(event, True)
+
+        @scene.on_click(modifier="shift")
+        def _(event: viser.SceneClickEvent) -> None:
+            self.clicked(event, False)
+
+        @scene.on_rect_select(modifier="alt")
+        def _(event: viser.SceneRectSelectEvent) -> None:
+            camera = self.camera()
+            app.act(lambda: self.box_select(event.screen_min, event.screen_max, camera, True))
+
+        @scene.on_rect_select(modifier="alt+shift")
+        def _(event: viser.SceneRectSelectEvent) -> None:
+            camera = self.camera()
+            app.act(lambda: self.box_select(event.screen_min, event.screen_max, camera, False))
+
+        endpoint = app.client._websock_connection
+        endpoint.register_handler(ArtiworldHoverMessage, lambda _, m: self.hover.moved(m))
+        endpoint.register_handler(ArtiworldStrokeMessage, lambda _, m: self._stroked(m))
+        endpoint.register_handler(ArtiworldToolMessage, lambda _, m: self._tool_key(m.tool))
+
+    def begin(self) -> None:
+        """Another object: nothing is armed, nothing is previewed."""
+        self.armed, self._places = "", []
+        self.hover.forget()
+
+    def close(self) -> None:
+        """The tab is gone."""
+        self.hover.close()
+
+    # --- what the page shows
+
+    def tell_page(self) -> None:
+        """Let the page's script know what a drag means, and what to write below the picture."""
+        app = self._app
+        drawing = app.stage == "Annotate" and app.object is not None
+        hint = self._hint() if drawing else ""
+        state = {
+            "tool": self.tool,
+            "drawing": drawing,
+            "hover": drawing and self.hover.on,
+            "anchor": drawing and self.armed == "cut" and bool(self._places),
+            "hint": hint,
+        }
+        news = {k: v for k, v in state.items() if self._told.get(k) != v}
+        if news:
+            self._told = state
+            tell_page(app.client, **news)
+
+    def _hint(self) -> str:
+        if self.armed == "merge":
+            return "Merge: click the part that joins the chosen one · Esc ends"
+        if self.armed == "cut":
+            if not self._places:
+                return (
+                    "Cut: click where the cut begins (Shift+click: through three places) · Esc ends"
+                )
+            left = (3 if self._third else 2) - len(self._places)
+            return f"Cut: {left} more place{'s'[: left != 1]} · Esc ends"
+        return _STROKE_HINTS.get(self.tool, "")
+
+    # --- tools
+
+    def set_tool(self, tool: Tool) -> None:
+        """What a drag draws; the same tool again goes back to clicks."""
+        self.tool = "click" if tool == self.tool else tool
+        self.armed, self._places = "", []
+        self._app.invalidate()
+
+    def arm(self, what: Armed) -> None:
+        """Let the next clicks be places of a cut, or a part to merge."""
+        app = self._app
+        if app.stage != "Annotate":
+            app.set_stage("Annotate")
+        self.armed = "" if what == self.armed else what
+        self.tool, self._places, self._third = "click", [], False
+        app.scene.show_places(())
+        self.hover.forget()
+        app.invalidate()
+
+    def disarm(self) -> None:
+        """Back to plain clicks."""
+        if self.armed or self.tool != "click":
+            self.armed, self.tool, self._places = "", "click", []
+            self._app.scene.show_places(())
+            self._app.invalidate()
+
+    def _tool_key(self, tool: str) -> None:
+        app = self._app
+        if tool == "help":
+            app.act(app.show_keys)
+        elif tool in ("click", "lasso", "brush"):
+            # The page has switched already: that is no news for it.
+            self._told["tool"] = tool
+
+            def switch() -> None:
+                self.disarm()
+                self.tool = tool  # type: ignore[assignment]
+
+            app.act(switch)
+
+    # --- clicks
+
+    def clicked(self, event: Any, positive: bool) -> None:
+        """A click's ray came from the browser."""
+        origin = tuple(float(v) for v in event.ray_origin)
+        direction = tuple(float(v) for v in event.ray_direction)
+        self._app.act(lambda: self.click(origin, direction, positive))  # type: ignore[arg-type]
+
+    def click(self, origin: Point, direction: Point, positive: bool) -> None:
+        """A click in the picture: a prompt while annotating, else the choice of a joint."""
+        app = self._app
+        obj = app.need_object()
+        if obj.asset is None:
+            return
+        hit = app.bench.geometry.submit(
+            tasks.pick, obj.asset.folder, origin, direction, priority=20
+        ).result(PICK_SECONDS)
+        if hit is None:
+            return
+        if app.stage != "Annotate":
+            app.choose_joint_at(hit.element)
+            return
+        self.hover.forget()
+        position = tuple(float(v) for v in hit.position)
+        element = int(hit.element)
+        if self.armed == "cut":
+            self._cut_at(position, element, direction, positive)  # type: ignore[arg-type]
+        elif self.armed == "merge":
+            self._merge_at(element)
+        else:
+            self._need_part()
+            app.do(cmd.AddClick(Click(position, app.part, positive, element)))  # type: ignore[arg-type]
+
+    def _need_part(self) -> None:
+        app = self._app
+        if app.part and app.part not in {p.id for p in app.need_object().document.parts}:
+            app.do(cmd.AddPart(app.part))
+
+    def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
+        app = self._app
+        self._third = self._third or not plain
+        self._places.append((position, element))
+        app.scene.show_places(tuple(p for p, _ in self._places))
+        if len(self._places) < (3 if self._third else 2):
+            return
+        places, self._places = self._places, []
+        self.armed, self._third = "", False
+        app.scene.show_places(())
+        request = tool_tasks.ToolRequest(
+            "cut",
+            app.part,
+            places=tuple(p for p, _ in places),
+            element=places[0][1],
+            view=direction,
+        )
+        app.annotate_panel.use(request, "Cut")
+
+    def _merge_at(self, element: int) -> None:
+        app, obj = self._app, self._app.need_object()
+        self.armed = ""
+        if obj.labels is None or obj.asset is None:
+            return
+        shown = np.flatnonzero(obj.asset.element == element)
+        if len(shown):
+            self.merge(int(obj.labels[shown[0]]))
+        else:
+            app.notify("Merge", "Click nearer to the middle of the part", "gray")
+
+    def merge(self, other: int) -> None:
+        """Part ``other`` joins the chosen one."""
+        self.armed = ""
+        app = self._app
+        app.annotate_panel.use(
+            tool_tasks.ToolRequest("merge", app.part, other=other), f"Merge with part {other}"
+        )
+
+    # --- boxes and strokes
+
+    def box_select(self, low: Any, high: Any, camera: Camera, positive: bool) -> None:
+        """Everything visible in a rectangle goes to the chosen part."""
+        app = self._app
+        obj = app.need_object()
+        if obj.asset is None or app.stage != "Annotate":
+            return
+        ref, count = app.bench.geometry.submit(
+            tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high, priority=20
+        ).result(PICK_SECONDS)
+        self._add_region(ref, count, positive, "box")
+
+    def _stroked(self, message: ArtiworldStrokeMessage) -> None:
+        camera = self.camera()
+        self._app.act(lambda: self.stroke(message, camera))
+
+    def stroke(self, message: ArtiworldStrokeMessage, camera: Camera) -> None:
+        """Everything visible in a lasso or under a brush goes to the chosen part.
+
+        Raises:
+            GeometryError: for a stroke that is none.
+        """
+        app = self._app
+        obj = app.need_object()
+        if obj.asset is None or app.stage != "Annotate":
+            return
+        stroke = Stroke(message.tool, message.path, message.radius)  # type: ignore[arg-type]
+        ref, count = app.bench.geometry.submit(
+            tool_tasks.select_stroke,
+            obj.asset.folder,
+            app.bench.workspace,
+            camera,
+            stroke,
+            priority=20,
+        ).result(PICK_SECONDS)
+        self._add_region(ref, count, message.positive, stroke.kind)
+
+    def _add_region(self, ref: str, count: int, positive: bool, tool: str) -> None:
+        app = self._app
+        if not count:
+            app.notify(f"Nothing under the {tool}", "Draw over the object", "gray")
+            return
+        self.hover.forget()
+        self._need_part()
+        app.do(cmd.AddRegion(app.part, ref, positive, count, tool))
+
+    def camera(self) -> Camera:
+        """The camera of this tab now."""
+        view = self._app.client.camera
+        return Camera(
+            position=np.asarray(view.position, np.float64),
+            world_from_camera=np.asarray(view.wxyz, np.float64),
+            fov=float(view.fov),
+            aspect=float(view.aspect),
+        )

@@ -1,0 +1,166 @@
+"""Bringing one tab's screen up to date with the state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.viewer import palette
+from app.viewer.scene_view import AxisMark, axis_length
+from app.viewer.text import plain
+from app.viewer.widgets import put
+from app.workbench import OpenObject
+from model.kinematics.joint import Joint
+from model.segmentation.prompts import Click
+from sessions.document import Document
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+STAGES = ("Annotate", "Joints", "Review")
+_BUSY = {
+    "open": "Opening",
+    "save": "Saving",
+    "predict": "Predicting",
+    "room": "Working on the scan",
+    "segment": "Segmenting",
+    "encode": "Preparing for clicks",
+}
+
+
+class Redraw:
+    """Draws what changed, on the tab's draw thread.
+
+    Attributes:
+        asset: the picture that was sent last, or None.
+    """
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self.asset: Any = None
+        self._seen: tuple[int, Any] | None = None
+
+    def draw(self) -> None:
+        """Send what changed since the last time."""
+        app = self._app
+        app.queue_panel.draw()
+        for stage, folder in app.folders.items():
+            if folder.visible != (stage == app.stage):
+                folder.visible = stage == app.stage
+        labels = tuple(("● " if s == app.stage else "") + s for s in STAGES)
+        if app.stage_buttons.options != labels:
+            app.stage_buttons.options = labels
+        obj = app.object
+        if obj is None:
+            return
+        self._draw_status(obj)
+        self._follow_prediction(obj)
+        if obj.asset is not None and obj.asset is not self.asset:
+            app.scene.show_asset(obj.asset)
+            self.asset = obj.asset
+            app.motion.forget_scene()
+            app.pointing.begin()
+        elif obj.asset is None and self.asset is not None:
+            app.scene.clear()
+            self.asset = None
+        self._draw_scene(obj)
+        app.annotate_panel.draw(obj)
+        app.source_panel.draw(obj)
+        app.pointing.tell_page()
+        app.joints_panel.draw(obj)
+        if app.stage == "Review":  # it reads the history, which no click should pay for
+            app.review_panel.draw(obj)
+
+    def _follow_prediction(self, obj: OpenObject) -> None:
+        """A new prediction is what the person waited for: show its joints."""
+        prediction = obj.document.prediction
+        before, self._seen = self._seen, (obj.record.id, prediction)
+        if prediction is None or before is None or before[0] != obj.record.id:
+            return
+        if prediction is not before[1] and self._app.stage == "Annotate":
+            self._app.set_stage("Joints")
+
+    def _draw_status(self, obj: OpenObject) -> None:
+        doc, asset = obj.document, obj.asset
+        lines = [f"**{plain(obj.record.name)}** · {palette.STATE_WORDS[doc.review.state]}"]
+        if asset is not None:
+            kind = {"face": "faces", "point": "points"}[asset.element_kind]
+            size = (asset.bounds[1] - asset.bounds[0]) * 1000
+            lines.append(
+                f"{asset.element_count:,} {kind} · {size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm"
+            )
+        if obj.problem:
+            lines.append(f"⚠ {plain(obj.problem, 400)}")
+        if doc.prediction_stale:
+            lines.append("⚠ The parts changed since the prediction: predict again (P)")
+        shown = [w for w in _BUSY if w in obj.busy]
+        fraction = 0.0
+        if shown:
+            fraction, message = obj.busy[shown[0]]
+            lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}*")
+        put(self._app.status, "content", "\n\n".join(lines))
+        put(self._app.progress, "visible", bool(shown))
+        put(self._app.progress, "value", round(100 * fraction, 1))
+        stoppable = "predict" in obj.busy or "save" in obj.busy
+        put(self._app.cancel_button, "visible", stoppable)
+
+    def _draw_scene(self, obj: OpenObject) -> None:
+        app, doc = self._app, obj.document
+        if obj.asset is None:
+            return
+        moving = app.stage != "Annotate" and doc.tree is not None
+        payloads = obj.part_payloads() if moving else None
+        app.scene.show_labels(obj.labels, app.hidden)
+        clicks = [(i, p) for i, p in enumerate(doc.prompts) if isinstance(p, Click)]
+        app.scene.show_prompts(clicks, visible=app.stage == "Annotate")
+        app.scene.show_parts(payloads, moving and payloads is not None)
+        app.scene.hide_parts(app.hidden)
+        app.scene.show_axes(self._axis_marks(obj, doc) if moving else ())
+        app.scene.show_contacts(obj.checks, visible=moving)
+        app.motion.pose()
+        app.motion.draw_gizmo()
+        pad = app.scene.touch
+        new = app.scene.show_touch_pad(app.touch_wanted)
+        if new is not None and new is not pad:
+            new.on_click(lambda event: app.pointing.clicked(event, True))
+
+    def _axis_marks(self, obj: OpenObject, doc: Document) -> list[AxisMark]:
+        assert doc.tree is not None and obj.asset is not None
+        payloads = obj.part_payloads()
+        marks = []
+        for joint in doc.tree.joints:
+            if not joint.moves:
+                continue
+            chosen = joint.child == self._app.child
+            length = axis_length(payloads, joint, obj.asset.diagonal)
+            part = joint.child.removeprefix("link_")
+            color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
+            marks.append(
+                AxisMark(
+                    joint.name,
+                    joint.origin,
+                    joint.axis,
+                    length,
+                    palette.SELECTED if chosen else color,
+                    chosen,
+                )
+            )
+            predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
+            if predicted is not None and predicted.moves and _moved(predicted, joint):
+                marks.append(
+                    AxisMark(
+                        f"ghost-{joint.name}",
+                        predicted.origin,
+                        predicted.axis,
+                        length,
+                        palette.GHOST,
+                        False,
+                    )
+                )
+        return marks
+
+
+def _moved(a: Joint, b: Joint) -> bool:
+    off = np.abs(np.subtract(a.origin, b.origin)).max() > 1e-9
+    return bool(off or np.abs(np.subtract(a.axis, b.axis)).max() > 1e-9)

@@ -1,0 +1,4 @@
+"""Networks that others published, as segmenters.
+
+How to write another one: see :mod:`model.segmentation.adapters.example`.
+"""

@@ -1,0 +1,49 @@
+"""What the fields of commands must look like."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+
+from model.errors import CommandError
+from model.segmentation.prompts import MAX_PARTS
+from sessions.text import clean_text
+
+NAME_LIMIT = 80
+
+_ARRAY_REF = re.compile(r"[0-9a-f]{64}")
+
+
+def put_field(command: object, field: str, value: object) -> None:
+    """Set a field of a frozen dataclass while it is made."""
+    object.__setattr__(command, field, value)
+
+
+def clean_name(value: str | None, what: str) -> str | None:
+    """A short name, or None where nothing is left of it."""
+    return None if value is None else clean_text(value, NAME_LIMIT, what) or None
+
+
+def check_part(part: int) -> None:
+    """Refuse what is no part id."""
+    if isinstance(part, bool) or not 0 <= part < MAX_PARTS:
+        raise CommandError(f"part must be 0..{MAX_PARTS - 1}, got {part}")
+
+
+def check_ref(ref: str, what: str) -> None:
+    """Refuse what is no reference of a stored array."""
+    if not _ARRAY_REF.fullmatch(ref):
+        raise CommandError(f"{what} must be the reference of a stored array, got {ref[:80]!r}")
+
+
+def check_count(count: int, what: str = "count") -> None:
+    """Refuse negative numbers."""
+    if count < 0:
+        raise CommandError(f"{what} must be 0 or more, got {count}")
+
+
+def check_finite(values: Iterable[float], what: str) -> None:
+    """Refuse NaN and infinity."""
+    if not all(math.isfinite(v) for v in values):
+        raise CommandError(f"{what} must be finite numbers, got {tuple(values)}")

@@ -1,0 +1,156 @@
+"""What tools did, as values: the results stand in them, so replaying needs no segmenter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from model.errors import CommandError
+from model.segmentation.prompts import BASE
+from sessions.checks import (
+    NAME_LIMIT,
+    check_count,
+    check_finite,
+    check_part,
+    check_ref,
+    clean_name,
+    put_field,
+)
+from sessions.text import clean_text
+
+PATH_LIMIT = 1000
+
+
+@dataclass(frozen=True)
+class ToolRegion:
+    """Elements that a tool gives to a part, or takes from it.
+
+    Attributes:
+        part: the part; it is added where it isn't there.
+        elements: reference of the stored (K,) int64 array.
+        positive: False where they don't belong to the part.
+        count: K, for people.
+        name: of the part, where it is new.
+    """
+
+    part: int
+    elements: str
+    positive: bool = True
+    count: int = 0
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        check_part(self.part)
+        check_ref(self.elements, "elements")
+        check_count(self.count)
+        put_field(self, "name", clean_name(self.name, "the part's name"))
+
+
+@dataclass(frozen=True)
+class ApplyTool:
+    """All that one use of a tool changed, as one step.
+
+    Attributes:
+        tool: which one, for people: cut, merge, split, mirror, same shape, …
+        regions: what the parts gained and lost, in order.
+        replaces: how many of the last prompts these regions take the place of.
+        delete: parts that are gone after it.
+    """
+
+    tool: str
+    regions: tuple[ToolRegion, ...]
+    replaces: int = 0
+    delete: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
+        check_count(self.replaces, "replaces")
+        for part in self.delete:
+            check_part(part)
+            if part == BASE:
+                raise CommandError("part 0 is the base and can't be deleted")
+
+
+@dataclass(frozen=True)
+class LeaveOut:
+    """Which elements of the source are not looked at, such as a room's floor and walls.
+
+    The rest is numbered anew, so the annotation starts afresh.
+
+    Attributes:
+        elements: reference of the stored (K,) int64 elements of the whole source; None: nothing is
+            left out.
+        count: K, for people.
+        what: what they are, for people.
+    """
+
+    elements: str | None
+    count: int = 0
+    what: str = "floor and walls"
+
+    def __post_init__(self) -> None:
+        if self.elements is not None:
+            check_ref(self.elements, "elements")
+        check_count(self.count)
+        put_field(self, "what", clean_text(self.what, NAME_LIMIT, "what is left out"))
+
+
+@dataclass(frozen=True)
+class CropOut:
+    """An object was cut out of this scan and became an object of its own.
+
+    Attributes:
+        name: of the new object.
+        path: its file.
+        elements: reference of the stored (K,) int64 elements of the whole source.
+        count: K, for people.
+        position: (3,) metres, where the new object's origin lies in this scan's frame.
+        wxyz: its orientation there, a unit quaternion.
+    """
+
+    name: str
+    path: str
+    elements: str
+    count: int
+    position: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        put_field(self, "name", clean_text(self.name, NAME_LIMIT, "the object's name"))
+        put_field(self, "path", clean_text(self.path, PATH_LIMIT, "the object's path"))
+        check_ref(self.elements, "elements")
+        check_count(self.count)
+        _check_pose(self.position, self.wxyz)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where this object stood in the scan it was cut out of. No undo step.
+
+    Attributes:
+        scene: path of the scan.
+        scene_sha256: of the scan's file.
+        elements: reference of the scan's (K,) int64 elements that it is made of.
+        position, wxyz: as in :class:`CropOut`.
+    """
+
+    scene: str
+    scene_sha256: str
+    elements: str
+    position: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        put_field(self, "scene", clean_text(self.scene, PATH_LIMIT, "the scan's path"))
+        put_field(self, "scene_sha256", clean_text(self.scene_sha256, NAME_LIMIT, "the digest"))
+        check_ref(self.elements, "elements")
+        _check_pose(self.position, self.wxyz)
+
+
+def _check_pose(
+    position: tuple[float, float, float], wxyz: tuple[float, float, float, float]
+) -> None:
+    check_finite(position, "position")
+    check_finite(wxyz, "wxyz")
+    length = sum(v * v for v in wxyz)
+    if abs(length - 1.0) > 1e-6:
+        raise CommandError(f"wxyz must be a unit quaternion, got one of squared length {length:g}")

@@ -1,0 +1,90 @@
+"""What tools did is one step, and stands in the session without any segmenter."""
+
+from __future__ import annotations
+
+import pytest
+
+from model.errors import CommandError
+from model.segmentation.prompts import Click
+from sessions.commands import AddClick, AddPart, NamePart, Undo
+from sessions.document import Placement, RegionRef
+from sessions.state import Context, SessionState, apply
+from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed, ToolRegion
+
+A, B = "ab" * 32, "cd" * 32
+HERE = Context("ann", "2030-01-01T00:00:00Z")
+
+
+def done(*commands) -> SessionState:
+    state = SessionState()
+    for command in commands:
+        state = apply(state, command, HERE)
+    return state
+
+
+def test_many_regions_are_one_step():
+    tool = ApplyTool("same shape", tuple(ToolRegion(i, A, True, 4, "knob") for i in (2, 3, 4)))
+    state = done(AddClick(Click((0, 0, 0), 1)), tool)
+    assert [p.name for p in state.present.parts] == [None, None, "knob", "knob", "knob"]
+    assert state.present.label == "same shape, 3 parts"
+    undone = apply(state, Undo(), HERE).present
+    assert [p.id for p in undone.parts] == [0, 1] and len(undone.prompts) == 1
+
+
+def test_merging_gives_the_elements_and_removes_the_part():
+    first = done(
+        AddClick(Click((0, 0, 0), 1)),
+        AddClick(Click((1, 0, 0), 2)),
+        NamePart(1, "door"),
+    )
+    merge = ApplyTool("merge", (ToolRegion(1, A, True, 7),), 0, (2,))
+    document = apply(first, merge, HERE).present
+    assert [(p.id, p.name) for p in document.parts] == [(0, None), (1, "door")]
+    assert document.prompts == (Click((0, 0, 0), 1), RegionRef(1, A, True, 7, "merge"))
+
+
+def test_another_mask_takes_the_place_of_the_last():
+    state = done(
+        AddClick(Click((0, 0, 0), 1)),
+        ApplyTool("next mask", (ToolRegion(1, A, False, 3), ToolRegion(1, B, True, 5))),
+        ApplyTool("next mask", (ToolRegion(1, B, False, 2),), 2),
+    )
+    assert state.present.prompts[1:] == (RegionRef(1, B, False, 2, "next mask"),)
+    with pytest.raises(CommandError, match="next mask"):
+        apply(state, ApplyTool("next mask", (), 5), HERE)
+
+
+def test_leaving_out_starts_afresh_and_undo_brings_everything_back():
+    state = done(AddClick(Click((0, 0, 0), 1)), AddPart(2, "door"))
+    before = state.present.key
+    left = apply(state, LeaveOut(A, 100), HERE)
+    assert left.present.prompts == () and left.present.left_out is not None
+    clicked = apply(left, AddClick(Click((0, 0, 0), 1)), HERE)
+    assert clicked.present.key != before, "the same click means another element now"
+    assert apply(left, Undo(), HERE).present == state.present
+    assert apply(left, LeaveOut(None), HERE).present.left_out is None
+    assert apply(state, LeaveOut(None), HERE) is state
+
+
+def test_a_crop_keeps_its_pose_on_both_sides():
+    pose = ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))
+    room = done(CropOut("fridge", "/w/fridge.ply", A, 9, *pose)).present
+    assert room.crops[0].position == pose[0] and room.label == "cut out fridge"
+    fridge = done(Placed("/w/room.ply", "", A, *pose))
+    assert fridge.present.placement == Placement("/w/room.ply", "", A, *pose)
+    assert not fridge.can_undo and fridge.present.review.state == "todo"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ApplyTool("cut", (), 0, (0,)), "base"),
+        (lambda: ApplyTool("cut", (), -1), "replaces"),
+        (lambda: ToolRegion(1, "nonsense"), "reference"),
+        (lambda: CropOut("a", "/a", A, 1, (0.0, float("nan"), 0.0)), "finite"),
+        (lambda: Placed("/a", "", A, (0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)), "unit"),
+    ],
+)
+def test_nonsense_is_refused(make, message):
+    with pytest.raises(CommandError, match=message):
+        make()
