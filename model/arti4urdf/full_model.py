@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -39,7 +40,8 @@ IGNORED = -100
 _ATTENTION_AND_MLP = [
     "q_proj", "k_proj", "v_proj", "o_proj", "gate_proj", "up_proj", "down_proj",
 ]  # fmt: skip
-_LANGUAGE, _GEOMETRY = "language_model", "geometry"
+LANGUAGE, GEOMETRY = "language_model", "geometry"
+"""Folders inside of a saved model."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,7 @@ class FullModel(nn.Module):
 
         ``language_model`` inside is a Qwen3 folder that any other program can load.
         """
-        language, head = folder / _LANGUAGE, self.language_model
+        language, head = folder / LANGUAGE, self.language_model
         if hasattr(head, "merge_and_unload"):
             from copy import deepcopy
 
@@ -217,7 +219,7 @@ class FullModel(nn.Module):
         }
         # Written last: with it the folder is whole.
         config = {"kind": "full", "point_bert": asdict(self.encoder.config)}
-        save_checkpoint(folder / _GEOMETRY, config, state, dtype=torch.float32)
+        save_checkpoint(folder / GEOMETRY, config, state, dtype=torch.float32)
 
 
 def make_full_model(
@@ -249,18 +251,38 @@ def make_full_model(
     return model
 
 
-def load_full_model(folder: Path, *, dtype: torch.dtype = torch.bfloat16) -> FullModel:
+class _Words(nn.Module):
+    """The embedding table alone, where an engine of its own holds the language model."""
+
+    def __init__(self, table: nn.Embedding) -> None:
+        super().__init__()
+        self.table = table
+        self.config = SimpleNamespace(hidden_size=table.embedding_dim)
+
+    def get_input_embeddings(self) -> nn.Embedding:
+        return self.table
+
+
+def load_full_model(
+    folder: Path, *, dtype: torch.dtype = torch.bfloat16, words: nn.Embedding | None = None
+) -> FullModel:
     """Read what :meth:`FullModel.save` wrote, in evaluation mode.
+
+    Args:
+        folder: of the model.
+        dtype: of all but the encoder.
+        words: the embedding table, where prompts are all that is wanted: the language model is
+            then not loaded.
 
     Raises:
         InputFileError: where something is absent, damaged or doesn't fit.
     """
-    geometry = load_checkpoint(folder / _GEOMETRY)
+    geometry = load_checkpoint(folder / GEOMETRY)
     if geometry.config.get("kind") != "full":
         raise InputFileError(geometry.folder, "is no checkpoint of the full model")
     bert = from_config(PointBertConfig, geometry.config.get("point_bert"), geometry.folder)
-    language = folder / _LANGUAGE
-    language_model = _load_language_model(language, dtype)
+    language = folder / LANGUAGE
+    language_model = _load_language_model(language, dtype) if words is None else _Words(words)
     model = FullModel(PointBert(bert), language_model, load_tokenizer(language))
     pieces = nn.ModuleDict(
         {name: getattr(model, name) for name in ("encoder", "global_adapter", "part_adapter")}

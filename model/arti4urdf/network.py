@@ -90,12 +90,14 @@ class Prompt:
     Attributes:
         arrays: geometry. category: word id, names: word ids a part (may be empty).
         codes: (P,) number of each part's code.
+        whole: (N, 3) cloud of the whole object; drawn from the parts where it is None.
     """
 
     arrays: StructureArrays
     category: int
     names: tuple[tuple[int, ...], ...]
     codes: np.ndarray
+    whole: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,9 +214,7 @@ class ArtiModel(nn.Module):
         count = self.config.point_bert.points
         points = _stacked(prompts, lambda p: p.arrays.points)
         clouds = whitened_cloud(points[:, :count])
-        wholes = whitened_cloud(
-            torch.from_numpy(np.stack([whole_cloud(p.arrays, count) for p in prompts]))
-        )
+        wholes = whitened_cloud(torch.from_numpy(np.stack([_whole(p, count) for p in prompts])))
         groups = group_points(torch.cat([clouds, wholes]), self.config.point_bert)
         features = self.point_encoder(groups)
         parts, whole = features[: len(clouds)], features[len(clouds) :]
@@ -324,6 +324,12 @@ class ArtiModel(nn.Module):
         child = encoded.bias[..., 0].gather(1, index)
         root = encoded.bias[..., 1].diagonal(dim1=1, dim2=2)[:, None]
         return logits + torch.where((nodes >= 0)[..., None], child, root)
+
+
+def _whole(prompt: Prompt, count: int) -> np.ndarray:
+    if prompt.whole is None:
+        return whole_cloud(prompt.arrays, count)
+    return np.resize(prompt.whole[:: max(1, len(prompt.whole) // count)], (count, 3))
 
 
 def whole_cloud(arrays: StructureArrays, count: int) -> np.ndarray:

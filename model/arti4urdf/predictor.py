@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.answer import joints_of_decision, write_answer
-from model.arti4urdf.decoding import Answer, decode
+from model.arti4urdf.decoding import Answer, decode, same_motion
 from model.arti4urdf.geometric_prior import geometric_prior
 from model.arti4urdf.grammar import Lock
+from model.arti4urdf.motion_check import checked
 from model.arti4urdf.network import ArtiModel, Prompt
 from model.arti4urdf.structure import Structure, read_structure, structure_arrays
 from model.geometric.predictor import assemble
@@ -33,11 +34,13 @@ class HybridSettings:
             probability; 0 never asks geometry, 1 always does.
         weight: of geometry's opinion on joint types and candidates, in a product of experts.
         swept: log-odds added in favour of the candidate's own limits, from rules and motion sweep.
+        motion: exponent of the share of its range that a candidate moves freely.
     """
 
     tree: float = 0.9
     weight: float = 0.7
     swept: float = 0.0
+    motion: float = 0.0
 
 
 class Arti4UrdfPredictor:
@@ -90,6 +93,8 @@ class Arti4UrdfPredictor:
             parents = structure.assembly.parent
             settled = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
             answer = decode(self.model, prompt, locked=settled | locks, prior=prior)
+        if self.hybrid is not None and self.hybrid.motion:
+            answer = checked(answer, structure, same_motion(prompt), self.hybrid.motion)
         joints: list[Joint] = []
         helpers: list[str] = []
         sure: dict[str, float] = {}

@@ -208,12 +208,24 @@ def _as_child(assembly: Assembly, scores: Array, part: int) -> Assembly:
     return Assembly(assembly.scene, base, parent, assembly.front, assembly.front_certainty)
 
 
+FARTHEST = 2.0
+"""Axes farther from the part (diagonals) are no motion of it."""
+
+
 def _slots(context: PartContext) -> list[Hypothesis | None]:
     out: list[Hypothesis | None] = []
+    center = context.shape.center
     for mechanism in MECHANISMS:
-        found = sorted(BUILDERS[mechanism](context), key=lambda h: -h.score)[:RANKS]
+        near = [h for h in BUILDERS[mechanism](context) if _sound(h, center)]
+        found = sorted(near, key=lambda h: -h.score)[:RANKS]
         out += [*found, *[None] * (RANKS - len(found))]
     return out
+
+
+def _sound(h: Hypothesis, center: Array) -> bool:
+    off = float(np.linalg.norm(np.cross(h.axis, h.origin - center)))
+    numbers = (off, h.lower, h.upper, h.score)
+    return bool(np.isfinite(numbers).all()) and off < FARTHEST
 
 
 def structure_arrays(structure: Structure, rng: np.random.Generator) -> StructureArrays:

@@ -219,7 +219,9 @@ def _step(run: _Run, config: TrainingConfig, step: int, batch: Batch) -> dict[st
             loss = batch_loss(run.model, batch)
         run.optimizer.zero_grad(set_to_none=True)
         loss.total.backward()
-    torch.nn.utils.clip_grad_norm_(run.model.parameters(), 1.0)
+    norm = torch.nn.utils.clip_grad_norm_(run.model.parameters(), 1.0)
+    if not bool(torch.isfinite(norm)):
+        return {"skipped": 1.0}  # one bad sample must not end the run
     run.optimizer.step()
     decay = min(config.average, (step + 1) / (step + 10))
     with torch.no_grad():

@@ -139,7 +139,9 @@ def read_shard(path: Path) -> list[Sample]:
                 cut = whole[squares[k] - size**2 : squares[k]].reshape(size, size, -1)
             else:
                 cut = whole[rows]
-            values[name] = cut.astype(np.float32) if cut.dtype == np.float16 else cut
+            if cut.dtype == np.float16:
+                cut = np.nan_to_num(cut.astype(np.float32), posinf=8, neginf=-8).clip(-8, 8)
+            values[name] = cut
         labels = Labels(**{name: columns[f"labels.{name}"][rows] for name in _LABELS})
         out.append(
             Sample(

@@ -1,0 +1,97 @@
+"""Whether the network reads what it is given: what it loses when its input is shuffled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from model.arti4urdf.network import ArtiModel, Prompt, whole_cloud
+from model.arti4urdf.structure import POINTS
+from model.training.batches import PLAIN, Batch, augmented, collate, teach, without_judgements
+from model.training.loss import batch_loss
+from model.training.samples import Sample
+
+Change = Callable[[Sequence[Prompt], np.random.Generator], list[Prompt]]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Share of right decisions, by kind; names and categories hidden.
+
+    Attributes:
+        types, slots: joint types; candidates.
+        trees: parents.
+    """
+
+    types: float
+    slots: float
+    trees: float
+
+
+def probe(model: ArtiModel, samples: Sequence[Sample], change: Change | None = None) -> Probe:
+    """Teacher-forced accuracy after ``change`` of the prompts."""
+    rng = np.random.default_rng(0)
+    how = replace(PLAIN, nameless=1.0)
+    pairs = [augmented(s, how, rng) for s in samples]
+    prompts = [prompt for prompt, _ in pairs]
+    if change is not None:
+        prompts = change(prompts, rng)
+    taught = [teach(p, labels, rng) for p, (_, labels) in zip(prompts, pairs, strict=True)]
+    hits: dict[str, list[float]] = {}
+    model.eval()
+    for start in range(0, len(taught), 32):
+        for kind, values in _hits(model, collate(taught[start : start + 32])).items():
+            hits.setdefault(kind, []).extend(values)
+    mean = {k: float(np.mean(x)) for k, x in hits.items()}
+    return Probe(mean.get("type", 0.0), mean.get("slot", 0.0), mean.get("child", 0.0))
+
+
+@torch.no_grad()
+def _hits(model: ArtiModel, batch: Batch) -> dict[str, list[float]]:
+    loss = batch_loss(model, batch)
+    values = loss.hits.double().numpy()
+    return {str(k): values[loss.kinds == k].tolist() for k in np.unique(loss.kinds)}
+
+
+def shuffled_shapes(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:
+    """Every part gets the points of another part of its object, placed and sized as its own."""
+    return [_with_shapes(p, p.arrays.points[_elsewhere(len(p.arrays), rng)]) for p in prompts]
+
+
+def foreign_wholes(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:
+    """Every prompt gets the global cloud of another object."""
+    order = _elsewhere(len(prompts), rng)
+    return [
+        replace(p, whole=whole_cloud(prompts[int(k)].arrays, POINTS))
+        for p, k in zip(prompts, order, strict=True)
+    ]
+
+
+def without_rules(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:
+    """Without the judgements of the geometric rules, which say the shape in another way."""
+    del rng
+    return [replace(p, arrays=without_judgements(p.arrays)) for p in prompts]
+
+
+def both(first: Change, second: Change) -> Change:
+    """One change after the other."""
+    return lambda prompts, rng: second(first(prompts, rng), rng)
+
+
+def _elsewhere(count: int, rng: np.random.Generator) -> np.ndarray:
+    """A permutation that leaves nothing in place, where there is one."""
+    order = rng.permutation(count)
+    out = np.empty(count, np.int64)
+    out[order] = np.roll(order, 1)
+    return out
+
+
+def _with_shapes(prompt: Prompt, points: np.ndarray) -> Prompt:
+    arrays = prompt.arrays
+    low, high = points.min(1, keepdims=True), points.max(1, keepdims=True)
+    unit = (points - (low + high) / 2) / np.maximum((high - low) / 2, 1e-6)
+    placed = unit * arrays.box[:, None, 3:] + arrays.box[:, None, :3]
+    return replace(prompt, arrays=replace(arrays, points=placed.astype(np.float32)))
