@@ -95,7 +95,7 @@ def _token(args: argparse.Namespace) -> str | None:
 
 
 def _checked(args: argparse.Namespace) -> str:
-    from model.predictors import DEFAULT, predictor_names
+    from model.predictors import DEFAULT, check_predictor
 
     for option, value in (
         ("--workers", args.workers),
@@ -105,9 +105,9 @@ def _checked(args: argparse.Namespace) -> str:
         if value < 1:
             raise ConfigurationError(f"{option} {value} must be 1 or more")
     name = DEFAULT if args.predictor is None else args.predictor
-    if name not in predictor_names():
-        known = ", ".join(predictor_names())
-        raise ConfigurationError(f"--predictor {name} is unknown; there are {known}")
+    if is_backend(name):
+        raise ConfigurationError(f"--predictor {name}: a backend can't ask another one")
+    check_predictor(name)
     return name
 
 

@@ -84,13 +84,11 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
 
 
 def _check_names(args: argparse.Namespace) -> None:
-    from model.predictors import predictor_names
+    from model.predictors import check_predictor
     from model.segmentation.registry import check_segmenter
 
     check_segmenter(args.segmenter)
-    name, known = args.predictor, predictor_names()
-    if name not in known and not is_backend(name):
-        raise ConfigurationError(f"--predictor {name} is unknown; there are {', '.join(known)}")
+    check_predictor(args.predictor)
 
 
 def _name_of(host: str) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from importlib.metadata import entry_points
+from pathlib import Path
 
 from model.errors import ConfigurationError
 from model.predictor import Predictor
@@ -13,6 +15,9 @@ ENTRY_POINTS = "artiworld.predictors"
 """Entry-point group of plug-ins; each names a callable without arguments that gives a Predictor."""
 
 DEFAULT = "geometric"
+
+FULL_MODELS = {"qwen3": "local", "qwen3-vllm": "vllm"}
+"""Names that take a folder of weights, and the engine that writes their answers."""
 
 
 def _geometric() -> Predictor:
@@ -38,16 +43,43 @@ def predictor_names() -> tuple[str, ...]:
 
 
 def load_predictor(name: str = DEFAULT) -> Predictor:
-    """The predictor called ``name``; the address of a backend is a name too.
+    """The predictor called ``name``.
+
+    The address of a backend is a name too, and so is ``qwen3:FOLDER``: the paper-size model with
+    the weights in that folder.
 
     Raises:
         ConfigurationError: where there is none, naming those that are there.
     """
+    check_predictor(name)
     if is_backend(name):
         from model.remote.http_predictor import HttpPredictor
 
         return HttpPredictor(name)
+    kind, colon, folder = name.partition(":")
+    if colon and kind in FULL_MODELS:
+        return _full_predictor(Path(folder), FULL_MODELS[kind])
+    return _table()[name]()
+
+
+def check_predictor(name: str) -> None:
+    """Raise where no predictor is called ``name``, without loading it.
+
+    Raises:
+        ConfigurationError: naming those that are there.
+    """
+    kind, colon, folder = name.partition(":")
+    if is_backend(name) or (colon and folder and kind in FULL_MODELS):
+        return
     table = _table()
     if name not in table:
-        raise ConfigurationError(f"no predictor {name!r}; there are {', '.join(table)}")
-    return table[name]()
+        known = ", ".join([*table, *(f"{kind}:FOLDER" for kind in FULL_MODELS)])
+        raise ConfigurationError(f"no predictor {name!r}; there are {known}")
+
+
+# Its weights are gigabytes: a worker keeps them.
+@lru_cache(maxsize=1)
+def _full_predictor(folder: Path, engine: str) -> Predictor:
+    from model.arti4urdf.full_predictor import load_full_predictor
+
+    return load_full_predictor(folder, engine=engine)

@@ -1,0 +1,108 @@
+"""The paper-size model as a predictor: ``qwen3:FOLDER`` of :mod:`model.predictors`."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import torch
+
+from model.arti4urdf.answer import parse_answer
+from model.arti4urdf.full_model import LANGUAGE, FullModel, load_full_model
+from model.arti4urdf.published_weights import load_qwen3
+from model.arti4urdf.text_engine import LocalEngine, TextEngine, VllmEngine
+from model.arti4urdf.text_prompt import make_example
+from model.errors import ConfigurationError, KinematicsError
+from model.kinematics.articulated_object import ArticulatedObject, Prediction, SegmentedObject
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.progress import Progress, no_progress
+
+TOKENS_PER_PART = 400
+TOKENS_AT_LEAST = 600
+
+
+class FullPredictor:
+    """Reads clouds, writes URDF.
+
+    Args:
+        reader: encoder, adapters and word embeddings.
+        engine: continues the prompt.
+        name: for people, the folder of the weights.
+    """
+
+    def __init__(self, reader: FullModel, engine: TextEngine, name: str) -> None:
+        self.name = name
+        self._reader, self._engine = reader, engine
+
+    def predict(
+        self,
+        segmented: SegmentedObject,
+        *,
+        locked: tuple[Joint, ...] = (),
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> Prediction:
+        """As :meth:`model.predictor.Predictor.predict`. The likeliest answer is taken."""
+        start = time.perf_counter()
+        progress(0.0, "Reading shapes")
+        example = make_example(segmented, self._reader.encoder.config.points, seed=seed)
+        prompt = self._reader.prompt_embeddings(example)
+        answer = self._engine.generate(
+            prompt,
+            max_tokens=TOKENS_AT_LEAST + TOKENS_PER_PART * len(segmented.parts),
+            seed=seed,
+            progress=lambda f, text: progress(0.1 + 0.9 * f, text),
+        )
+        tree, problems = parse_answer(answer.text)
+        told = list(problems)
+        if not answer.complete:
+            told.append("the answer was cut off at its longest length")
+        if tree is not None:
+            tree = _fitted(tree, segmented, locked, told)
+        likely = math.exp(min(answer.log_probability, 0.0))
+        confidence = {} if tree is None else {j.child: likely for j in tree.joints}
+        confidence |= {j.child: 1.0 for j in locked if j.child in confidence}
+        return Prediction(
+            tree, tuple(told), confidence, self.name, seed, time.perf_counter() - start, answer.text
+        )
+
+
+def _fitted(
+    tree: KinematicTree, segmented: SegmentedObject, locked: tuple[Joint, ...], told: list[str]
+) -> KinematicTree | None:
+    """The tree with locked joints as they were, where it fits the parts."""
+    try:
+        for joint in locked:
+            tree = tree.with_joint(joint)
+        return ArticulatedObject(segmented.name, segmented.parts, tree).tree
+    except KinematicsError as error:
+        told += error.problems
+        return None
+
+
+def load_full_predictor(folder: Path, *, engine: str = "local") -> FullPredictor:
+    """A predictor from a folder that :meth:`FullModel.save` wrote; on the GPU where there is one.
+
+    Args:
+        folder: of the weights.
+        engine: "local" or "vllm".
+
+    Raises:
+        InputFileError: where the weights are absent or don't fit.
+        ConfigurationError: for an unknown engine, or one that isn't installed.
+    """
+    if engine not in ("local", "vllm"):
+        raise ConfigurationError(f"no engine {engine!r}; there are local, vllm")
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    dtype = torch.bfloat16 if device.type == "cuda" else torch.float32
+    words = load_qwen3(folder / LANGUAGE, dtype=dtype)
+    reader = load_full_model(folder, dtype=dtype, words=words.decoder.model.embed_tokens)
+    reader.to(device)
+    made: TextEngine
+    if engine == "vllm":
+        made = VllmEngine(folder / LANGUAGE, reader.end)
+    else:
+        made = LocalEngine(words.decoder.to(device), words.tokenizer, reader.end)
+    return FullPredictor(reader.eval(), made, f"qwen3 {folder.name}")
