@@ -116,8 +116,8 @@ def _optional() -> Iterator[Check]:
 
 def _torch() -> Check:
     if importlib.util.find_spec("torch") is None:
-        found = "torch is not installed; nothing here needs it but network predictors"
-        return Check("gpu", "note", found, "run: pip install 'artiworld[network]'")
+        found = "torch is not installed; without it joints come from geometry alone"
+        return Check("gpu", "note", found, "run: pip install torch")
     try:
         import torch  # pyright: ignore[reportMissingImports]
 
