@@ -1,0 +1,50 @@
+"""The app with a backend that isn't there: it says so, and predicts here where asked to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+
+from app.config import ServeConfig
+from app.workbench import Workbench
+from sessions.store import Store
+from tests.app.run_cli import cupboard
+
+
+@pytest.fixture
+def bench(tmp_path):
+    parts = tmp_path / "cupboard"
+    parts.mkdir()
+    for i, mesh in enumerate(cupboard()):
+        mesh.export(parts / f"link_{i}.obj")
+    workspace = tmp_path / "workspace"
+    config = ServeConfig((parts,), workspace, predictor="http://127.0.0.1:9")
+    made = Workbench(config, Store(workspace), [parts])
+    yield made
+    made.close()
+
+
+def wait(until: Callable[[], object], seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_backend_that_is_away_is_told_and_this_machine_predicts(bench):
+    obj = bench.object(bench.records()[0].id)
+    told: list[tuple[str, str, str]] = []
+    obj.watch(lambda: None, lambda *news: told.append(news))
+    wait(lambda: obj.document.segmentation is not None and obj.document.segmentation_current)
+    assert not obj.backend_away
+    obj.predict("ada")
+    wait(lambda: not obj.predicting)
+    assert obj.backend_away and obj.document.tree is None
+    text = " ".join(f"{title} {body}" for title, body, _ in told)
+    assert "can't be reached" in text and "Predict on this machine" in text
+    obj.predict("ada", here=True)
+    wait(lambda: obj.document.tree is not None)
+    prediction = obj.document.prediction
+    assert prediction is not None and "http" not in prediction.backend
