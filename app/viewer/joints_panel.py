@@ -364,7 +364,7 @@ def range_text(joint: Joint) -> str:
 
 def tree_text(tree: KinematicTree, doc: Document, checks: list[tasks.JointCheck]) -> str:
     """The tree as a nested list."""
-    hits = {c.joint for c in checks if c.where is not None}
+    hits = {c.joint for c in checks}
     depth = {tree.root: 0}
     lines = []
     for link in tree.order:
@@ -395,13 +395,12 @@ def joint_note(joint: Joint, doc: Document, checks: list[tasks.JointCheck]) -> s
         if joint != doc.prediction.joint(joint.child):
             lines.append("Edited; the grey arrow is the prediction.")
     for check in checks:
-        if check.joint == joint.name and check.where is not None:
-            worst = int(check.depth.argmax())
-            at = _shown(joint, float(check.q[worst]))
+        if check.joint == joint.name:
+            at = _shown(joint, check.q)
             unit = "°" if joint.rotates else "mm"
             other = f" with {plain(part_title(doc, check.other))}" if check.other else ""
             lines.append(
-                f"⚠ Collides{other} at {at:.0f} {unit}: {1000 * check.depth[worst]:.1f} mm deep "
+                f"⚠ Collides{other} at {at:.0f} {unit}: {1000 * check.depth:.1f} mm deep "
                 "(red ball)."
             )
     return "\n\n".join(lines) or "Chosen by you."

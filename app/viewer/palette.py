@@ -115,6 +115,12 @@ STATE_COLORS: Final[dict[str, Rgb]] = {
     "rejected": (224, 49, 49),
 }
 
+VERDICT_COLORS: Final[dict[str, Rgb]] = {
+    "fine": (47, 158, 68),
+    "look": (201, 118, 0),
+    "broken": (201, 42, 42),
+}
+
 
 def part_color(part: int) -> Rgb:
     """The colour of a part, the same on every screen."""

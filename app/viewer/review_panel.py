@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.viewer import palette
+from app.viewer.gate_view import GateView
 from app.viewer.joints_panel import part_title, range_text
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -32,6 +33,7 @@ REASONS: dict[str, RejectReason] = {
 }
 HISTORY_SHOWN = 12
 DOWNLOAD_BYTES = 400_000_000
+DECIDED = ("accepted", "rejected")
 
 
 class ReviewPanel:
@@ -40,12 +42,21 @@ class ReviewPanel:
     def __init__(self, app: ClientApp) -> None:
         self._app = app
         self._drawn: Any = None
+        self._decided_here: int | None = None
         gui = app.client.gui
         self._summary = gui.add_markdown("")
-        self._comment = gui.add_text("Comment", "", multiline=True)
+        self.gate = GateView(app)
+        self._override = gui.add_text(
+            "Right all the same, because", "", visible=False,
+            hint="The gate calls a joint broken: say why it may be accepted",
+        )  # fmt: skip
         self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green")
         self._reason = gui.add_dropdown("What is wrong", tuple(REASONS))
         self._reject = gui.add_button("Reject (X)", icon=viser.Icon.X, color="red")
+        self._comment = gui.add_text("Comment", "", multiline=True)
+        self._go_on = gui.add_checkbox(
+            "Go on to the next object", True, hint="After a decision: the least sure one first"
+        )
         self._reopen = gui.add_button("Reopen", color="gray", visible=False)
         self._saved = gui.add_markdown("", visible=False)
         self._download = gui.add_button(
@@ -64,13 +75,23 @@ class ReviewPanel:
         return self._comment.value
 
     @property
+    def override_text(self) -> str:
+        """Why the object is right although the gate calls a joint broken."""
+        return self._override.value if self._override.visible else ""
+
+    @property
     def chosen_reason(self) -> RejectReason:
         """The chosen reason to reject."""
         return REASONS[self._reason.value]
 
-    def clear_comment(self) -> None:
-        """Empty the comment box."""
+    def decided(self) -> None:
+        """This tab asked for a decision: go on once it is made."""
+        self._decided_here = self._app.need_object().record.id
+
+    def clear(self) -> None:
+        """Empty what was typed."""
         self._comment.value = ""
+        self._override.value = ""
 
     def _send(self) -> None:
         saved = self._app.need_object().document.saved
@@ -89,32 +110,41 @@ class ReviewPanel:
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
         doc = obj.document
-        checks = tuple((c.joint, c.where) for c in obj.checks)
+        self.gate.draw(obj, doc)
+        report = obj.judging.report
         now = (
             obj.record.id,
             obj.state.seq,
             doc.tree,
             doc.review,
             doc.saved,
-            checks,
-            tuple(obj.busy),
+            report,
+            "save" in obj.busy,
         )
         if now == self._drawn:
             return
         if self._drawn is not None and self._drawn[0] != obj.record.id:
-            self.clear_comment()
+            self.clear()
         self._drawn = now
-        put(self._summary, "content", summary(obj, doc))
-        fixed = bool(doc.edited_joints)
-        put(self._accept, "label", "Fix and accept (Y)" if fixed else "Accept (Y)")
+        put(self._summary, "content", summary(doc))
+        decided = doc.review.state in DECIDED
+        broken = report is not None and report.verdict == "broken" and not decided
+        put(self._override, "visible", broken)
+        words = "Fix and accept" if doc.edited_joints else "Accept"
+        put(self._accept, "label", f"{words} against the gate (Y)" if broken else f"{words} (Y)")
+        put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
-        decided = doc.review.state in ("accepted", "rejected")
+        put(self._accept, "visible", doc.review.state != "accepted")
         put(self._reopen, "visible", decided)
         put(self._download, "visible", doc.saved is not None)
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:
             put(self._saved, "content", f"Saved in `{plain(doc.saved.folder, 200)}`")
         self._draw_history()
+        if decided and self._decided_here == obj.record.id and "save" not in obj.busy:
+            self._decided_here = None
+            if self._go_on.value:
+                self._app.act(self._app.go_on)
 
     def _draw_history(self) -> None:
         app = self._app
@@ -125,7 +155,7 @@ class ReviewPanel:
         put(self._history, "content", "\n".join(lines) or "Nothing yet.")
 
 
-def summary(obj: OpenObject, doc: Document) -> str:
+def summary(doc: Document) -> str:
     """What a reviewer must know before deciding."""
     review = doc.review
     lines = [
@@ -136,29 +166,23 @@ def summary(obj: OpenObject, doc: Document) -> str:
         lines.append(f"Reason: {plain(review.reason.replace('_', ' '))}")
     if review.comment:
         lines.append(f"“{plain(review.comment, 500)}”")
+    if review.override:
+        lines.append(f"Accepted against the gate: “{plain(review.override, 500)}”")
     if doc.tree is None:
         lines.append("No joints yet: there is nothing to accept.")
         return "\n\n".join(lines)
-    rows = ["| joint | type | range |", "|---|---|---|"]
+    rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
     for joint in doc.tree.joints:
         edited = " ✎" if joint.child in doc.edited_joints else ""
+        sure = None if doc.prediction is None else doc.prediction.confidence.get(joint.child)
         rows.append(
             f"| {plain(part_title(doc, joint.child), 40)}{edited} | {joint.type} "
-            f"| {range_text(joint)} |"
+            f"| {range_text(joint)} | {'' if sure is None else f'{100 * sure:.0f} %'} |"
         )
     lines.append("\n".join(rows))
     problems = [] if doc.prediction is None else [plain(p, 300) for p in doc.prediction.problems]
-    problems += [
-        f"{plain(c.joint)} collides: {1000 * float(c.depth.max()):.1f} mm deep"
-        for c in obj.checks
-        if c.where is not None
-    ]
     if doc.prediction_stale:
         problems.append("the parts changed since the prediction")
     if problems:
         lines.append("**Look at:**\n" + "\n".join(f"- {p}" for p in problems))
-    elif "check" in obj.busy:
-        lines.append("*Sweeping the joints…*")
-    else:
-        lines.append("No collision over the joints' ranges.")
     return "\n\n".join(lines)

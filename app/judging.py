@@ -1,0 +1,153 @@
+"""The gate's answer on one open object: asked for anew whenever its joints or parts change."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from app import tasks
+from app.tasks import JointCheck
+from model.errors import CommandError
+from model.gate.report import GateReport, Mend
+from model.kinematics.tree import KinematicTree
+from sessions.document import Document
+
+if TYPE_CHECKING:
+    from app.workbench import OpenObject
+
+KEPT = 16
+"""Answers kept for undo and redo."""
+
+Revision = tuple[KinematicTree, str]
+"""What an answer belongs to: the tree, and the reference of the labels."""
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """An accept that was asked for while the joints were still being judged."""
+
+    comment: str
+    who: str
+    at: str
+    override: str
+
+
+class Judging:
+    """Runs the gate for an object and keeps its answers by revision."""
+
+    def __init__(self, obj: OpenObject) -> None:
+        self._obj = obj
+        self._answers: OrderedDict[Revision, GateReport] = OrderedDict()
+        self._asked: Revision | None = None
+        self._problem: tuple[Revision, str] | None = None
+        self._waiting: _Waiting | None = None
+
+    @property
+    def report(self) -> GateReport | None:
+        """The answer to the present joints and parts; None while there is none."""
+        revision = self._revision(self._obj.document)
+        return None if revision is None else self._answers.get(revision)
+
+    @property
+    def checks(self) -> list[JointCheck]:
+        """The collisions to mark."""
+        report = self.report
+        return [] if report is None else tasks.checks_of(report)
+
+    @property
+    def problem(self) -> str:
+        """Why the present joints couldn't be judged, or ""."""
+        if self._problem is None or self._problem[0] != self._revision(self._obj.document):
+            return ""
+        return self._problem[1]
+
+    def ask(self) -> None:
+        """Start the gate where the present joints have no answer yet."""
+        obj = self._obj
+        revision = self._revision(obj.document)
+        if revision is None:
+            self._asked = None
+            return
+        if revision == self._asked or obj.predicting:
+            return
+        self._asked = revision
+        obj.cancel("check")
+        if revision in self._answers:
+            self._answers.move_to_end(revision)
+            return
+        obj.start_gate(revision[0], lambda report: self._keep(revision, report))
+
+    def forget_request(self) -> None:
+        """The gate was stopped to make room for other work; ask again."""
+        self._asked = None
+
+    def failed(self, message: str) -> None:
+        """The gate broke on the joints it was asked for last."""
+        if self._asked is not None:
+            self._problem = (self._asked, message)
+        self._accept_waiting()
+
+    def _keep(self, revision: Revision, report: GateReport) -> None:
+        self._answers[revision] = report
+        while len(self._answers) > KEPT:
+            self._answers.popitem(last=False)
+        if revision == self._revision(self._obj.document):
+            self._accept_waiting()
+
+    @staticmethod
+    def _revision(document: Document) -> Revision | None:
+        if document.tree is None or document.segmentation is None:
+            return None
+        return document.tree, document.segmentation.labels
+
+    # --- accepting
+
+    def admits(self, comment: str, who: str, at: str, override: str) -> bool:
+        """Whether the object may be accepted now; False where it will be once the gate answered.
+
+        Raises:
+            CommandError: where the gate calls a joint broken and no reason is given.
+        """
+        report = self.report
+        if report is None and not self.problem:
+            self._waiting = _Waiting(comment, who, at, override)
+            self._obj.tell("Accepting", "As soon as the joints are judged", "blue")
+            return False
+        self._waiting = None
+        if report is not None and report.verdict == "broken" and not override.strip():
+            count = len(report.with_verdict("broken"))
+            what = f"{count} joints are" if count > 1 else f"{report.joints[0].joint} is"
+            raise CommandError(
+                f"{what} broken: {report.joints[0].sentence} Mend it, or say why it is right"
+            )
+        return True
+
+    def _accept_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, None
+        if waiting is None:
+            return
+        try:
+            self._obj.accept(waiting.comment, waiting.who, waiting.at, waiting.override)
+        except CommandError as error:
+            self._obj.tell("Not accepted", str(error), "yellow")
+
+    def doubts(self) -> tuple[str, ...]:
+        """For the record of an acceptance: what was known to be broken or doubtful."""
+        report = self.report
+        if report is None:
+            return (f"the joints were not judged: {self.problem}",) if self.problem else ()
+        return tuple(f"{j.joint}: {j.sentence}" for j in report.joints if j.verdict != "fine")
+
+    def mend(self, joint: str, kind: str) -> Mend:
+        """The mend of that kind for a joint.
+
+        Raises:
+            CommandError: where the joints changed meanwhile.
+        """
+        report = self.report
+        found = None if report is None else report.of(joint)
+        for mend in () if found is None else found.mends:
+            if mend.kind == kind:
+                return mend
+        raise CommandError("the joints changed meanwhile; they are being judged again")

@@ -1,0 +1,60 @@
+"""Which object a reviewer sees next: the least confident prediction first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from sessions.document import Document
+from sessions.records import ObjectRecord
+
+UNKNOWN = 0.5
+"""Confidence of a prediction that tells none."""
+
+
+def confidence(document: Document) -> float:
+    """The least confidence of a moving joint, 0..1; what a person edited counts as sure."""
+    tree, prediction = document.tree, document.prediction
+    if tree is None or prediction is None:
+        return UNKNOWN
+    edited = set(document.edited_joints)
+    told = [
+        1.0 if j.child in edited else prediction.confidence.get(j.child, UNKNOWN)
+        for j in tree.joints
+        if j.moves
+    ]
+    return min(told, default=UNKNOWN)
+
+
+class ReviewOrder:
+    """Finds the next object; what it read of one is kept until the object changes.
+
+    Args:
+        document: what is decided about an object, by its id.
+    """
+
+    def __init__(self, document: Callable[[int], Document]) -> None:
+        self._document = document
+        self._known: dict[int, tuple[int, float]] = {}
+
+    def next(self, records: Sequence[ObjectRecord], current: int) -> int | None:
+        """The predicted object that is least sure, else the next unfinished one after ``current``.
+
+        Returns:
+            An object's id; None where everything else is decided.
+        """
+        predicted = [r for r in records if r.state == "predicted" and r.id != current]
+        if predicted:
+            return min(predicted, key=self._confidence).id
+        ids = [r.id for r in records]
+        at = ids.index(current) + 1 if current in ids else 0
+        ahead = [*records[at:], *records[:at]]
+        return next(
+            (r.id for r in ahead if r.state in ("todo", "in_progress") and r.id != current), None
+        )
+
+    def _confidence(self, record: ObjectRecord) -> float:
+        known = self._known.get(record.id)
+        if known is None or known[0] != record.seq:
+            known = (record.seq, confidence(self._document(record.id)))
+            self._known[record.id] = known
+        return known[1]

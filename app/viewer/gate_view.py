@@ -1,0 +1,153 @@
+"""The gate in the review step: joint by joint, worst first; a click shows the worst moment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from app.viewer import palette
+from app.viewer.joints_panel import part_title
+from app.viewer.text import plain
+from app.viewer.widgets import put
+from app.workbench import OpenObject
+from model.errors import CommandError
+from model.gate.report import GateReport, JointVerdict, MendKind, Verdict
+from sessions import commands as cmd
+from sessions.document import Document
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+SHOWN = 8
+"""Joints with buttons; the others are counted."""
+SIGNS: dict[Verdict, str] = {"fine": "✓", "look": "▲", "broken": "✖"}
+WORDS: dict[Verdict, str] = {"fine": "fine", "look": "to look at", "broken": "broken"}
+MENDS: dict[MendKind, str] = {"flip": "Flip", "shift": "Shift axis", "limits": "Fit limits"}
+MEND_KEYS: dict[str, MendKind] = {word: kind for kind, word in MENDS.items()}
+
+
+class GateView:
+    """Buttons for the joints that the gate doubts, and what they show."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._key: Any = None
+        self._rows: list[Any] = []
+        self._shown: tuple[Any, str] | None = None
+        gui = app.client.gui
+        self._headline = gui.add_markdown("")
+        self._folder = gui.add_folder("Joints, worst first", visible=False)
+
+    # --- what a person does
+
+    def show(self, joint: str) -> None:
+        """Pose the object at a joint's worst moment and mark the contact."""
+        app = self._app
+        obj = app.need_object()
+        report = obj.judging.report
+        verdict = None if report is None else report.of(joint)
+        if verdict is None or report is None or obj.document.tree is None:
+            raise CommandError("the joints are still being judged")
+        app.choose_joint(verdict.child)
+        app.motion.reset()
+        self._shown = (report, joint)
+        worst = verdict.worst
+        if worst is None:
+            app.scene.show_moment(None, "")
+            app.notify("Nothing to see", verdict.sentence, "gray")
+            return
+        app.motion.q = {k: v for k, v in worst.q.items() if k in obj.document.tree.by_name}
+        app.joints_panel.show_q(app.motion.q)
+        app.motion.pose()
+        app.scene.show_moment(worst.where, moment_text(worst.kind, worst.depth))
+
+    def show_next(self) -> None:
+        """The worst moment of the next joint that isn't fine (Tab)."""
+        report = self._app.need_object().judging.report
+        if report is None:
+            raise CommandError("the joints are still being judged")
+        doubted = [j.joint for j in report.joints if j.verdict != "fine"]
+        if not doubted:
+            self._app.notify("Every joint is fine", "Accept with Y", "gray")
+            return
+        before = self._shown[1] if self._shown is not None and self._shown[0] is report else None
+        at = doubted.index(before) if before in doubted else -1
+        self._app.set_stage("Review")
+        self.show(doubted[(at + 1) % len(doubted)])
+
+    def _mend(self, joint: str, word: str) -> None:
+        app = self._app
+        mend = app.need_object().judging.mend(joint, MEND_KEYS[word])
+        app.motion.reset()
+        app.do(cmd.SetJoint(mend.joint))
+        app.notify("Mended", f"{mend.sentence} Undo with Ctrl+Z.", "green")
+
+    # --- drawing
+
+    def draw(self, obj: OpenObject, doc: Document) -> None:
+        """Bring the view up to date."""
+        report = obj.judging.report
+        put(self._headline, "content", headline(obj, doc, report))
+        if self._shown is not None and self._shown[0] is not report:
+            # Other joints, another answer: what was shown is no longer so.
+            self._shown = None
+            self._app.scene.show_moment(None, "")
+        key = None if report is None else (report, tuple(doc.part_names.items()))
+        if key == self._key:
+            return
+        self._key = key
+        for row in self._rows:
+            row.remove()
+        self._rows = []
+        doubted = [] if report is None else [j for j in report.joints if j.findings]
+        put(self._folder, "visible", bool(doubted))
+        with self._folder:
+            for verdict in doubted[:SHOWN]:
+                self._add_row(doc, verdict)
+            if len(doubted) > SHOWN:
+                more = self._app.client.gui.add_markdown(
+                    f"… and {len(doubted) - SHOWN} more (Tab)."
+                )
+                self._rows.append(more)
+
+    def _add_row(self, doc: Document, verdict: JointVerdict) -> None:
+        gui, app, joint = self._app.client.gui, self._app, verdict.joint
+        title = part_title(doc, verdict.child)
+        button = gui.add_button(
+            f"{SIGNS[verdict.verdict]} {title}: {WORDS[verdict.verdict]}"[:60],
+            color=palette.VERDICT_COLORS[verdict.verdict],
+            hint=f"{plain(joint, 60)}: show the worst moment (Tab: the next one)",
+        )
+        button.on_click(lambda _: app.act(lambda: self.show(joint)))
+        lines = [plain(f.sentence, 200) for f in verdict.findings[:3]]
+        self._rows += [button, gui.add_markdown("  \n".join(lines))]
+        if verdict.mends:
+            words = tuple(MENDS[m.kind] for m in verdict.mends)
+            hint = " ".join(m.sentence for m in verdict.mends)
+            mends = gui.add_button_group("Mend", words, hint=hint)
+            mends.on_click(lambda e: app.act(lambda: self._mend(joint, e.target.value)))
+            self._rows.append(mends)
+
+
+def headline(obj: OpenObject, doc: Document, report: GateReport | None) -> str:
+    """The verdict in one line."""
+    if doc.tree is None:
+        return ""
+    if report is None:
+        if obj.judging.problem:
+            return f"⚠ **The joints couldn't be judged:** {plain(obj.judging.problem, 200)}"
+        fraction, message = obj.busy.get("check", (0.0, ""))
+        return f"*Judging the joints… {100 * fraction:.0f} % {plain(message)}*"
+    counts = {v: len(report.with_verdict(v)) for v in ("broken", "look", "fine")}
+    parts = [f"{SIGNS[v]} {n} {WORDS[v]}" for v, n in counts.items() if n]  # type: ignore[index]
+    line = f"**Gate: {' · '.join(parts) or 'no joint moves'}**"
+    if report.physics is not None and not report.physics.ran:
+        line += f"  \n*Physics: {plain(report.physics.problem, 160)}*"
+    return line
+
+
+def moment_text(kind: str, metres: float) -> str:
+    """For the label at the contact."""
+    amount = f"{1000 * metres:.0f} mm"
+    return {"detached": f"{amount} off", "floating": f"{amount} to the next part"}.get(
+        kind, f"{amount} deep"
+    )

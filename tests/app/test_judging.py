@@ -1,0 +1,126 @@
+"""The gate around accepting, on a real workbench with its worker processes."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from app.config import ServeConfig
+from app.workbench import OpenObject, Workbench
+from model.errors import CommandError
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from sessions import commands as cmd
+from sessions.store import Store
+
+NOW = "2026-01-01T00:00:00+00:00"
+W = 0.02
+DOOR = Joint(
+    "door", "revolute", "link_0", "link_1", (0, 0, -1), (-0.3, -0.003, 0.2), lower=0, upper=1.5
+)
+
+
+def box(low: Any, high: Any) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=[low, high])
+
+
+def wait(condition: Callable[[], Any], what: str, seconds: float = 240.0) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if value := condition():
+            return value
+        time.sleep(0.05)
+    raise AssertionError(f"waited in vain for: {what}")
+
+
+@pytest.fixture(scope="module")
+def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenObject]:
+    """A cupboard in parts, open, with a door that swings into its shelf."""
+    folder = tmp_path_factory.mktemp("cupboard")
+    source = folder / "cupboard"
+    source.mkdir()
+    boards = [
+        box([-0.3, 0, 0], [0.3, 0.3, W]),
+        box([-0.3, 0, 0.4 - W], [0.3, 0.3, 0.4]),
+        box([-0.3, 0, 0], [-0.3 + W, 0.3, 0.4]),
+        box([0.3 - W, 0, 0], [0.3, 0.3, 0.4]),
+        box([-0.3, 0.3 - W, 0], [0.3, 0.3, 0.4]),
+        box([-0.3, 0.005, 0.2], [0.3, 0.3, 0.2 + W]),
+    ]
+    trimesh.util.concatenate(boards).export(source / "link_0.ply")
+    box([-0.3, -W - 0.003, 0], [0.3, -0.003, 0.4]).export(source / "link_1.ply")
+    config = ServeConfig(workspace=folder / "workspace")
+    bench = Workbench(config, Store(folder / "workspace"), [source])
+    obj = bench.object(bench.records()[0].id)
+    wait(
+        lambda: obj.document.segmentation is not None and obj.document.segmentation_current, "parts"
+    )
+    inward = replace(DOOR, axis=(0, 0, 1))
+    tree = KinematicTree(("link_0", "link_1"), (inward,))
+    labels = obj.document.segmentation.labels
+    obj.do(cmd.RecordPrediction(Prediction(tree, confidence={"link_1": 0.4}), labels), "tester")
+    yield obj
+    bench.close()
+
+
+def judged(obj: OpenObject) -> Any:
+    return wait(lambda: obj.judging.report, "a verdict")
+
+
+def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObject) -> None:
+    obj = cupboard
+    notes: list[tuple[str, str, str]] = []
+    obj.watch(lambda: None, lambda *note: notes.append(note))
+
+    # While the gate is at work an accept waits for it, and is refused then.
+    if obj.judging.report is None:
+        obj.accept("", "tester", NOW)
+        wait(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
+    report = judged(obj)
+    assert report.verdict == "broken"
+    assert report.of("door").worst.other == "link_0"
+    with pytest.raises(CommandError, match=r"door is broken: .* say why it is right"):
+        obj.accept("", "tester", NOW)
+    assert obj.document.review.state == "predicted"
+    assert [c.joint for c in obj.checks] == ["door"]
+
+    # The mend goes the way of every edit: the gate runs again, and undo brings the old answer.
+    mend = obj.judging.mend("door", "flip")
+    obj.do(cmd.SetJoint(mend.joint), "tester")
+    assert obj.judging.report is not report
+    assert judged(obj).verdict == "fine"
+    with pytest.raises(CommandError, match="judged again"):
+        obj.judging.mend("door", "flip")
+    obj.do(cmd.Undo(), "tester")
+    assert obj.judging.report is report
+
+    obj.accept("as on the photo", "tester", NOW, "the shelf is soft")
+    saved = wait(lambda: obj.document.saved, "it is saved")
+    review = obj.document.review
+    assert (review.state, review.override) == ("accepted", "the shelf is soft")
+    assert review.problems[0].startswith("door: Runs ") or "Can't move" in review.problems[0]
+    gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
+    assert gate["verdict"] == "broken"
+    assert gate["override"] == "the shelf is soft"
+    assert gate["joints"][0]["sentence"] == report.joints[0].sentence
+
+    # Mended, no reason is asked for, and the record says that all is well.
+    obj.do(cmd.Reopen(), "tester")
+    obj.do(cmd.SetJoint(DOOR), "tester")
+    judged(obj)
+    obj.accept("", "tester", NOW)
+    wait(lambda: obj.document.review.state == "accepted", "accepted again")
+    wait(lambda: "save" not in obj.busy, "saved again")
+    gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
+    assert (gate["verdict"], gate["override"]) == ("fine", "")
+    assert obj.document.review.problems == ()
+    assert np.isfinite(gate["joints"][0]["depth"])

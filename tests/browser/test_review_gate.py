@@ -1,0 +1,134 @@
+"""The gate in a real browser: shown, posed by a click, mended, accepted against with a reason."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from browsing import Tab, wait_until
+
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from sessions import commands as cmd
+
+pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+
+W = 0.02
+DOOR = Joint(
+    "door", "revolute", "link_0", "link_1", (0, 0, -1), (-0.3, -0.003, 0.2), lower=0, upper=1.5
+)
+TREE = KinematicTree(("link_0", "link_1"), (replace(DOOR, axis=(0, 0, 1)),))
+
+
+def write_cupboard(folder: Path) -> Path:
+    """A cupboard in parts: a carcass with a shelf, and a door before it."""
+    folder.mkdir()
+
+    def box(low: Any, high: Any) -> trimesh.Trimesh:
+        return trimesh.creation.box(bounds=[low, high])
+
+    boards = [
+        box([-0.3, 0, 0], [0.3, 0.3, W]),
+        box([-0.3, 0, 0.4 - W], [0.3, 0.3, 0.4]),
+        box([-0.3, 0, 0], [-0.3 + W, 0.3, 0.4]),
+        box([0.3 - W, 0, 0], [0.3, 0.3, 0.4]),
+        box([-0.3, 0.3 - W, 0], [0.3, 0.3, 0.4]),
+        box([-0.3, 0.005, 0.2], [0.3, 0.3, 0.2 + W]),
+    ]
+    trimesh.util.concatenate(boards).export(folder / "link_0.ply")
+    box([-0.3, -W - 0.003, 0], [0.3, -0.003, 0.4]).export(folder / "link_1.ply")
+    return folder
+
+
+def record_prediction(obj: Any, sure: float) -> None:
+    """A door that swings inward, as a predictor might have it."""
+    wait_until(
+        lambda: obj.document.segmentation is not None and obj.document.segmentation_current, "parts"
+    )
+    labels = obj.document.segmentation.labels
+    prediction = Prediction(TREE, confidence={"link_1": sure})
+    obj.do(cmd.RecordPrediction(prediction, labels), "tester")
+
+
+def joint_button(tab: Tab, words: str) -> Any:
+    return tab.page.get_by_role("button", name=re.compile(words)).first
+
+
+def test_see_the_worst_moment_mend_and_accept_with_a_reason(
+    start: Any, open_tab: Any, tmp_path: Path
+) -> None:
+    server = start(write_cupboard(tmp_path / "cupboard"), write_cupboard(tmp_path / "other"))
+    tab = open_tab(server)
+    obj = tab.app.object
+    record_prediction(obj, 0.4)
+    tab.wait_node("/part/1")
+    tab.step("Review")
+    report = wait_until(lambda: obj.judging.report, "a verdict")
+    assert report.verdict == "broken"
+
+    # A click on the joint poses the object at the worst moment and marks the contact.
+    joint_button(tab, "link_1: broken").click()
+    worst = report.of("door").worst
+    wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
+    tab.wait_node("/moment")
+    marker = tab.app.client.scene.get_handle_by_name("/moment")
+    np.testing.assert_allclose(marker.position, worst.where)
+    frame = tab.app.client.scene.get_handle_by_name("/part/1")
+    expected = obj.document.tree.pose(worst.q)["link_1"][:3, 3]
+    wait_until(lambda: np.allclose(frame.position, expected, atol=1e-6), "the posed link")
+    tab.page.screenshot(path=str(tmp_path / "worst.png"))
+
+    # Against the gate the key is not enough.
+    tab.page.locator("canvas").first.click(position={"x": 5, "y": 5})
+    tab.key("y")
+    tab.page.get_by_text("say why it is right").first.wait_for()
+    assert obj.document.review.state == "predicted"
+
+    # One click mends, the gate runs again by itself; undo is the usual one.
+    tab.button("Flip").first.click()
+    wait_until(lambda: obj.document.tree.by_name["door"] == DOOR, "flipped")
+    assert wait_until(lambda: obj.judging.report, "a new verdict").verdict == "fine"
+    wait_until(lambda: not tab.app.motion.q, "back at rest")
+    tab.button("Undo").click()
+    wait_until(lambda: obj.document.tree == TREE, "undone")
+    wait_until(lambda: obj.judging.report is report, "the answer of before")
+
+    # A reason opens the gate, and it stays on record.
+    box = tab.field("Right all the same, because")
+    box.fill("the shelf is soft")
+    box.press("Enter")
+    wait_until(lambda: tab.app.review_panel.override_text == "the shelf is soft", "the reason")
+    joint_button(tab, "against the gate").click()
+    wait_until(lambda: obj.document.saved is not None, "saved")
+    assert obj.document.review.override == "the shelf is soft"
+    record = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())
+    assert (record["gate"]["verdict"], record["gate"]["override"]) == (
+        "broken",
+        "the shelf is soft",
+    )
+    # The next object is there without a click.
+    wait_until(lambda: tab.app.object is not obj, "the next object")
+
+
+def test_the_least_sure_prediction_follows_a_decision(
+    start: Any, open_tab: Any, tmp_path: Path
+) -> None:
+    server = start(*(write_cupboard(tmp_path / name) for name in ("a", "b", "c")))
+    tab = open_tab(server)
+    objects = [server.bench.object(r.id) for r in server.bench.records()]
+    for obj, sure in zip(objects, (0.5, 0.9, 0.2), strict=True):
+        record_prediction(obj, sure)
+    assert tab.app.object is objects[0]
+    tab.step("Review")
+    tab.page.locator("canvas").first.click(position={"x": 5, "y": 5})
+    tab.key("x")
+    wait_until(lambda: objects[0].document.review.state == "rejected", "rejected")
+    wait_until(lambda: tab.app.object is objects[2], "the least sure one")
+    assert tab.app.stage == "Review"
