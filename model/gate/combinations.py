@@ -35,7 +35,7 @@ def combination_findings(
 
     Args:
         known: pairs of links that meet when a joint moves alone; they are passed over.
-        seed: of the poses (Halton points, scrambled).
+        seed: of the poses (Halton points, shifted).
     """
     tree = scene.obj.tree
     joints = [j for j in tree.joints if j.moves and j.mimic is None]
@@ -84,7 +84,8 @@ def _poses(joints: list[Joint], seed: int) -> Iterator[dict[str, float]]:
     from scipy.stats import qmc
 
     low, high = np.array([limits_of(j) for j in joints]).T
-    unit = qmc.Halton(len(joints), seed=seed).random(POSES)
+    shift = np.random.default_rng(seed).random(len(joints))
+    unit = (qmc.Halton(len(joints), scramble=False).random(POSES) + shift) % 1.0
     for row in low + unit * (high - low):
         yield {j.name: float(v) for j, v in zip(joints, row, strict=True)}
 

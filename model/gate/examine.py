@@ -135,10 +135,10 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
         return Finding("collision", "fine", said, depth, moment, at, other)  # type: ignore[arg-type]
     span = upper - lower
     reach = min(sweep.free[1], upper) - max(sweep.free[0], lower)
-    if reach <= STUCK * span:
+    shallow = depth <= SHALLOW * scene.diagonal
+    if reach <= STUCK * span and not shallow:
         said = f"Can't move from rest: it runs into {what} at once."
         return Finding("jammed", "broken", said, depth, moment, at, other)  # type: ignore[arg-type]
-    shallow = depth <= SHALLOW * scene.diagonal
     late = reach >= (1 - LATE) * span
     mild = shallow or late or _pressed(scene, joint)
     said = f"Runs {length(depth)} into {what} at {value(joint, q)}; free from {free}."

@@ -87,9 +87,11 @@ def _look(scene: Scene, found: dict[str, list[Finding]], seed: int, progress: Pr
         if f.kind in ("collision", "jammed") and f.other is not None
         for link in obj.tree.descendants(joint.child)
     )
-    together = combination_findings(
-        scene, known, seed, lambda f, message: progress(0.55 + 0.2 * f, message)
-    )
+
+    def tell(fraction: float, message: str) -> None:
+        progress(0.55 + 0.2 * fraction, message)
+
+    together = combination_findings(scene, known, seed, tell)
     for name, finding in together.items():
         found[name].append(finding)
 

@@ -45,9 +45,11 @@ def mends_for(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[
     if not bad or joint.mimic is not None:
         return ()
     out: list[Mend] = []
-    if any(f.kind in ("collision", "jammed") for f in bad):
+    # Where it is only worth a look, axis and direction are hardly what is wrong.
+    broken = [f.kind for f in bad if f.verdict == "broken" and f.kind != "limits"]
+    if "collision" in broken or "jammed" in broken:
         out += _flip(scene, joint)
-    if joint.rotates and any(f.kind != "limits" for f in bad):
+    if joint.rotates and broken:
         out += _shift(scene, joint)
     out += _limits(scene, joint)
     return tuple(out)
@@ -56,9 +58,8 @@ def mends_for(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[
 def _cured(scene: Scene, joint: Joint) -> bool:
     """Whether ``joint`` neither collides nor comes off over its whole range."""
     sweep = sweep_joint(
-        scene.obj, joint, max(scene.samples // 2, 9), tolerance=scene.tolerance,
-        points=scene.points // 2,
-    )  # fmt: skip
+        scene.obj, joint, scene.samples, tolerance=scene.tolerance, points=scene.points
+    )
     changed = scene.with_joint(joint)
     hit = collision_finding(changed, joint, sweep)
     off = detached_finding(changed, joint)
@@ -168,5 +169,4 @@ def _limits(scene: Scene, joint: Joint) -> list[Mend]:
     mended = replace(tried, lower=float(low), upper=float(high))
     if mended == joint or not _cured(scene, mended):
         return []
-    word = "Set" if empty else "Shorten"
-    return [Mend("limits", mended, f"{word} the range to {interval(mended, low, high)}.")]
+    return [Mend("limits", mended, f"Set the range to {interval(mended, low, high)}.")]

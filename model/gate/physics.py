@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import math
 from collections.abc import Mapping, Sequence
@@ -52,8 +53,7 @@ def run_physics(
     """
     if importlib.util.find_spec("mujoco") is None:
         return PhysicsReport(False, "MuJoCo is not installed: pip install 'artiworld[physics]'")
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     joints = [j for j in obj.tree.joints if _drivable(j)]
     if not joints:
         return PhysicsReport(True, colliders=colliders)
@@ -151,8 +151,7 @@ class _Run:
     """The simulation, and what was seen in it."""
 
     def __init__(self, model: Any, joints: Sequence[Joint]) -> None:
-        import mujoco
-
+        mujoco: Any = importlib.import_module("mujoco")
         self.mujoco, self.model, self.joints = mujoco, model, list(joints)
         self.data = mujoco.MjData(model)
         self.place = np.array([model.joint(f"j{k}").qposadr[0] for k in range(len(joints))])

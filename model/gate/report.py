@@ -21,7 +21,7 @@ FREE = "Moves freely over its range."
 
 def worst_of(verdicts: Iterable[Verdict]) -> Verdict:
     """The worst verdict; "fine" of none."""
-    return max(verdicts, key=VERDICTS.index, default="fine")
+    return VERDICTS[max((VERDICTS.index(v) for v in verdicts), default=0)]
 
 
 @dataclass(frozen=True)
