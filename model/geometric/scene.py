@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from model.geometric.shape import Shape, rotation
 from model.geometric.surface import dominant_yaw, part_surface
-from model.kinematics.articulated_object import SegmentedObject
+from model.kinematics.articulated_object import Part, SegmentedObject
 
 Array = npt.NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class Scene:
     """Parts with their shapes and neighbourhood.
 
     Attributes:
-        name, category: of the object.
+        name, category: of the object. parts: as they were given.
         shapes: one a part, in the order given.
         frame: where the working frame is.
     """
@@ -65,6 +65,7 @@ class Scene:
     category: str | None
     shapes: tuple[Shape, ...]
     frame: WorkingFrame
+    parts: tuple[Part, ...]
     _trees: dict[int, KDTree] = field(default_factory=dict)
     _distances: dict[tuple[int, int], Array] = field(default_factory=dict)
 
@@ -226,7 +227,7 @@ def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPL
         )
         for part, s in zip(parts, sampled, strict=True)
     )
-    return Scene(segmented.name, segmented.category, shapes, frame)
+    return Scene(segmented.name, segmented.category, shapes, frame, parts)
 
 
 def _rough_area(bounds: Array) -> float:

@@ -1,28 +1,23 @@
-"""How far a part moves before it runs into another, judged on surface samples alone.
-
-Works on clouds as on meshes: it looks for points that come close to a surface they were not
-close to at rest.
-"""
+"""How far a part of a scene moves before it runs into another: the motion sweep for guesses."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from model.geometric.scene import Scene
-from model.geometric.shape import rotation
+from model.kinematics.joint import Joint
+from model.kinematics.surface import surface_of
+from model.kinematics.sweep import free_until
+from model.kinematics.tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 
-MOVING_POINTS = 350
-
-
-def moved(points: Array, rotates: bool, axis: Array, origin: Array, q: float) -> Array:
-    """(N, 3) points after turning about, or sliding along, the axis by ``q``."""
-    if not rotates:
-        return points + axis * q
-    return (points - origin) @ rotation(axis, q).T + origin
+TOLERANCE = 0.024
+"""Depth (diagonals) up to which parts may meet: an axis that is guessed lies a bit beside the true
+one, and its part then grazes what the true motion passes."""
+POINTS = 1024
+"""Samples a part."""
 
 
 def free_range(
@@ -34,42 +29,38 @@ def free_range(
     axis: Array,
     origin: Array,
     stop: float,
-    tolerance: float = 0.012,
-    share: float = 0.02,
+    tolerance: float = TOLERANCE,
 ) -> float:
-    """The largest q in [0, stop] (or [stop, 0]) that is reached without a new contact.
+    """The largest q in [0, stop] (or [stop, 0]) that is reached without a collision.
 
     Args:
         scene: all parts.
         part: which one moves. obstacles: which ones stand still.
         rotates, axis, origin: the motion, working frame.
         stop: rad or diagonals; its sign gives the direction.
-        tolerance: distance (diagonals) at which a point touches.
-        share: of the moving points that must touch to be a collision.
+        tolerance: depth (diagonals) that is no collision yet.
     """
     if not obstacles or stop == 0:
         return stop
-    own = scene.shapes[part].points
-    own = own[:: max(1, len(own) // MOVING_POINTS)]
-    tree = scene.tree(obstacles[0]) if len(obstacles) == 1 else KDTree(scene.union(obstacles))
-    rest = tree.query(own)[0]
-    candidate = rest > 2.0 * tolerance
-    if rotates:
-        arm = own - origin
-        radius = np.linalg.norm(arm - np.outer(arm @ axis, axis), axis=1)
-        candidate &= radius > 3 * tolerance
-        reach = float(radius.max())
-    else:
-        reach = 1.0
-    own = own[candidate]
-    if len(own) < 8:
-        return stop
-    needed = max(4, int(share * MOVING_POINTS))
-    steps = int(np.clip(abs(stop) * reach / (1.6 * tolerance), 6, 90))
-    for q in np.linspace(0, stop, steps + 1)[1:]:
-        touching = tree.query(
-            moved(own, rotates, axis, origin, float(q)), distance_upper_bound=tolerance
-        )[0]
-        if np.isfinite(touching).sum() >= needed:
-            return float(q - stop / steps)
-    return stop
+    frame = scene.frame
+    unit = 1.0 if rotates else frame.diagonal
+    direction, point = frame.direction_in_object(axis), frame.point_in_object(origin)
+    mover = scene.parts[part]
+    others = f"not {mover.link}"
+    joint = Joint(
+        "joint",
+        "continuous" if rotates else "prismatic",
+        others,
+        mover.link,
+        (float(direction[0]), float(direction[1]), float(direction[2])),
+        (float(point[0]), float(point[1]), float(point[2])),
+        None if rotates else min(stop * unit, 0.0),
+        None if rotates else max(stop * unit, 0.0),
+    )
+    made = {scene.parts[k].link: surface_of(scene.parts[k], POINTS) for k in (part, *obstacles)}
+    surfaces = {link: s for link, s in made.items() if s is not None}
+    tree = KinematicTree((others, mover.link), (joint,))
+    finest = max((s.resolution for s in surfaces.values()), default=0.0)
+    depth = max(tolerance * frame.diagonal, finest)
+    reached = free_until(tree, joint, surfaces, stop * unit, depth)
+    return reached / unit

@@ -153,11 +153,25 @@ def free_range(
     if maximum is None:
         maximum = math.pi if moving.rotates else diagonal_of(surfaces)
     scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9
-    free = []
-    for end in (-maximum, maximum):
-        contacts = contacts_along(_joint_way(tree, moving, end), surfaces, scale)
-        free.append(_first_collision(tree, moving, contacts, end, scale))
+    free = [free_until(tree, moving, surfaces, end, scale) for end in (-maximum, maximum)]
     return min(free[0], 0.0), max(free[1], 0.0)
+
+
+def free_until(
+    tree: KinematicTree,
+    joint: Joint,
+    surfaces: Mapping[str, Surface],
+    end: float,
+    tolerance: float,
+) -> float:
+    """The joint value on the way from 0 to ``end`` where the first collision begins, or ``end``.
+
+    Args:
+        surfaces: by link; links without one are in nobody's way.
+        tolerance: metres that are no collision yet.
+    """
+    contacts = contacts_along(_joint_way(tree, joint, end), surfaces, tolerance)
+    return _first_collision(tree, joint, contacts, end, tolerance)
 
 
 def sweep_way(
