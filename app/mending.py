@@ -14,7 +14,7 @@ from model.evaluation.joint_metrics import (
     compare_ranges,
     point_to_line,
 )
-from model.evaluation.tree_metrics import chain
+from model.evaluation.tree_metrics import chain, path
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -75,11 +75,10 @@ class Mender:
 
     def _mend_part(self, part: str) -> None:
         above, true_chain = chain(self.truth.tree, part, self.parts)
-        true_chain = tuple(j for j in true_chain if j.moves)
-        parent, found = chain(self.tree, part, self.parts)
+        parent, found = path(self.tree, part, self.parts)
         if above and found and parent != above and above in self.tree.links:
             self._change(found[0].child, parent=above)
-            found = chain(self.tree, part, self.parts)[1]
+            found = path(self.tree, part, self.parts)[1]
         if not true_chain:
             for joint in found:
                 if joint.moves:

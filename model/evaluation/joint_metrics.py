@@ -31,7 +31,7 @@ import numpy as np
 
 from model.evaluation.executability import Execution
 from model.evaluation.part_matching import PartMatch
-from model.evaluation.tree_metrics import chain, parents, tree_edits
+from model.evaluation.tree_metrics import chain, parents, path, tree_edits
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -188,8 +188,8 @@ def score_object(
     joints: list[JointScore] = []
     used: set[str] = set()
     for part in sorted(parts):
-        true_chain = [j for j in chain(truth.tree, part, parts)[1] if j.moves]
-        found = () if part not in below else chain(predicted, part, parts)[1]  # type: ignore[arg-type]
+        true_chain = chain(truth.tree, part, parts)[1]
+        found = () if part not in below else path(predicted, part, parts)[1]  # type: ignore[arg-type]
         rest = [j for j in found if j.moves]
         absent = "unparseable" if any(j.name in faulty for j in found) else "missing"
         about = _About(

@@ -9,10 +9,13 @@ from model.kinematics.tree import KinematicTree
 
 
 def chain(tree: KinematicTree, part: str, parts: Collection[str]) -> tuple[str, tuple[Joint, ...]]:
-    """All joints between ``part`` and the next of ``parts`` above it, top first, and that part.
+    """The next of ``parts`` above ``part``, "" at the root, and the moving joints down from it."""
+    above, joints = path(tree, part, parts)
+    return above, tuple(j for j in joints if j.moves)
 
-    The part is "" at the root.
-    """
+
+def path(tree: KinematicTree, part: str, parts: Collection[str]) -> tuple[str, tuple[Joint, ...]]:
+    """The same with the fixed joints among them."""
     joints: list[Joint] = []
     link = part
     while (joint := tree.joint_of.get(link)) is not None:
@@ -25,7 +28,7 @@ def chain(tree: KinematicTree, part: str, parts: Collection[str]) -> tuple[str, 
 
 def parents(tree: KinematicTree, parts: Collection[str]) -> dict[str, str]:
     """Part → the next part above it, "" at the root; helper links are passed over."""
-    return {p: chain(tree, p, parts)[0] for p in parts if p in tree.links}
+    return {p: path(tree, p, parts)[0] for p in parts if p in tree.links}
 
 
 def tree_edits(truth: Mapping[str, str], predicted: Mapping[str, str], *, extra: int = 0) -> int:
