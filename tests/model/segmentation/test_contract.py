@@ -2,17 +2,40 @@
 
 from __future__ import annotations
 
+import functools
+import sys
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from model.errors import ConfigurationError, PromptError
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
+from model.segmentation.adapters.example import BallSegmenter
 from model.segmentation.prompts import BASE, Click, Prompts, Region
 from model.segmentation.protocol import SegmentationSession, Segmenter
 from model.segmentation.registry import load_segmenter, segmenter_names
 
-NAMES = segmenter_names()
+sys.path.insert(0, str(Path(__file__).parent))
+
+NAMES = [*segmenter_names(), "point-sam", "balls"]
+"""The registered ones, Point-SAM with random weights, and the example of a plug-in."""
+
+
+@functools.cache
+def load(name: str) -> Segmenter:
+    if name == "balls":
+        return BallSegmenter()
+    if name == "point-sam":
+        pytest.importorskip("torch", reason="PyTorch is not installed: pip install .[network]")
+        from test_point_sam import write_weights
+
+        path = Path(tempfile.mkdtemp()) / "model.safetensors"
+        write_weights(path)
+        return load_segmenter(f"point-sam:{path}")
+    return load_segmenter(name)
 
 
 @pytest.fixture(scope="session", params=["cloud", "mesh"])
@@ -26,7 +49,7 @@ def sessions(labelled):
 
     def get(name: str) -> SegmentationSession:
         if name not in made:
-            made[name] = load_segmenter(name).encode(labelled.asset)
+            made[name] = load(name).encode(labelled.asset)
         return made[name]
 
     return get
@@ -48,9 +71,9 @@ def deepest(labelled, part: int) -> int:
 @pytest.mark.parametrize("name", NAMES)
 class TestEverySegmenter:
     def test_fits_the_protocols(self, name, sessions):
-        assert isinstance(load_segmenter(name), Segmenter)
+        assert isinstance(load(name), Segmenter)
         assert isinstance(sessions(name), SegmentationSession)
-        assert load_segmenter(name).name
+        assert load(name).name
 
     def test_without_prompts_all_is_base(self, name, sessions, labelled):
         answer = sessions(name).segment(Prompts())
@@ -108,7 +131,7 @@ class TestEverySegmenter:
         forward = [session.segment(Prompts(items[:k])).labels for k in range(len(items) + 1)]
         for k in reversed(range(len(items) + 1)):  # undo, click by click
             assert np.array_equal(session.segment(Prompts(items[:k])).labels, forward[k])
-        fresh = load_segmenter(name).encode(labelled.asset)
+        fresh = load(name).encode(labelled.asset)
         assert np.array_equal(fresh.segment(Prompts(items)).labels, forward[-1])
         assert np.array_equal(fresh.segment(Prompts(items[:2])).labels, forward[2])
 
@@ -137,7 +160,7 @@ class TestEverySegmenter:
     @pytest.mark.parametrize("count", [1, 2, 5, 30])
     def test_tiny_clouds(self, name, count):
         points = np.random.default_rng(0).random((count, 3)).astype(np.float32)
-        session = load_segmenter(name).encode(Asset("tiny", cloud=PointCloud(points)))
+        session = load(name).encode(Asset("tiny", cloud=PointCloud(points)))
         x, y, z = points[0].tolist()
         labels = session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels
         assert labels[0] == 1
@@ -148,7 +171,7 @@ class TestEverySegmenter:
 
     def test_coinciding_points(self, name):
         points = np.zeros((50, 3), np.float32)
-        session = load_segmenter(name).encode(Asset("one place", cloud=PointCloud(points)))
+        session = load(name).encode(Asset("one place", cloud=PointCloud(points)))
         assert session.segment(Prompts((Click((0, 0, 0), 1, True, 7),))).labels[7] == 1
 
 

@@ -1,0 +1,161 @@
+"""Tools as the worker runs them: regions come out, and stand for themselves afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from app import room_tasks, tasks, tool_tasks
+from app.tool_tasks import NEW_PART, ToolRequest, use_tool
+from model.errors import CommandError
+from model.segmentation.prompts import Click
+
+LID = (0.05, 0.02, 0.365)
+
+
+def surface(size: tuple[float, ...], center: tuple[float, ...], count: int) -> np.ndarray:
+    box = trimesh.creation.box(size)
+    box.apply_translation(center)
+    return trimesh.sample.sample_surface(box, count, seed=0)[0]
+
+
+@pytest.fixture(scope="module")
+def chest(tmp_path_factory) -> tuple[tasks.OpenedAsset, Path]:
+    """A chest with a lid above a gap, and a knob on either side."""
+    folder = tmp_path_factory.mktemp("chest")
+    points = np.concatenate(
+        [
+            surface((0.6, 0.4, 0.3), (0, 0, 0.15), 5000),
+            surface((0.6, 0.4, 0.05), (0, 0, 0.34), 2500),
+            surface((0.05, 0.05, 0.05), (-0.2, -0.24, 0.15), 300),
+            surface((0.05, 0.05, 0.05), (0.2, -0.24, 0.15), 300),
+        ]
+    )
+    trimesh.PointCloud(points).export(folder / "chest.ply")
+    opened = tasks.open_asset(folder / "chest.ply", folder, tasks.ReadOptions())
+    return opened, folder
+
+
+def points_of(opened: tasks.OpenedAsset) -> np.ndarray:
+    return tasks.asset_of(opened.folder).element_centers
+
+
+def click_at(opened: tasks.OpenedAsset, position, part: int) -> Click:
+    element = int(np.linalg.norm(points_of(opened) - position, axis=1).argmin())
+    x, y, z = map(float, points_of(opened)[element])
+    return Click((x, y, z), part, True, element)
+
+
+def region(chest, mask: np.ndarray, part: int) -> tasks.StoredRegion:
+    ref = tasks.arrays_of(chest[1]).put(np.flatnonzero(mask))
+    return tasks.StoredRegion(part, ref)
+
+
+def run(chest, items, request: ToolRequest) -> list[tuple[int, bool, np.ndarray]]:
+    opened, workspace = chest
+    offers = use_tool(opened.folder, workspace, "default", tuple(items), request)
+    arrays = tasks.arrays_of(workspace)
+    return [(o.part, o.positive, np.asarray(arrays.get(o.elements))) for o in offers]
+
+
+def test_a_cut_parts_what_no_gap_parts(chest):
+    opened, _ = chest
+    points = points_of(opened)
+    front = (points[:, 1] < -0.199) & (points[:, 1] > -0.21) & (points[:, 2] < 0.3)
+    items = [region(chest, front, 1)]
+    element = int(np.flatnonzero(front)[0])
+    request = ToolRequest(
+        "cut",
+        1,
+        places=((0.1, -0.2, 0.05), (0.1, -0.2, 0.25)),
+        element=element,
+        view=(0.0, 1.0, 0.0),
+    )
+    ((part, positive, elements),) = run(chest, items, request)
+    assert (part, positive) == (NEW_PART, True)
+    expected = np.flatnonzero(front & (points[:, 0] > 0.1))
+    assert len(np.setxor1d(elements, expected)) < 0.02 * len(expected)
+    # A chosen part that has nothing yet takes the piece itself.
+    ((part, _, _),) = run(chest, items, ToolRequest(**{**vars(request), "part": 5}))
+    assert part == 5
+
+
+def test_merge_split_mirror_and_leftovers(chest):
+    opened, _ = chest
+    points = points_of(opened)
+    knobs = points[:, 1] < -0.212
+    left, right = knobs & (points[:, 0] < 0), knobs & (points[:, 0] > 0)
+    both = [region(chest, left, 1), region(chest, right, 2)]
+    ((part, positive, elements),) = run(chest, both, ToolRequest("merge", 1, other=2))
+    assert (part, positive) == (1, True) and np.array_equal(elements, np.flatnonzero(right))
+    ((part, _, elements),) = run(chest, [region(chest, knobs, 1)], ToolRequest("split", 1))
+    assert part == NEW_PART and np.isin(elements, np.flatnonzero(knobs)).all()
+    one_side = points[elements][:, 0]
+    assert (one_side < 0).all() or (one_side > 0).all()
+    ((part, _, elements),) = run(chest, both[:1], ToolRequest("mirror", 1))
+    assert part == NEW_PART and np.isin(np.flatnonzero(right), elements).mean() > 0.8
+    crumb = np.linalg.norm(points - (0.0, 0.0, 0.365), axis=1) < 0.012
+    items = [region(chest, points[:, 2] > 0.31, 1), region(chest, left | crumb, 2)]
+    found = run(chest, items, ToolRequest("leftovers", 1))
+    assert any(p == 1 and np.isin(np.flatnonzero(crumb), e).all() for p, _, e in found)
+
+
+def test_the_preview_is_what_the_click_does(chest):
+    opened, workspace = chest
+    click = click_at(opened, LID, 1)
+    hover = tool_tasks.hover(opened.folder, workspace, "default", (), click)
+    answer = tasks.segment(opened.folder, workspace, "default", (click,), "key", None)
+    assert hover.count == answer.counts[1] and len(hover.lost) == 0
+    labels = tasks.arrays_of(workspace).get(answer.labels)
+    mine = {tuple(p) for p in points_of(opened)[labels == 1].astype(np.float32)}
+    assert {tuple(p) for p in hover.gained} <= mine
+    assert len(hover.gained) == min(hover.count, tool_tasks.HOVER_POINTS)
+    other = click_at(opened, LID, 2)
+    taken = tool_tasks.hover(opened.folder, workspace, "default", (click,), other)
+    assert taken.count > 0 and len(taken.gained)
+    again = tasks.segment(opened.folder, workspace, "default", (click,), "key", None)
+    assert again.labels == answer.labels, "a preview leaves no trace"
+
+
+def test_what_cannot_be_done_is_said(chest):
+    with pytest.raises(CommandError, match="next mask"):
+        run(chest, (), ToolRequest("magic", 1))
+    for tool, told in (("grow", "nothing yet"), ("connected", "click on the part"),
+                       ("cut", "places"), ("merge", "another part")):  # fmt: skip
+        with pytest.raises(CommandError, match=told):
+            run(chest, (), ToolRequest(tool, 1))
+
+
+def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
+    rng = np.random.default_rng(1)
+    floor = np.c_[rng.uniform(-2, 2, (8000, 2)), rng.normal(0, 0.003, 8000)]
+    wall = np.c_[rng.uniform(-2, 2, 5000), np.full(5000, 2.0), rng.uniform(0, 2, 5000)]
+    box = surface((0.8, 0.8, 0.85), (0.5, 0.1, 0.6), 8000)
+    every = np.concatenate([floor, wall, box])
+    trimesh.PointCloud(every).export(tmp_path / "room.ply")
+    room = tasks.open_asset(tmp_path / "room.ply", tmp_path, tasks.ReadOptions())
+    removal = room_tasks.floor_and_walls(room.folder, tmp_path, None)
+    inside = tasks.open_asset(
+        tmp_path / "room.ply", tmp_path, tasks.ReadOptions(left_out=removal.elements)
+    )
+    kept = points_of(inside)
+    assert inside.element_count == len(every) - removal.count
+    assert abs(inside.element_count - 8000) < 400
+    arrays = tasks.arrays_of(tmp_path)
+    labels = arrays.put((kept[:, 2] > 0.3).astype(np.int16))
+    crop = room_tasks.cut_out(
+        inside.folder, tmp_path, labels, 1, removal.elements, "big box", lambda *_: None
+    )
+    assert crop.name == "big_box" and crop.path.suffix == ".ply"
+    alone = tasks.open_asset(crop.path, tmp_path, tasks.ReadOptions())
+    assert abs(alone.bounds[0][2]) < 1e-6
+    source = points_of(room)[arrays.get(crop.elements)]
+    np.testing.assert_allclose(points_of(alone) + crop.position, source, atol=1e-6)
+    # Leaving out the rest too: both are gone, in the numbers of the whole source.
+    rest = room_tasks.leave_out_part(inside.folder, tmp_path, labels, 0, removal.elements)
+    assert rest.count == len(every) - crop.count
+    with pytest.raises(CommandError, match="single object"):
+        room_tasks.floor_and_walls(alone.folder, tmp_path, None)

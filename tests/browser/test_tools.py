@@ -1,0 +1,129 @@
+"""Preview, lasso, brush, cut, merge and uploads of several files, in a real browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browsing import Tab, wait_until
+from objects import write_cabinet
+from PIL import Image
+
+# A loaded machine without a GPU may draw a picture too late; twice more is fair.
+pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+
+
+@pytest.fixture
+def cabinet(tmp_path: Path) -> tuple[Path, dict[str, np.ndarray]]:
+    path = tmp_path / "cabinet.ply"
+    return path, write_cabinet(path)
+
+
+def drag(tab: Tab, points: list[tuple[float, float]]) -> None:
+    mouse = tab.page.mouse
+    mouse.move(*points[0])
+    mouse.down()
+    for place in points[1:]:
+        mouse.move(*place, steps=6)
+    mouse.up()
+
+
+def tool(tab: Tab, key: str, name: str) -> None:
+    tab.key(key)
+    wait_until(lambda: tab.app.pointing.tool == name, f"the tool {name}")
+
+
+def prompts_become(tab: Tab, count: int) -> Any:
+    wait_until(lambda: len(tab.document.prompts) == count, f"{count} prompts")
+    tab.settled()
+    return tab.document.prompts[-1]
+
+
+def test_the_preview_follows_the_pointer_and_changes_nothing(
+    start: Any, open_tab: Any, cabinet: Any
+) -> None:
+    path, points = cabinet
+    tab = open_tab(start(path))
+    wait_until(lambda: not tab.app.object.busy, "the object is encoded")
+    x, y = tab.pixel(points["door"])
+    tab.page.mouse.move(x - 8, y)
+    tab.page.mouse.move(x, y)
+    tab.wait_node("/hover/gained")
+    shown = tab.app.client.scene.get_handle_by_name("/hover/gained").points
+    assert len(shown) and tab.document.prompts == ()
+    # Off by its key: what was shown goes, and nothing comes any more.
+    tab.key("v")
+    wait_until(lambda: not tab.app.pointing.hover.on, "the preview is off")
+    wait_until(
+        lambda: tab.app.client.scene.get_handle_by_name("/hover/gained") is None, "dots are gone"
+    )
+    tab.prompt(points["door"])
+    assert tab.document.segmentation.counts[1] > 0
+
+
+def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> None:
+    path, points = cabinet
+    tab = open_tab(start(path))
+    camera = np.asarray(tab.app.client.camera.position)
+    x, y = tab.pixel(points["drawer"])
+    tool(tab, "l", "lasso")
+    drag(tab, [(x - 90, y - 90), (x + 90, y - 90), (x + 90, y + 120), (x - 90, y + 120)])
+    region = prompts_become(tab, 1)
+    assert (region.tool, region.part, region.positive) == ("lasso", 1, True) and region.count
+    np.testing.assert_allclose(tab.app.client.camera.position, camera, err_msg="it orbited")
+    tool(tab, "i", "brush")
+    tab.key("2")
+    wait_until(lambda: tab.app.part == 2, "part 2")
+    x, y = tab.pixel(points["door"])
+    drag(tab, [(x - 10, y), (x + 25, y)])
+    region = prompts_become(tab, 2)
+    assert (region.tool, region.part) == ("brush", 2) and region.count
+    tab.key("Escape")
+    wait_until(lambda: tab.app.pointing.tool == "click", "back to clicks")
+
+    # The other part joins this one in one step, and one undo brings it back.
+    tab.key("m")
+    wait_until(lambda: tab.app.pointing.armed == "merge", "merge waits for a part")
+    before = tab.document.parts
+    tab.app.act(lambda: tab.app.pointing.merge(1))
+    wait_until(lambda: [p.id for p in tab.document.parts] == [0, 2], "part 1 joined part 2")
+    tab.settled()
+    assert 1 not in tab.document.segmentation.parts
+    tab.button("Undo").click()
+    wait_until(lambda: tab.document.parts == before, "one undo")
+
+    # Cut the base in two by clicks; the smaller side is a new part.
+    tab.key("k")
+    wait_until(lambda: tab.app.pointing.armed == "cut", "cut waits for places")
+    count = len(tab.document.prompts)
+    for offset in (0.1, -0.1):
+        tab.click3d(points["base"] + (0.0, offset, 0.0))
+        tab.page.wait_for_timeout(400)
+    region = prompts_become(tab, count + 1)
+    assert region.tool == "cut" and region.part == 3
+    assert tab.app.pointing.armed == ""
+
+
+def test_an_obj_with_its_texture_is_uploaded_in_one_go(
+    start: Any, open_tab: Any, cabinet: Any, tmp_path: Path
+) -> None:
+    tab = open_tab(start(cabinet[0]))
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "tri.obj").write_text(
+        "mtllib tri.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+        "f 1/1 2/2 3/3\n"
+    )
+    (folder / "tri.mtl").write_text("newmtl a\nmap_Kd oak.png\n")
+    Image.new("RGB", (4, 4), (200, 100, 50)).save(folder / "oak.png")
+    chosen = [folder / "oak.png", folder / "tri.mtl", folder / "tri.obj"]
+    with tab.page.expect_file_chooser() as chooser:
+        tab.button("Add files").click()
+    chooser.value.set_files([str(p) for p in chosen])
+    wait_until(lambda: tab.app.object.record.name == "tri", "the new object is open")
+    asset = wait_until(lambda: tab.app.object.asset, "it is read")
+    assert not asset.warnings
+    kept = asset.path.parent
+    assert {p.name for p in kept.iterdir()} == {"oak.png", "tri.mtl", "tri.obj"}
