@@ -134,11 +134,12 @@ class ClientApp:
 
     def show_keys(self) -> None:
         """The sheet of keys, over the picture."""
-        modal = self.client.gui.add_modal("Keys and mouse")
+        gui = self.client.gui
+        modal = gui.add_modal("Keys and mouse")
         with modal:
+            close = gui.add_button("Close (Esc)", color="gray")
             rows = "\n".join(f"| **{plain(k)}** | {plain(v)} |" for k, v in KEYS)
-            self.client.gui.add_markdown(f"| | |\n|---|---|\n{rows}")
-            close = self.client.gui.add_button("Close")
+            gui.add_markdown(f"| | |\n|---|---|\n{rows}")
         close.on_click(lambda _: modal.close())
 
     def act(self, action: Callable[[], None]) -> None:
