@@ -128,7 +128,7 @@ def decode(
             continue
         hidden = None
         for chunk in [pending] if span or not cache.length else [[f] for f in pending]:
-            words, parts = feeds_to_tensors(chunk)
+            words, parts = feeds_to_tensors(chunk, model.device)
             hidden = model(encoded, words, parts, cache=cache)[:, -1:]
             tape.passes += 1
         assert hidden is not None
@@ -137,10 +137,10 @@ def decode(
         logits = torch.cat(
             [
                 model.word_logits(hidden)[0, 0],
-                model.point(encoded, hidden, torch.tensor([[node]]))[0, 0],
+                model.point(encoded, hidden, torch.tensor([[node]], device=model.device))[0, 0],
             ]
         )
-        values = logits.double().numpy()
+        values = logits.double().cpu().numpy()
         if prior is not None and asked.kind in ("type", "slot", "lower"):
             values[: v.SIZE] += prior[asked.part]
         pending = [_make(tape, asked, values, rng)]

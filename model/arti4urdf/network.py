@@ -169,23 +169,29 @@ class ArtiModel(nn.Module):
         self.type_head = nn.Linear(width, len(v.TYPES))
         self.register_buffer("codes", part_codes(), persistent=False)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.type_head.weight.device
+
     def encode(self, prompts: Sequence[Prompt]) -> Encoded:
         """Run the encoders over a batch of objects."""
         counts = [len(p.arrays) for p in prompts]
         shape, whole = self._shapes(prompts)
-        box = _stacked(prompts, lambda p: p.arrays.box)
+        box = self._stacked(prompts, lambda p: p.arrays.box)
         codes = self._codes(np.concatenate([p.codes for p in prompts]))
         half = box[:, 3:]
         place = _fourier(torch.cat([box[:, :3], half, half.log() / 4], -1))
         part = shape + self.location(torch.cat([place, codes], -1))
         part = part + self._name_embeddings(prompts)
         structure = self.structure(self._structure_input(prompts, codes))
-        pad = _Padder(counts)
+        pad = _Padder(counts, self.device)
         tokens = pad(torch.stack([part, structure], 1))
-        ids = {w: torch.tensor(v.ID[w]) for w in ("<bos>", "<g_start>", "<g_end>", "<p_start>")}
-        start = self.decoder.embed(torch.stack(list(ids.values())))
-        category = self.decoder.embed(torch.tensor([p.category for p in prompts]))
-        end = self.decoder.embed(torch.tensor([v.ID["<p_end>"]]))
+        words = [v.ID[w] for w in ("<bos>", "<g_start>", "<g_end>", "<p_start>", "<p_end>")]
+        start = self.decoder.embed(torch.tensor(words, device=self.device))
+        category = self.decoder.embed(
+            torch.tensor([p.category for p in prompts], device=self.device)
+        )
         rows, valid = [], []
         longest = 7 + 2 * max(counts)
         for b, count in enumerate(counts):
@@ -197,11 +203,11 @@ class ArtiModel(nn.Module):
                 start[2:3],
                 start[3:4],
                 tokens[b, :count].flatten(0, 1),
-                end,
+                start[4:5],
             ]
             row = torch.cat(row)
             rows.append(functional.pad(row, (0, 0, 0, longest + 1 - len(row))))
-            valid.append(torch.arange(longest + 1) < 2 * count + 7)
+            valid.append(torch.arange(longest + 1, device=self.device) < 2 * count + 7)
         parts = self.pointed(torch.cat([part, structure], -1))
         keys_in = torch.cat([part, structure, shape], -1)
         bias = self._relation_bias(prompts, max(counts))
@@ -212,7 +218,7 @@ class ArtiModel(nn.Module):
     def _shapes(self, prompts: Sequence[Prompt]) -> tuple[Tensor, Tensor]:
         """Adapted features of all parts (sum P, D) and of the objects (B, D)."""
         count = self.config.point_bert.points
-        points = _stacked(prompts, lambda p: p.arrays.points)
+        points = self._stacked(prompts, lambda p: p.arrays.points)
         clouds = whitened_cloud(points[:, :count])
         wholes = whitened_cloud(torch.from_numpy(np.stack([_whole(p, count) for p in prompts])))
         groups = group_points(torch.cat([clouds, wholes]), self.config.point_bert)
@@ -223,26 +229,30 @@ class ArtiModel(nn.Module):
             whole = torch.zeros_like(whole)
         return self.part_adapter(parts), whole
 
+    def _stacked(self, prompts: Sequence[Prompt], get: Any) -> Tensor:
+        rows = np.concatenate([get(p) for p in prompts]).astype(np.float32)
+        return torch.from_numpy(rows).to(self.device)
+
     def _codes(self, numbers: np.ndarray) -> Tensor:
         codes = self.get_buffer("codes")
-        index = torch.from_numpy(np.asarray(numbers, np.int64))
+        index = torch.from_numpy(np.asarray(numbers, np.int64)).to(self.device)
         return codes[index.clamp_min(0) % len(codes)] * (index >= 0)[:, None]
 
     def _name_embeddings(self, prompts: Sequence[Prompt]) -> Tensor:
         width = self.config.decoder.hidden_size
         rows = [ids for p in prompts for ids in p.names]
-        out = torch.zeros(len(rows), width)
+        out = torch.zeros(len(rows), width, device=self.device)
         index = [(r, w) for r, ids in enumerate(rows) for w in ids]
         if index:
-            at = torch.tensor(index)
+            at = torch.tensor(index, device=self.device)
             out = out.index_add(0, at[:, 0], self.decoder.embed(at[:, 1]))
         return out
 
     def _structure_input(self, prompts: Sequence[Prompt], codes: Tensor) -> Tensor:
-        scalars = _stacked(prompts, lambda p: p.arrays.scalars)
-        vectors = _stacked(prompts, lambda p: p.arrays.vectors).flatten(1)
-        slots = _stacked(prompts, lambda p: p.arrays.candidate_scalars).flatten(1)
-        lines = _stacked(prompts, lambda p: p.arrays.candidate_vectors).flatten(1) * 2
+        scalars = self._stacked(prompts, lambda p: p.arrays.scalars)
+        vectors = self._stacked(prompts, lambda p: p.arrays.vectors).flatten(1)
+        slots = self._stacked(prompts, lambda p: p.arrays.candidate_scalars).flatten(1)
+        lines = self._stacked(prompts, lambda p: p.arrays.candidate_vectors).flatten(1) * 2
         parents = np.concatenate(
             [np.where(p.arrays.parents >= 0, p.codes[p.arrays.parents], -1) for p in prompts]
         )
@@ -256,7 +266,7 @@ class ArtiModel(nn.Module):
         """(B, P, P, 2), see :class:`Encoded`."""
         out = []
         for p in prompts:
-            relations = torch.from_numpy(np.ascontiguousarray(p.arrays.relations))
+            relations = torch.from_numpy(np.ascontiguousarray(p.arrays.relations)).to(self.device)
             if not self.config.structure_prompt:
                 relations = torch.zeros_like(relations)
             both = torch.cat([relations, relations.transpose(0, 1)], -1)
@@ -353,28 +363,25 @@ def _mlp(inside: int, inner: int, out: int, *, normalised: bool = False) -> nn.S
     return nn.Sequential(*layers)
 
 
-def _stacked(prompts: Sequence[Prompt], get: Any) -> Tensor:
-    return torch.from_numpy(np.concatenate([get(p) for p in prompts]).astype(np.float32))
-
-
 class _Padder:
     """(sum P, …) → (B, most, …)."""
 
-    def __init__(self, counts: Sequence[int]) -> None:
+    def __init__(self, counts: Sequence[int], device: torch.device) -> None:
         most = max(counts)
         self.shape = (len(counts), most)
-        self.index = torch.tensor(
-            [b * most + k for b, count in enumerate(counts) for k in range(count)]
-        )
+        index = [b * most + k for b, count in enumerate(counts) for k in range(count)]
+        self.index = torch.tensor(index, device=device)
 
     def __call__(self, rows: Tensor) -> Tensor:
         out = rows.new_zeros((self.shape[0] * self.shape[1], *rows.shape[1:]))
         return out.index_copy(0, self.index, rows).view(*self.shape, *rows.shape[1:])
 
 
-def feeds_to_tensors(feeds: Sequence[Feed]) -> tuple[Tensor, Tensor]:
+def feeds_to_tensors(
+    feeds: Sequence[Feed], device: torch.device | str = "cpu"
+) -> tuple[Tensor, Tensor]:
     """(1, T) words and (1, T) parts."""
     return (
-        torch.tensor([[f.word for f in feeds]]),
-        torch.tensor([[f.part for f in feeds]]),
+        torch.tensor([[f.word for f in feeds]], device=device),
+        torch.tensor([[f.part for f in feeds]], device=device),
     )

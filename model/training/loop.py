@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 import time
@@ -102,7 +103,7 @@ class _Run:
 
     def load(self, folder: Path) -> None:
         """Go on from what :meth:`save` wrote."""
-        state = torch.load(folder / STATE, weights_only=True)
+        state = torch.load(folder / STATE, weights_only=True, map_location=self.model.device)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -136,7 +137,8 @@ def train(
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
-    run = _begin(config)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    run = _begin(config, device)
     if (out / STATE).exists():
         run.load(out)
     shards = Shards(data)
@@ -160,11 +162,23 @@ def train(
             entry |= {f"valid {k}": x for k, x in _score(run.average, checks).items()}
             with (out / LOG).open("a") as log:
                 log.write(json.dumps(entry) + "\n")
+            _to_board(out, entry)
             run.save(out)
             shards.refresh()
         if stop:
             break
     return out
+
+
+def _to_board(out: Path, entry: dict[str, float]) -> None:
+    """The same for TensorBoard, where it is installed."""
+    if importlib.util.find_spec("tensorboard") is None:
+        return
+    from torch.utils.tensorboard import SummaryWriter
+
+    with SummaryWriter(str(out / "tensorboard")) as writer:
+        for name, value in entry.items():
+            writer.add_scalar(name.replace("valid ", "valid/"), value, int(entry["step"]))
 
 
 def export_weights(run: Path, folder: Path, *, version: str) -> None:
@@ -176,7 +190,7 @@ def export_weights(run: Path, folder: Path, *, version: str) -> None:
     if not (run / STATE).exists():
         raise ConfigurationError(f"{run} holds no training state ({STATE}): train first")
     config = TrainingConfig.from_json(json.loads((run / CONFIG).read_text()))
-    state = torch.load(run / STATE, weights_only=True)
+    state = torch.load(run / STATE, weights_only=True, map_location="cpu")
     model = ArtiModel(config.model)
     model.load_state_dict(state["average"])
     lines = (run / LOG).read_text().splitlines()
@@ -196,8 +210,8 @@ def _same_config(config: TrainingConfig, out: Path) -> None:
     path.write_text(json.dumps(mine, indent=1))
 
 
-def _begin(config: TrainingConfig) -> _Run:
-    model, average = ArtiModel(config.model), ArtiModel(config.model)
+def _begin(config: TrainingConfig, device: str) -> _Run:
+    model, average = ArtiModel(config.model).to(device), ArtiModel(config.model).to(device)
     average.load_state_dict(model.state_dict())
     matrices = [p for p in model.parameters() if p.ndim > 1]
     others = [p for p in model.parameters() if p.ndim <= 1]
@@ -215,7 +229,7 @@ def _step(run: _Run, config: TrainingConfig, step: int, batch: Batch) -> dict[st
         group["lr"] = rate(config, step)
     # The fused kernels are slower than plain products on sequences this short.
     with sdpa_kernel(SDPBackend.MATH):
-        with torch.autocast("cpu", torch.bfloat16, enabled=config.bfloat16):
+        with torch.autocast(run.model.device.type, torch.bfloat16, enabled=config.bfloat16):
             loss = batch_loss(run.model, batch)
         run.optimizer.zero_grad(set_to_none=True)
         loss.total.backward()
