@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.batch import ASSET_FILES, asset_names, find_assets, run_all
-from app.headless import check_output
 from app.physics_options import add_physics, physics_settings, store_folder
 from model.errors import ArtiworldError, ConfigurationError
 
@@ -49,6 +48,7 @@ class ExportTask:
 def run_export(args: argparse.Namespace) -> int:
     """Run the command and return the exit code: 2 where an asset could not be written."""
     from app import printing
+    from app.headless import check_output
 
     formats = named_formats(args.format)
     assets = find_assets(args.assets)

@@ -93,6 +93,8 @@ def collision_of(
     Raises:
         GeometryError: for a part without geometry.
     """
+    from model.exporters.part_files import part_mesh
+
     settings = settings or CollisionSettings()
     ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic)
               for j in obj.tree.joints]  # fmt: skip
@@ -102,6 +104,8 @@ def collision_of(
         _remember(key, kept)
         progress(1.0, "collision shapes were there already")
         return kept
+    for part in obj.parts:
+        part_mesh(part)  # one without geometry is named here
     diagonal = _diagonal(obj)
     bodies: Bodies = {}
     for i, part in enumerate(obj.parts):
@@ -178,8 +182,26 @@ def hollow_bodies(
     surface = Surface(mesh, space, np.random.default_rng(settings.seed))
     pieces = cut_into_pieces(surface, max(2.0, PIECE * space.free_count))
     groups = merge(surface, pieces, settings.max_hulls)
-    hulls = [thick_hull(surface.corners(faces), thickness) for faces in groups]
+    hulls = _filled(surface, groups, thickness)
     return [simplified(h, settings.max_vertices) for h in hulls], space
+
+
+def _filled(surface: Surface, groups: list[npt.NDArray[np.int64]], thickness: float) -> list[Hull]:
+    """The hulls of groups of faces, grown where sealed voxels beneath them are in none."""
+    hulls = [thick_hull(surface.corners(faces), thickness) for faces in groups]
+    left = np.ones(len(surface.beneath), bool)
+    for hull in hulls:
+        left &= ~hull.contains(surface.beneath, -0.5 * surface.space.size)
+    if not left.any():
+        return hulls
+    group_of = np.zeros(len(surface.mesh.faces), np.int64)
+    for i, faces in enumerate(groups):
+        group_of[faces] = i
+    mine = group_of[surface.owner[left]]
+    for i in np.unique(mine):
+        more = surface.beneath[left][mine == i]
+        hulls[i] = thick_hull(np.concatenate([hulls[i].vertices, more]), thickness)
+    return hulls
 
 
 def covered(space: Occupancy, bodies: list[Hull]) -> float:

@@ -33,6 +33,7 @@ class Surface:
         space: its voxels.
         points: (N, 3) lattice on the faces; ``point_face`` (N,) their faces.
         low, high: (F, K) extents of each face and of the sealed voxels that it is nearest to.
+        beneath: (S, 3) centres of the sealed voxels; ``owner`` (S,) the face nearest to each.
     """
 
     def __init__(self, mesh: Mesh, space: Occupancy, rng: np.random.Generator) -> None:
@@ -104,12 +105,8 @@ class Surface:
         return float(self.weights[index[held.all(axis=0)]].sum())
 
     def corners(self, faces: npt.NDArray[np.int64]) -> FloatArray:
-        """(N, 3) vertices of some faces and the sealed voxels beneath them."""
-        start = np.searchsorted(self.owner, faces, "left")
-        number = np.searchsorted(self.owner, faces, "right") - start
-        below = np.repeat(start - np.cumsum(number) + number, number) + np.arange(number.sum())
-        used = np.unique(self.mesh.faces[faces])
-        return np.concatenate([self.mesh.vertices[used], self.beneath[below]])
+        """(N, 3) vertices of some faces."""
+        return self.mesh.vertices[np.unique(self.mesh.faces[faces])]
 
 
 def _directions(mesh: Mesh) -> FloatArray:

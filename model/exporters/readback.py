@@ -86,7 +86,7 @@ def _readers(format: str) -> list[tuple[str, str, Reader]]:
             ("MuJoCo", "mujoco", mujoco_problems),
             ("PyBullet", "pybullet", readback_bullet.bullet_problems),
         ],
-        "ros": [("yourdfpy", "yourdfpy", yourdfpy_problems)],
+        "ros": [("yourdfpy", "yourdfpy", _ros_problems)],
         "mjcf": [("MuJoCo", "mujoco", mujoco_problems)],
         "usd": [("usd-core", "pxr", readback_usd.usd_problems)],
         "sdf": [
@@ -95,6 +95,14 @@ def _readers(format: str) -> list[tuple[str, str, Reader]]:
         ],
         "glb": [("pygltflib", "pygltflib", readback_glb.glb_problems)],
     }[format]
+
+
+def _ros_problems(
+    path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
+) -> list[str]:
+    from model.exporters.ros import URDF
+
+    return yourdfpy_problems(path.parent / URDF, obj, settings)
 
 
 def pose_problems(

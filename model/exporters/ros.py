@@ -47,7 +47,7 @@ class RosExporter:
         }
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
-        return (urdf, *(folder / n for n in texts), *(folder / p.mesh for p in parts), *shapes)
+        return (*(folder / n for n in texts), urdf, *(folder / p.mesh for p in parts), *shapes)
 
 
 def package_name(name: str) -> str:

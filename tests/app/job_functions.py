@@ -23,6 +23,12 @@ def echo(value):
     return value
 
 
+def crash_on(word: str) -> str:
+    if word == "crash":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return word
+
+
 def pid() -> int:
     return os.getpid()
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shutil
 import subprocess
 import sys
 import time
@@ -14,8 +16,10 @@ import pytest
 import trimesh
 import yourdfpy
 
+from app.batch import Crashed, run_all
 from app.cli import main
 from model.errors import KinematicsError
+from tests.app.job_functions import crash_on
 from tests.app.run_cli import (
     BASE_CLICK,
     DOOR_CLICK,
@@ -31,6 +35,7 @@ COMMANDS = (
     "segment",
     "predict",
     "export",
+    "check",
     "evaluate",
     "generate",
     "bench",
@@ -317,7 +322,7 @@ def asset(segmented, tmp_path_factory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("form", ["urdf", "mjcf", "glb"])
+@pytest.mark.parametrize("form", ["urdf", "mjcf", "glb", "usd"])
 def test_export_writes_files_that_other_programs_open(asset, form, tmp_path, capfd):
     words = ["export", str(asset), "--format", form, "--out", str(tmp_path / "out"), "--json"]
     assert main(words) == 0
@@ -330,8 +335,83 @@ def test_export_writes_files_that_other_programs_open(asset, form, tmp_path, cap
     elif form == "mjcf":
         mujoco = pytest.importorskip("mujoco")
         assert mujoco.MjModel.from_xml_path(str(first)).njnt == 1
+    elif form == "usd":
+        stage = pytest.importorskip("pxr.Usd").Stage.Open(str(first))
+        assert stage.GetDefaultPrim()
     else:
         assert len(trimesh.load(first).geometry) >= 2
+
+
+@pytest.fixture
+def cupboards(asset, tmp_path) -> Path:
+    """A folder of two assets, one of them damaged."""
+    folder = tmp_path / "assets"
+    shutil.copytree(asset, folder / "good")
+    shutil.copytree(asset, folder / "bad")
+    (folder / "bad" / "object.urdf").write_text("<robot")
+    return folder
+
+
+def test_one_bad_asset_does_not_end_the_export_of_a_folder(cupboards, tmp_path, capfd):
+    words = ["export", str(cupboards), "--format", "urdf,mjcf", "--format", "sdf", "--check",
+             "--out", str(tmp_path / "o"), "--no-cache", "--jobs", "1", "--json"]  # fmt: skip
+    assert main(words) == 2
+    report = json.loads(capfd.readouterr().out)
+    assert (report["written"], report["failed"]) == (1, 1)
+    bad, good = report["assets"]
+    assert "well-formed" in bad["error"] and sum(good["collision_shapes"].values()) > 0
+    assert [f["format"] for f in good["formats"]] == ["urdf", "mjcf", "sdf"]
+    assert all(f["readers"] and not f["problems"] for f in good["formats"])
+    assert (tmp_path / "o" / "good" / "sdf" / "model.sdf").is_file()
+    assert not (tmp_path / "o" / "bad").exists()
+
+
+def test_export_options_reach_the_files(asset, tmp_path, capfd):
+    base = ["export", str(asset), "--format", "urdf", "--no-cache", "--json"]
+
+    def text(name: str, *options: str) -> str:
+        assert main([*base, "--out", str(tmp_path / name), *options]) == 0
+        return (tmp_path / name / "object.urdf").read_text()
+
+    def mass(text: str) -> float:
+        return sum(map(float, re.findall(r'<mass value="([^"]+)"', text)))
+
+    plain = text("plain", "--material", "wood", "--density", "500")
+    heavy = text("heavy", "--material", "wood", "--density", "1000", "--no-collision",
+                 "--turning", "0.5,0.25", "--sliding", "7,8")  # fmt: skip
+    assert mass(heavy) == pytest.approx(2 * mass(plain), rel=1e-6)
+    assert "<collision>" in plain and "<collision>" not in heavy
+    assert 'damping="0.5" friction="0.25"' in heavy or 'damping="7" friction="8"' in heavy
+    capfd.readouterr()
+    for wrong, told in (
+        (["--method", "magic"], "hollow"),
+        (["--density", "-3"], "--density"),
+        (["--material", "kryptonite"], "wood"),
+        (["--turning", "much"], "--turning"),
+        (["--max-hulls", "0"], "one hull"),
+    ):
+        assert main([*base, "--out", str(tmp_path / "x"), *wrong]) == 2
+        assert told in capfd.readouterr().err
+
+
+def test_check_tells_good_from_bad(cupboards, capfd):
+    words = ["check", str(cupboards), "--format", "urdf,glb", "--no-cache", "--jobs", "1"]
+    assert main([*words, "--json", "--no-gate"]) == 1
+    report = json.loads(capfd.readouterr().out)
+    bad, good = report["assets"]
+    assert not bad["fine"] and "well-formed" in bad["error"]
+    assert good["fine"] and good["inertia_problems"] == [] and good["kilograms"] > 0
+    assert good["collision"]["overlap_at_rest_m"] == 0
+    assert good["collision"]["free_kept"] > good["collision"]["free_kept_by_one_hull"]
+    assert report["summary"]["fine"] == 1 and report["summary"]["unreadable"] == 1
+    assert main(["check", str(cupboards / "good"), "--format", "glb", "--no-cache"]) == 0
+    assert "1 of 1 are fine" in capfd.readouterr().out
+
+
+def test_a_worker_that_crashes_ends_nothing():
+    assert [type(a) for _, a in sorted(run_all(crash_on, ["fine", "crash", "fine"], 2))] == [
+        str, Crashed, str
+    ]  # fmt: skip
 
 
 def test_export_names_what_is_wrong(asset, tmp_path, capfd):

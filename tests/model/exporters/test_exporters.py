@@ -169,8 +169,9 @@ def test_a_link_elsewhere_is_noticed(whole, obj, name):
 
 def test_collision_shapes_are_in_every_format_that_has_them(whole, physics):
     count = sum(len(held) for held in physics.collision.values())
-    for name in ("urdf", "ros"):
-        assert whole[name][0].read_text().count("<collision>") == count
+    ros = whole["ros"][0].parent / "urdf" / "object.urdf"
+    for path in (whole["urdf"][0], ros):
+        assert path.read_text().count("<collision>") == count
     assert whole["sdf"][0].read_text().count("<collision name=") == count
     root = ET.parse(whole["mjcf"][0]).getroot()
     assert sum(g.get("group") == "3" for g in root.iter("geom")) == count
@@ -211,13 +212,13 @@ def test_a_free_base_falls_and_a_fixed_one_does_not(obj, tmp_path):
 
 
 def test_a_ros_package_has_what_ros_asks_for(whole):
-    folder = whole["ros"][0].parents[1]
+    folder = whole["ros"][0].parent
     package = ET.parse(folder / "package.xml").getroot()
     name = package.findtext("name")
     assert name == "my_object_description" and package.get("format") == "3"
     assert f"project({name})" in (folder / "CMakeLists.txt").read_text()
     compile((folder / "launch" / "display.launch.py").read_text(), "launch", "exec")
-    files = re.findall(r'filename="([^"]+)"', whole["ros"][0].read_text())
+    files = re.findall(r'filename="([^"]+)"', (folder / "urdf" / "object.urdf").read_text())
     assert files
     for file in files:
         start, _, rest = file.removeprefix("package://").partition("/")
