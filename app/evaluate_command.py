@@ -254,7 +254,7 @@ def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
     from app.bench import bench_segment
     from app.headless import write_json
 
-    sets = list(SEGMENTATION_SETS)
+    sets: list[str] = list(SEGMENTATION_SETS)
     if args.root is not None:
         rooms = any(Path(args.root).glob("*_labels.npz"))
         sets += ["room"] if rooms else ["partnet", "partnet-one-sided"]
