@@ -603,7 +603,7 @@ class OpenObject:
                 self.tell("Cancelled", "Nothing was changed", "gray")
         except BackendError as error:
             self.backend_away = True
-            self._failed(what, f"{error}. Press “Predict on this machine”, or predict again later")
+            self._failed(what, f"{error}: press “Predict on this machine”")
         except ArtiworldError as error:
             self._failed(what, str(error))
         except Exception as error:  # a job's boundary: say it and go on

@@ -30,7 +30,7 @@ SILENCE_SECONDS = 30.0
 """A backend says something every second, also while others are served."""
 _BLOCK = 2**18
 _MAX_LINE = 64 * 2**20
-_HERE = "predicting on this machine (predictor geometric) needs no backend"
+_HERE = "this machine can predict instead"
 
 
 class BackendError(ArtiworldError):

@@ -20,13 +20,13 @@ def bench(tmp_path):
     for i, mesh in enumerate(cupboard()):
         mesh.export(parts / f"link_{i}.obj")
     workspace = tmp_path / "workspace"
-    config = ServeConfig((parts,), workspace, predictor="http://127.0.0.1:9")
+    config = ServeConfig((parts,), workspace, segmenter="nearest", predictor="http://127.0.0.1:9")
     made = Workbench(config, Store(workspace), [parts])
     yield made
     made.close()
 
 
-def wait(until: Callable[[], object], seconds: float = 120.0) -> None:
+def wait(until: Callable[[], object], seconds: float = 200.0) -> None:
     end = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < end
