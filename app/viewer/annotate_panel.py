@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import viser
 
+from app.room_tasks import ROOM_METRES
 from app.tool_tasks import ToolRequest
 from app.viewer import palette
 from app.viewer.widgets import put
@@ -155,6 +157,12 @@ class AnnotatePanel:
             else:
                 self._app.do(cmd.NamePart(part, name))
 
+    def _part_clicked(self, part: int) -> None:
+        if self._app.pointing.armed == "merge":
+            self._app.pointing.merge(part)
+        else:
+            self._app.choose_part(part)
+
     def _part_action(self, action: str) -> None:
         app = self._app
         if action == "Add":
@@ -234,6 +242,7 @@ class AnnotatePanel:
             doc.parts,
             doc.prompts,
             doc.category,
+            doc.left_out,
             tuple(counts.items()),
             app.part,
             app.hidden,
@@ -242,13 +251,19 @@ class AnnotatePanel:
         if now == self._drawn:
             return
         self._drawn = now
-        self._draw_hint(doc)
+        self._draw_hint(obj, doc)
         self._draw_parts(doc, counts)
         self._draw_names(doc)
         self._draw_prompts(doc)
 
-    def _draw_hint(self, doc: Document) -> None:
-        if not doc.prompts:
+    def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
+        wide = obj.asset is not None and np.ptp(obj.asset.bounds[:, :2], axis=0).max() > ROOM_METRES
+        if wide and doc.left_out is None and not doc.prompts:
+            text = (
+                "**A room?** Leave out the floor and the walls first (*Room or table top*, below). "
+                "Then click or box one thing and cut it out as an object."
+            )
+        elif not doc.prompts:
             text = (
                 "**Click a part that moves** (a door, a drawer, a knob). "
                 "Press **2**, **3**, … for the next part; Shift+click says *not this*."
@@ -268,7 +283,7 @@ class AnnotatePanel:
             if part not in self._buttons:
                 with self._parts_box:
                     button = gui.add_button("", color=palette.part_color(part), order=float(part))
-                button.on_click(lambda _, part=part: app.act(lambda: app.choose_part(part)))
+                button.on_click(lambda _, part=part: app.act(lambda: self._part_clicked(part)))
                 self._buttons[part] = button
             button = self._buttons[part]
             name = _part_name(doc, part) or ("base" if part == 0 else "part")

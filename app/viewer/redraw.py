@@ -102,8 +102,8 @@ class Redraw:
         put(self._app.status, "content", "\n\n".join(lines))
         put(self._app.progress, "visible", bool(shown))
         put(self._app.progress, "value", round(100 * fraction, 1))
-        stoppable = "predict" in obj.busy or "save" in obj.busy
-        put(self._app.cancel_button, "visible", stoppable)
+        stoppable = {"predict", "save", "room"} & set(obj.busy)
+        put(self._app.cancel_button, "visible", bool(stoppable))
 
     def _draw_scene(self, obj: OpenObject) -> None:
         app, doc = self._app, obj.document
