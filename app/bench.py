@@ -42,6 +42,8 @@ def bench_segment(
     segmenters: list[str] | None,
     limit: int | None,
     progress: Progress = no_progress,
+    *,
+    points: int | None = None,
 ) -> Bench:
     """Segmentation by simulated clicks, see :mod:`model.segmentation.bench`."""
     from typing import get_args
@@ -64,6 +66,8 @@ def bench_segment(
         settings["segmenters"] = tuple(segmenters)
     if limit is not None:
         settings["limit"] = limit
+    if points is not None:
+        settings["points"] = points
     report = run(BenchConfig(**settings), progress)
     return Bench(json.loads(report.to_json()), report.print_table)
 

@@ -61,6 +61,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
              "of partnet-mobility, or rooms as <name>.ply with <name>_labels.npz")  # fmt: skip
     add("--segmenter", default="default", metavar="NAME",
         help="of --person and --segmentation: who answers the clicks")  # fmt: skip
+    add("--points", type=int, metavar="N",
+        help="of --person and --segmentation: a cloud (default: 30000 and 100000)")  # fmt: skip
     add("--export", type=Path, metavar="DIR",
         help="write the objects as folders for artiworld predict, and stop")  # fmt: skip
     add("--compare", nargs=2, type=Path, metavar=("A", "B"),
@@ -233,12 +235,14 @@ def _person(args: argparse.Namespace, progress: Progress) -> Answer:
     names = tuple(c.predictor for c in configs)
     if TRUTH in names or any(c.predictions is not None for c in configs):
         raise ConfigurationError("--person needs predictors, not --predictions or truth")
+    if args.points is not None and args.points < LEAST_CLOUD:
+        raise ConfigurationError(f"--points must be {LEAST_CLOUD} or more, got {args.points}")
     for name in names:
         require_predictor(name, args.jobs)
     load_segmenter(args.segmenter)
     config = AnnotatorConfig(
         configs[0].data, names, segmenter=args.segmenter, names=args.names, seed=args.seed,
-        timeout=max(args.timeout, 300.0),
+        timeout=max(args.timeout, 300.0), points=args.points or AnnotatorConfig.points,
     )  # fmt: skip
     report = run_person(config, chosen_ids(configs[0]), args.jobs, progress)
     if args.out is not None:
@@ -247,6 +251,7 @@ def _person(args: argparse.Namespace, progress: Progress) -> Answer:
     return report.to_json(), lambda: print_table("The person in the loop", COLUMNS, report.rows())
 
 
+LEAST_CLOUD = 1000
 SEGMENTATION_SETS = ("procedural", "procedural-noisy", "procedural-one-sided")
 
 
@@ -258,7 +263,9 @@ def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
     if args.root is not None:
         rooms = any(Path(args.root).glob("*_labels.npz"))
         sets += ["room"] if rooms else ["partnet", "partnet-one-sided"]
-    bench = bench_segment(args.root, sets, [args.segmenter], args.limit, progress)
+    bench = bench_segment(
+        args.root, sets, [args.segmenter], args.limit, progress, points=args.points
+    )
     if args.out is not None:
         write_json(args.out / "segmentation.json", bench.report)
     return bench.report, bench.show

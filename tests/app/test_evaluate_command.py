@@ -85,6 +85,21 @@ def test_mistakes_are_told_in_one_line(
     assert told.startswith("artiworld") and said in told
 
 
+def test_segmentation_by_simulated_clicks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = ["--segmentation", "--limit", "1", "--points", "2500", "--out", str(out), "--json"]
+    assert main(["evaluate", *words]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [r["dataset"] for r in rows] == [
+        "procedural", "procedural-noisy", "procedural-one-sided"
+    ]  # fmt: skip
+    for row in rows:
+        assert 0 < row["summary"]["IoU@1"] <= 1 and 1 <= row["summary"]["NoC@90"] <= 20
+    assert json.loads((out / "segmentation.json").read_text())["rows"]
+
+
 def test_the_annotator_ends_with_the_right_object() -> None:
     """Clicks, names, prediction and corrections go through a session; by hand takes more."""
     data = DatasetOptions("procedural", families=("Safe",))
