@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from app import backend_tasks
 from app.jobs import Job, JobFailed, WorkerProcess
@@ -54,6 +56,20 @@ class _Refused(Exception):
     def __init__(self, status: int, message: str) -> None:
         self.status = status
         super().__init__(message)
+
+
+class _Stream(StreamingResponse):
+    """A stream that says when it is over, also where its client left before the first line."""
+
+    def __init__(self, lines: AsyncIterator[bytes], over: Callable[[], None]) -> None:
+        super().__init__(lines, media_type="application/x-ndjson")
+        self._over = over
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._over()
 
 
 class Backend:
@@ -119,7 +135,10 @@ class Backend:
             return _refusal(_Refused(400, str(error)))
         except _Refused as refused:
             return _refusal(refused)
-        return StreamingResponse(self._answer(request, body), media_type="application/x-ndjson")
+        return _Stream(self._answer(request, body), self._left)
+
+    def _left(self) -> None:
+        self._under_way -= 1
 
     def _let_in(self, request: Request) -> None:
         kind, _, token = request.headers.get("authorization", "").partition(" ")
@@ -168,12 +187,11 @@ class Backend:
         try:
             yield _line(progress=[0.0, "Waiting for the backend"])
             while not job.done:
-                try:
+                with suppress(TimeoutError):
                     async with asyncio.timeout(HEARTBEAT_SECONDS):
                         await changed.wait()
-                except TimeoutError:
-                    if await request.is_disconnected():
-                        return
+                if await request.is_disconnected():
+                    return
                 changed.clear()
                 if not job.done:
                     yield _line(progress=[job.fraction, job.message or _queue_text(before, job)])
@@ -181,7 +199,6 @@ class Backend:
         finally:
             job.cancel()
             before.remove(job)
-            self._under_way -= 1
 
 
 def _queue_text(jobs: list[Job[Any]], job: Job[Any]) -> str:

@@ -135,7 +135,8 @@ class VllmEngine:
             skip_special_tokens=False,
             logprobs=0,
         )
-        (request,) = self._model.generate([{"prompt_embeds": prompt}], options, use_tqdm=False)
+        embeds = prompt.to("cpu", torch.bfloat16)
+        (request,) = self._model.generate([{"prompt_embeds": embeds}], options, use_tqdm=False)
         answer = request.outputs[0]
         progress(1.0, "Writing")
         likely = (answer.cumulative_logprob or 0.0) / max(len(answer.token_ids), 1)

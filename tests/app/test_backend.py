@@ -225,7 +225,7 @@ def test_one_after_the_other_and_too_many_are_refused(url, log):
     assert all("3 requests are under way" in a for a in answers if a != "answered")
     assert log.read_text().split() == ["begin", "end"] * 3
     assert {"Waiting for 1 other", "Waiting for 2 others", "Dawdling"} <= set(messages)
-    assert client.check()["under_way"] == 0
+    _wait(lambda: client.check()["under_way"] == 0)
 
 
 def test_cancelling_stops_the_backend(url, log):
