@@ -232,9 +232,17 @@ def detached_finding(scene: Scene, joint: Joint) -> Finding | None:
         if kept < LIFTS * abs(q):
             said = f"Lifts off {holder}: {length(float(growth[k]))} away at {value(joint, q)}."
             verdict = "fine" if growth[k] < 0.5 * scene.diagonal else "look"
+    if verdict == "broken" and not _closed(scene, joint, held.holder):
+        verdict = "look"  # a scan doesn't show the rails inside
     at = tuple(float(v) for v in held.where[k])
     gap = float(growth[k])
     return Finding("detached", verdict, said, gap, {joint.name: q}, at, held.holder)  # type: ignore[arg-type]
+
+
+def _closed(scene: Scene, joint: Joint, holder: str) -> bool:
+    """Whether the part and what holds it are meshes: clouds show their outside alone."""
+    both = [scene.surfaces[k] for k in (joint.child, holder) if k in scene.surfaces]
+    return all(s.oriented for s in both)
 
 
 def attached_range(scene: Scene, joint: Joint) -> tuple[float, float]:

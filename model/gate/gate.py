@@ -121,15 +121,12 @@ def _without_geometry(obj: ArticulatedObject, unusable: dict[str, str]) -> Artic
 
 
 def _unusable(part: Part) -> str:
-    """Why nothing can be measured of a part, or ""."""
+    """Why nothing can be measured of a part, or "". (No part holds NaN: it is refused before.)"""
     mesh, cloud = part.mesh, part.cloud
     at = mesh.vertices if mesh is not None and len(mesh.faces) else None
     at = cloud.points if at is None and cloud is not None and len(cloud) else at
     if at is None:
         return "The part has no face and no point."
-    bad = int((~np.isfinite(at)).any(axis=1).sum())
-    if bad:
-        return f"{bad} of the part's {len(at)} points are no numbers (NaN or infinite)."
     if not np.ptp(at, axis=0).any():
         return "The part is a single point."
     return ""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cabinets import DOOR, DRAWER, W, box, cabinet, part, two
 
+from model.errors import GeometryError, KinematicsError
 from model.gate.gate import run_gate
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
@@ -148,14 +149,22 @@ def test_a_part_that_is_wedged_in_is_jammed():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_geometry_that_is_no_number_is_broken_and_the_others_are_still_judged(value):
-    obj = cabinet()
-    at = np.array(obj.parts[1].mesh.vertices)
+def test_geometry_that_is_no_number_never_gets_as_far_as_the_gate(value):
+    door = cabinet().parts[1]
+    at = np.array(door.mesh.vertices)
     at[3, 1] = value
-    door = Part("link_1", replace(obj.parts[1].mesh, vertices=at), name="door")
+    with pytest.raises(GeometryError, match="1 of 8 rows are NaN or infinite"):
+        replace(door, mesh=replace(door.mesh, vertices=at))
+    with pytest.raises(KinematicsError, match="finite"):
+        replace(DOOR, upper=value)
+
+
+def test_a_part_that_is_a_single_point_is_broken_and_the_others_are_still_judged():
+    obj = cabinet()
+    door = Part("link_1", cloud=PointCloud(np.zeros((1, 3), np.float32)), name="door")
     report = run_gate(replace(obj, parts=(obj.parts[0], door, obj.parts[2])))
     assert report.of("door").verdict == "broken"
-    assert "no numbers" in report.of("door").sentence
+    assert report.of("door").sentence == "The part is a single point."
     assert report.of("drawer").verdict == "fine"
     assert report.physics is None
 

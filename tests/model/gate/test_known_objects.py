@@ -1,0 +1,23 @@
+"""Ground truth passes: the bundled examples wholly, a data set with few exceptions."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
+
+from demos import DEMOS, demo_object
+
+from model.gate.gate import run_gate
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_no_true_joint_of_a_bundled_example_is_broken(name):
+    report = run_gate(demo_object(name), mends=False)
+    broken = [(j.joint, j.sentence) for j in report.with_verdict("broken")]
+    assert not broken
+    assert report.physics is not None and report.physics.ran
+    assert not report.physics.exploded
