@@ -166,7 +166,7 @@ def _print_batch(report: dict[str, Any]) -> None:
 
     table = Table()
     for column in ("asset", "formats", "collision shapes", "files", "wrong"):
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     for row in report["assets"]:
         if "error" in row:
             table.add_row(row["asset"], "", "", "", Text(row["error"], "bold red"))

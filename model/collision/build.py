@@ -114,7 +114,8 @@ def collision_of(
     progress(0.9, "making room between the parts")
     slim = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in bodies.items()}
     free = relieve(slim, obj.tree, diagonal) if settings.relief else slim
-    shapes = _shapes(obj, free, bodies if settings.primitives else {})
+    fine = {id(s): f for k in slim for s, f in zip(slim[k], bodies[k], strict=True)}
+    shapes = _shapes(obj, free, fine if settings.primitives else {})
     save_shapes(store, key, shapes)
     _remember(key, shapes)
     progress(1.0, "collision shapes are there")
@@ -246,8 +247,14 @@ def _distinct(faces: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return faces[np.unique(key, return_index=True)[1]]
 
 
-def _shapes(obj: ArticulatedObject, free: Bodies, whole: Bodies) -> dict[str, tuple[Shape, ...]]:
-    """Primitives where a body was not cut and nothing else is in the primitive's way."""
+def _shapes(
+    obj: ArticulatedObject, free: Bodies, fine: Mapping[int, Hull]
+) -> dict[str, tuple[Shape, ...]]:
+    """Primitives where a body is like one and nothing else is in the primitive's way.
+
+    Args:
+        fine: id of a body that was not cut → the one with more corners that it was made from.
+    """
     others: dict[str, list[Hull]] = {link: [] for link in free}
     for a, b in moving_pairs(obj.tree):
         if a in free and b in free:
@@ -257,21 +264,13 @@ def _shapes(obj: ArticulatedObject, free: Bodies, whole: Bodies) -> dict[str, tu
     for link, bodies in free.items():
         held: list[Shape] = []
         for body in bodies:
-            shape = primitive_of(_uncut(body, whole.get(link, []))) if whole else None
+            shape = primitive_of(fine.get(id(body), body)) if fine else None
             blocked = shape is not None and any(
                 overlap(shape.hull, other) is not None for other in others[link]
             )
             held.append(body if shape is None or blocked else shape)
         out[link] = tuple(held)
     return out
-
-
-def _uncut(body: Hull, whole: list[Hull]) -> Hull:
-    """The finer body that ``body`` was simplified from; itself where it was cut since."""
-    for fine in whole:
-        if np.abs(fine.bounds - body.bounds).max() < 1e-9 and body.volume > 0.8 * fine.volume:
-            return fine
-    return body
 
 
 __all__ = [

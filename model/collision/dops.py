@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.collision.hulls import Hull, coarse, thick_hull
 from model.collision.voxels import Occupancy, lattice_with_faces
 from model.geometry.mesh import Mesh
 
@@ -107,6 +108,10 @@ class Surface:
     def corners(self, faces: npt.NDArray[np.int64]) -> FloatArray:
         """(N, 3) vertices of some faces."""
         return self.mesh.vertices[np.unique(self.mesh.faces[faces])]
+
+    def hull(self, faces: npt.NDArray[np.int64], corners: int) -> Hull:
+        """The true hull of some faces, with about ``corners`` corners at most."""
+        return coarse(thick_hull(self.corners(faces), 0.5 * self.space.size), corners)
 
 
 def _directions(mesh: Mesh) -> FloatArray:

@@ -152,7 +152,7 @@ def simplified(hull: Hull, vertices: int) -> Hull:
     """With at most ``vertices`` corners: those that stand out most, one after the other."""
     if len(hull.vertices) <= vertices:
         return hull
-    at = hull.vertices
+    at = coarse(hull, 3 * vertices).vertices  # one by one is slow for hundreds
     axes = np.linalg.svd(at - at.mean(axis=0), full_matrices=False)[2]
     along = at @ axes.T
     chosen = list(dict.fromkeys([*along.argmin(axis=0).tolist(), *along.argmax(axis=0).tolist()]))

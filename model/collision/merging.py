@@ -1,97 +1,155 @@
 """Joining neighbouring pieces again while what holds both covers no free space.
 
 Greedy, as in hierarchical approximate convex decomposition (Mamou and Ghorbel, 2009), but what a
-merge costs is what matters here: the free voxels that the common body newly covers.
+merge costs is what matters here: the free voxels that the common body newly covers. First with
+polytopes of fixed directions, which are quick; the few that are left with true hulls, which are
+tighter about round things.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.dops import FloatArray, Surface
+from model.collision.dops import Surface
+from model.collision.hulls import Hull, coarse, thick_hull
 from model.collision.pieces import Piece
 
 FREE_MERGE = 0.001
 """Share of the free voxels that one merge may cover."""
 FREE_TOTAL = 0.01
 """And all of them."""
+ROUGH = 1.5
+"""How many pieces the quick bodies leave, in the budget."""
+CORNERS = 40
+"""Of hulls while they are compared."""
 
 _OFFSETS = np.array([o for o in np.ndindex(3, 3, 3) if o > (1, 1, 1)]) - 1
 
+Faces = npt.NDArray[np.int64]
 
-def merge(surface: Surface, pieces: list[Piece], most: int) -> list[npt.NDArray[np.int64]]:
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Faces and what holds them: an extent or a hull; its free voxels and its size."""
+
+    faces: Faces
+    shape: Any
+    covers: float
+    size: float
+    middle: npt.NDArray[np.float64]
+
+
+def merge(surface: Surface, pieces: list[Piece], most: int) -> list[Faces]:
     """The faces of at most ``most`` pieces.
 
     Beyond the number the merges that cost least free space are made whatever they cost.
     """
-    return _Merging(surface, pieces).run(most)
+    free = surface.space.free_count
+    bodies = [_extent_body(surface, p.faces, p.extent, p.covers) for p in pieces]
+    rough = _Merging(bodies, _neighbours(surface, pieces), lambda a, b: _extents(surface, a, b))
+    rough.run(max(int(ROUGH * most), most + 4), free)
+    left = list(rough.body)
+    place = {key: i for i, key in enumerate(left)}
+    near = [(place[a], place[b]) for a in left for b in rough.near[a] if a < b and b in place]
+    hulls = [_hull_body(surface, rough.body[k].faces, surface.hull(rough.body[k].faces, CORNERS))
+             for k in left]  # fmt: skip
+    fine = _Merging(hulls, near, lambda a, b: _hulls(surface, a, b))
+    fine.run(most, free)
+    return [b.faces for b in fine.body.values()]
+
+
+def _extent_body(surface: Surface, faces: Faces, extent: Any, covers: float | None) -> _Body:
+    size = float(np.prod(extent[1, :3] - extent[0, :3]))
+    covers = surface.covers(extent) if covers is None else covers
+    return _Body(faces, extent, covers, size, extent[:, :3].mean(axis=0))
+
+
+def _extents(surface: Surface, a: _Body, b: _Body) -> _Body:
+    low = np.minimum(a.shape[0], b.shape[0])
+    extent = np.stack([low, np.maximum(a.shape[1], b.shape[1])])
+    return _extent_body(surface, np.concatenate([a.faces, b.faces]), extent, None)
+
+
+def _hull_body(surface: Surface, faces: Faces, hull: Hull) -> _Body:
+    covers = surface.space.count_inside(surface.space.free, hull.planes, hull.bounds)
+    return _Body(faces, hull, covers, hull.volume, hull.bounds.mean(axis=0))
+
+
+def _hulls(surface: Surface, a: _Body, b: _Body) -> _Body:
+    corners = np.concatenate([a.shape.vertices, b.shape.vertices])
+    hull = coarse(thick_hull(corners, 0.5 * surface.space.size), CORNERS)
+    return _hull_body(surface, np.concatenate([a.faces, b.faces]), hull)
 
 
 class _Merging:
-    def __init__(self, surface: Surface, pieces: list[Piece]) -> None:
-        self.surface = surface
-        self.piece = dict(enumerate(pieces))
+    def __init__(
+        self,
+        bodies: list[_Body],
+        near: Iterable[tuple[int, int]],
+        union: Callable[[_Body, _Body], _Body],
+    ) -> None:
+        self.body = dict(enumerate(bodies))
+        self.union = union
         self.near: dict[int, set[int]] = defaultdict(set)
-        for a, b in _neighbours(surface, pieces):
+        for a, b in near:
             self.near[a].add(b)
             self.near[b].add(a)
-        self.queue: list[tuple[float, float, int, int, FloatArray, float]] = []
-        self.next = len(pieces)
+        self.queue: list[tuple[float, float, int, int, _Body]] = []
+        self.next = len(bodies)
 
-    def run(self, most: int) -> list[npt.NDArray[np.int64]]:
-        free = max(self.surface.space.free_count, 1)
+    def run(self, most: int, free: int) -> None:
+        """Merge while it is cheap, and until at most ``most`` are left."""
         for a in list(self.near):
             for b in self.near[a]:
                 if a < b:
                     self._offer(a, b)
-        spent = 0.0
-        while len(self.piece) > 1:
+        spent, free = 0.0, max(free, 1)
+        while len(self.body) > 1:
             while self.queue and not self._alive(self.queue[0]):
                 heapq.heappop(self.queue)
             if not self.queue:
-                if len(self.piece) <= most:
+                if len(self.body) <= most:
                     break
                 self._bridge()
                 continue
             cost = self.queue[0][0]
             wanted = cost <= FREE_MERGE * free and spent + cost <= FREE_TOTAL * free
-            if not wanted and len(self.piece) <= most:
+            if not wanted and len(self.body) <= most:
                 break
             spent += max(cost, 0.0)
-            self._join(*heapq.heappop(self.queue)[2:])
-        return [p.faces for p in self.piece.values()]
+            _, _, a, b, made = heapq.heappop(self.queue)
+            self._join(a, b, made)
 
-    def _alive(self, entry: tuple[float, float, int, int, FloatArray, float]) -> bool:
-        return entry[2] in self.piece and entry[3] in self.piece
+    def _alive(self, entry: tuple[float, float, int, int, _Body]) -> bool:
+        return entry[2] in self.body and entry[3] in self.body
 
     def _offer(self, a: int, b: int) -> None:
-        one, other = self.piece[a], self.piece[b]
-        extent = np.stack([
-            np.minimum(one.extent[0], other.extent[0]), np.maximum(one.extent[1], other.extent[1])
-        ])  # fmt: skip
-        covers = self.surface.covers(extent)
-        cost = covers - one.covers - other.covers
-        size = float(np.prod(extent[1, :3] - extent[0, :3]))  # small ones first, they stay compact
-        heapq.heappush(self.queue, (cost, size, a, b, extent, covers))
+        made = self.union(self.body[a], self.body[b])
+        cost = made.covers - self.body[a].covers - self.body[b].covers
+        # Small ones first, they stay compact. No two entries have the same a and b.
+        heapq.heappush(self.queue, (cost, made.size, a, b, made))
 
-    def _join(self, a: int, b: int, extent: FloatArray, covers: float) -> None:
+    def _join(self, a: int, b: int, made: _Body) -> None:
         new, self.next = self.next, self.next + 1
         around = (self.near.pop(a, set()) | self.near.pop(b, set())) - {a, b}
-        faces = np.concatenate([self.piece.pop(a).faces, self.piece.pop(b).faces])
-        self.piece[new], self.near[new] = Piece(faces, extent, covers), around
+        del self.body[a], self.body[b]
+        self.body[new], self.near[new] = made, around
         for other in around:
             self.near[other] -= {a, b}
             self.near[other].add(new)
             self._offer(other, new)
 
     def _bridge(self) -> None:
-        """Offer each piece to its nearest ones where none touches another any more."""
-        keys = list(self.piece)
-        middles = np.stack([self.piece[k].extent[:, :3].mean(axis=0) for k in keys])
+        """Offer each body to its nearest ones where none touches another any more."""
+        keys = list(self.body)
+        middles = np.stack([self.body[k].middle for k in keys])
         apart = np.linalg.norm(middles[:, None] - middles, axis=2)
         nearest = np.argsort(apart, axis=1)[:, 1:4]
         for a, b in {(min(i, j), max(i, j)) for i, row in enumerate(nearest.tolist()) for j in row}:

@@ -8,7 +8,7 @@ oriented or clean mesh.
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -25,6 +25,8 @@ SMOOTH = 0.5
 FLAT = 0.05
 """The same of one flat region."""
 MOST_PIECES = 192
+CORNERS = 64
+"""Of the hulls that tell whether a piece is convex."""
 DIRECTION = 0.3
 """Weight of the faces' normals against their places, in the piece's extent, where it is halved."""
 
@@ -61,8 +63,11 @@ def cut_into_pieces(surface: Surface, tolerance: float, most: int = MOST_PIECES)
     done: list[Piece] = []
     while queue and len(queue) + len(done) < most:
         covers, _, level, worst = heapq.heappop(queue)
+        if -covers > tolerance and len(worst.faces) > 1:  # its true hull may be tighter
+            hull = surface.hull(worst.faces, CORNERS)
+            covers = -surface.space.count_inside(surface.space.free, hull.planes, hull.bounds)
         if -covers <= tolerance or len(worst.faces) < 2:
-            done.append(worst)
+            done.append(replace(worst, covers=min(worst.covers, -covers)))
             continue
         level, groups = levels.split(worst.faces, level)
         for faces in groups:

@@ -2,9 +2,10 @@
 
 A drawer sits in its cabinet without a gap, a hinge's pin in its hole: bodies that overlap at rest
 push each other away in a simulator and jam the joint. Where two overlap, a plane between them cuts
-one or both; of the ways to cut, the one that loses least. The same is done along the joint's range
-where the overlap is small, since corners near a hinge graze their frame. Larger ones stay: they
-are collisions, and for people to mend.
+one or both; of the ways to cut, the one that loses least. The same is done on the way from rest to
+the joint's limits, in steps that begin small, since corners near a hinge graze their frame as soon
+as the door moves. What overlaps by more than that from one step to the next stays: it is a
+collision, and for people to mend.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ GAP = 2e-4
 """Between bodies afterwards, in the object's diagonal."""
 GRAZE = 0.01
 """Overlap along the range that is cut away, in the diagonal."""
-SAMPLES = 6
-"""Poses along the range."""
+STEPS = (0.004, 0.012, 0.03, 0.07, 0.15, 0.3, 0.6, 1.0)
+"""Of the way from rest to a limit, where a hinge's grazing is looked for."""
+SLIDES = (0.02, 0.25, 0.5, 1.0)
+"""The same of sliding joints, which graze as much at every step."""
 ROUNDS = 4
 LEAST = 0.3
 """Share of a body that must be left where it is cut."""
@@ -62,18 +65,34 @@ def moving_pairs(tree: KinematicTree) -> list[tuple[str, str]]:
     return [(a, b) for a, b in combinations(tree.order, 2) if group[a] != group[b]]
 
 
+def limits_of(joint: Joint) -> tuple[float, float]:
+    """Lower and upper; half a turn either way for continuous joints."""
+    lower, upper = (joint.lower, joint.upper) if joint.limited else (-np.pi, np.pi)
+    assert lower is not None and upper is not None
+    return lower, upper
+
+
 def poses_over_range(
-    tree: KinematicTree, samples: int = SAMPLES
+    tree: KinematicTree, samples: int
 ) -> Iterator[tuple[Joint, float, Mapping[str, FloatArray]]]:
-    """Each leading joint alone, from rest to its limits: (joint, q, poses); rest is left out."""
+    """Each leading joint alone, over its range: (joint, q, poses); rest is left out."""
     for joint in tree.joints:
         if not joint.moves or joint.mimic is not None:
             continue
-        lower, upper = (joint.lower, joint.upper) if joint.limited else (-np.pi, np.pi)
-        assert lower is not None and upper is not None
-        for q in np.linspace(lower, upper, samples):
+        for q in np.linspace(*limits_of(joint), samples):
             if abs(q) > 1e-9:
                 yield joint, float(q), tree.pose({joint.name: float(q)})
+
+
+def _poses_from_rest(tree: KinematicTree) -> Iterator[tuple[Joint, Mapping[str, FloatArray]]]:
+    """Each leading joint alone, from rest to either limit, in widening steps."""
+    for joint in tree.joints:
+        if not joint.moves or joint.mimic is not None:
+            continue
+        for end in limits_of(joint):
+            for step in STEPS if joint.rotates else SLIDES:
+                if abs(end * step) > 1e-9:
+                    yield joint, tree.pose({joint.name: end * step})
 
 
 def overlaps(
@@ -121,7 +140,7 @@ def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float) -> Bodies:
     for _ in range(ROUNDS):
         if not _cut_all(bodies, overlaps(bodies, pairs, rest), gap, np.inf):
             break
-    for joint, _, poses in poses_over_range(tree):
+    for joint, poses in _poses_from_rest(tree):
         moved = tree.descendants(joint.child)
         crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
         _cut_all(bodies, overlaps(bodies, crossing, poses), gap, GRAZE * diagonal)
@@ -140,14 +159,17 @@ def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> 
         if now is None or now.depth > most:
             continue
         answer = _cut(a, b, now, gap)
-        if answer is None:
+        if answer is None or (None in answer and np.isfinite(most)):  # dropped at rest alone
             continue
         changed = True
         back = np.linalg.inv(touch.a_from_b)
-        for link, i, made in ((touch.a, touch.i, answer[0]), (touch.b, touch.j, answer[1])):
+        for link, i, made, was in (
+            (touch.a, touch.i, answer[0], a),
+            (touch.b, touch.j, answer[1], b),
+        ):
             if made is None:
                 gone.add((link, i))
-            else:
+            elif made is not was:  # what wasn't cut stays the same object
                 bodies[link][i] = made if link == touch.a else made.moved(back)
     for link in {link for link, _ in gone}:
         lost = {i for name, i in gone if name == link}

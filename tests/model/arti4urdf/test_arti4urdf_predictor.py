@@ -52,9 +52,7 @@ def test_forced_spans_change_nothing_but_the_number_of_passes(tiny_model: ArtiMo
 def test_settled_joints_come_out_as_they_are(tiny_model: ArtiModel) -> None:
     segmented = _parts("StorageFurniture", 2)
     links = [p.link for p in segmented.parts]
-    settled = Joint(
-        "mine", "revolute", links[0], links[1], (0, 0, 1), (0.1, 0.2, 0.3), -0.25, 1.5
-    )
+    settled = Joint("mine", "revolute", links[0], links[1], (0, 0, 1), (0.1, 0.2, 0.3), -0.25, 1.5)
     found = Arti4UrdfPredictor(tiny_model).predict(segmented, locked=(settled,))
     assert found.tree is not None
     assert found.tree.joint_of[links[1]] == settled
