@@ -190,9 +190,10 @@ class JointsPanel:
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
-        put(self._here, "visible", obj.backend_away)
         app, doc = self._app, obj.document
         tree = doc.tree
+        wanted = tree is None or doc.prediction_stale
+        put(self._here, "visible", obj.backend_away and wanted)
         checks = tuple((c.joint, c.where) for c in obj.checks)
         now = (
             obj.record.id,
@@ -211,7 +212,7 @@ class JointsPanel:
         for widget in (self._tree, self._motion, self._editor):
             put(widget, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
-        put(self._again, "visible", tree is None or doc.prediction_stale)
+        put(self._again, "visible", wanted)
         if tree is None:
             text = "No joints yet. Click the moving parts, then predict."
             put(self._empty, "content", text)
