@@ -14,9 +14,6 @@ from model.errors import CommandError
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 
-ROOM_METRES = 2.5
-"""A scan that is wider than this may be a room."""
-
 Elements = npt.NDArray[np.int64]
 
 

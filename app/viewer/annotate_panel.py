@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import viser
 
-from app.room_tasks import ROOM_METRES
 from app.tool_tasks import ToolRequest
 from app.viewer import palette
 from app.viewer.widgets import put
 from app.workbench import OpenObject
+from model.segmentation.crop import ROOM_METRES
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.document import Document

@@ -11,8 +11,15 @@ from model.geometry.asset import Asset
 
 Bool = npt.NDArray[np.bool_]
 
-_SAMPLE = 40_000
-_TRIALS = 400
+ROOM_METRES = 2.5
+"""A scan that is wider than this may be a room."""
+MOST_THICKNESS = 0.06
+"""Metres: more is no unevenness of a wall."""
+
+_SAMPLE = 20_000
+_PLANES = 8
+_YAW_STEP = 3
+_BEYOND = 0.04
 
 
 def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool:
@@ -31,73 +38,69 @@ def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool
     return mean > middle + deviations * spread
 
 
-def floor_and_walls(asset: Asset, share: float = 0.05, thickness: float = 0.01) -> Bool:
+def floor_and_walls(asset: Asset, share: float = 0.03, thickness: float = 0.01) -> Bool:
     """(E,) elements on the floor, the ceiling and upright walls.
 
-    A plane counts as one of them where it holds ``share`` of the elements, nearly everything
-    else lies on one side of it, and it reaches out farther than the rest: the sides of a lone
-    box are no walls.
+    A level or upright plane counts as one of them where it holds ``share`` of the elements and
+    nearly nothing lies beyond it. In scans that are narrower than a room it must also reach out
+    farther than the rest: the sides of a lone box are no walls.
 
     Args:
         share: of all elements.
-        thickness: half the thickness of a plane in parts of the bounding box's diagonal.
+        thickness: half the thickness of a plane in parts of the bounding box's diagonal, at most
+            ``MOST_THICKNESS``; planes that are smoother take less.
     """
     centers = asset.element_centers
     out = np.zeros(len(centers), bool)
     if len(centers) < 50:
         return out
-    rng = np.random.default_rng(0)
-    step = max(len(centers) // _SAMPLE, 1)
-    sample = centers[::step]
-    band = thickness * max(asset.diagonal, 1e-9)
+    sample = centers[:: max(len(centers) // _SAMPLE, 1)]
+    band = min(thickness * max(asset.diagonal, 1e-9), MOST_THICKNESS)
+    room = bool(np.ptp(sample[:, :2], axis=0).max() > ROOM_METRES)
     left = np.ones(len(sample), bool)
-    for _ in range(8):
-        plane = _border_plane(sample, left, band, share, rng)
+    for _ in range(_PLANES):
+        plane = _border_plane(sample, left, band, share, room)
         if plane is None:
             break
         normal, offset = plane
-        near = np.abs(centers @ normal - offset) < band
-        out |= near
+        away = np.abs(sample[left] @ normal - offset)
+        spread = 1.4826 * float(np.median(away[away < band]))
+        half = float(np.clip(3.0 * spread, 0.3 * band, band))
+        out |= np.abs(centers @ normal - offset) < half
         left &= np.abs(sample @ normal - offset) >= band
     return out
 
 
 def _border_plane(
-    points: npt.NDArray[np.float64],
-    left: Bool,
-    band: float,
-    share: float,
-    rng: np.random.Generator,
+    points: npt.NDArray[np.float64], left: Bool, band: float, share: float, room: bool
 ) -> tuple[npt.NDArray[np.float64], float] | None:
-    """The best supported level or upright plane with nearly everything on one side."""
-    pool = np.nonzero(left)[0]
-    if len(pool) < 3:
+    """The best supported level or upright plane with nearly nothing beyond it.
+
+    Rooms have level floors and upright walls, so the normals are few enough to try them all.
+    """
+    if left.sum() < 3:
         return None
+    yaw = np.radians(np.arange(0, 360, _YAW_STEP))
+    normals = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=1)
     best, answer = share * len(points), None
-    for _ in range(_TRIALS):
-        a, b, c = points[rng.choice(pool, 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(normal))
-        if length < 1e-12:
+    for normal in (np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]), *normals):
+        # Windows of two bands near the far end along the normal, and how many points are in each.
+        heights = points @ normal
+        last = max(0, int((1 - _BEYOND) * len(heights)) - 1)
+        end = np.partition(heights, last)[last]
+        order = heights[left & (heights >= end - 2 * band)]
+        if len(order) <= best:
             continue
-        normal /= length
-        # Rooms have level floors and upright walls; a shelf's slope is no border.
-        if abs(normal[2]) > 0.98:
-            normal = np.array([0.0, 0.0, 1.0])
-        elif abs(normal[2]) < 0.05:
-            normal[2] = 0
-            normal /= np.linalg.norm(normal)
-        else:
+        order.sort()
+        count = np.searchsorted(order, order + 2 * band) - np.arange(len(order))
+        k = int(count.argmax())
+        if count[k] <= best:
             continue
-        height = points[pool] @ normal - a @ normal
-        near = np.abs(height) < band
-        support = int(near.sum())
-        if support <= best:
-            continue
-        all_heights = points @ normal - a @ normal
-        outside = min(int((all_heights > band).sum()), int((all_heights < -band).sum()))
-        if outside < 0.02 * len(points) and _reaches_out(points[pool], near, normal):
-            best, answer = support, (normal, float((points[pool[near]] @ normal).mean()))
+        inside = (order >= order[k]) & (order <= order[k] + 2 * band)
+        offset = float(order[inside].mean())
+        height = points[left] @ normal - offset
+        if room or _reaches_out(points[left], np.abs(height) < band, normal):
+            best, answer = float(count[k]), (normal, offset)
     return answer
 
 
