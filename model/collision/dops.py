@@ -73,7 +73,7 @@ class Surface:
         from scipy.ndimage import binary_dilation
 
         free, space = self.space.free, self.space
-        near = free & binary_dilation(space.surface, iterations=2)
+        near = free & np.asarray(binary_dilation(space.surface, iterations=2), bool)
         chosen, weights = [], []
         for mask in (near, free & ~near):
             index = np.flatnonzero(mask)

@@ -84,9 +84,9 @@ def _sphere(hull: Hull) -> Primitive | None:
 def _along(hull: Hull, axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Frame (3, 3) with z along the axis, a point on it, and the corners' heights and radii."""
     helper = np.eye(3)[np.abs(axis).argmin()]
-    x = np.cross(axis, helper)
+    x: FloatArray = np.cross(axis, helper)
     x /= np.linalg.norm(x)
-    rotation = np.stack([x, np.cross(axis, x), axis], axis=1)
+    rotation: FloatArray = np.stack([x, np.cross(axis, x), axis], axis=1)
     local = hull.vertices @ rotation
     system = np.column_stack([2 * local[:, :2], np.ones(len(local))])
     answer = np.linalg.lstsq(system, (local[:, :2] ** 2).sum(axis=1), rcond=None)[0]
@@ -114,7 +114,7 @@ def _capsule(hull: Hull, axis: FloatArray) -> Primitive | None:
     beyond = np.maximum(np.maximum(low + radius - height, height - (high - radius)), 0.0)
     away = np.hypot(beyond, radii)
     volume = np.pi * radius**2 * (length + 4 / 3 * radius)
-    if np.ptp(away) > ROUND * radius or hull.volume < 0.85 * volume:
+    if np.ptp(away) > ROUND * radius or hull.volume < 0.8 * volume:
         return None
     middle[2] = (low + high) / 2
     return _placed("capsule", rotation, rotation @ middle, (radius, length))

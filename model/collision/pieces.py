@@ -104,7 +104,7 @@ class _Levels:
     ) -> list[npt.NDArray[np.int64]]:
         """Cut by the groups' middles, none of them cut through."""
         weight = self.mesh.face_areas[faces]
-        total = np.bincount(group, weight)
+        total: FloatArray = np.bincount(group, weight).astype(np.float64)
         at = [np.bincount(group, weight * c) / total for c in self.centers[faces].T]
         side = _two_sides(np.stack(at, axis=1), total)[group]
         return [faces[side], faces[~side]]

@@ -75,7 +75,7 @@ def _load_sdf(bullet: Any, path: Path, client: int) -> Any:
     """PyBullet knows no joint to the world: it reads a copy without it."""
     from defusedxml import ElementTree
 
-    root = ElementTree.parse(path).getroot()
+    root = ElementTree.fromstring(path.read_bytes())
     for model in root.findall("model"):
         for joint in model.findall("joint"):
             if joint.findtext("parent") == "world":
