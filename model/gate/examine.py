@@ -31,7 +31,7 @@ LIFTS = 0.25
 SLIDE_LIMIT, SLIDE_ABSURD = 1.2, 3.0
 """Travel of a slide in diagonals: longer than the object, and nonsense."""
 TURNS_LIMIT = 2 * math.pi * 1.01
-EMPTY_ANGLE, EMPTY_SLIDE = math.radians(0.5), 1e-3
+EMPTY_ANGLE, EMPTY_SLIDE = math.radians(0.2), 2e-4
 """Range below which a joint doesn't move: radians, and diagonals."""
 PRESSED = ("button", "key", "switch", "toggle", "pedal")
 """What is pushed sinks into what carries it."""
