@@ -88,7 +88,7 @@ def load_network(checkpoint: Path, device: str | None = None) -> Any:
         import torch
     except ImportError as error:
         raise ConfigurationError(
-            "Point-SAM needs PyTorch; install it with: pip install 'artiworld[network]'"
+            "Point-SAM needs PyTorch and safetensors: pip install torch safetensors"
         ) from error
     from model.arti4urdf.checkpoints import strict_load
     from model.segmentation.adapters.point_sam_network import PointSamNetwork

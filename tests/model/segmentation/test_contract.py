@@ -29,7 +29,7 @@ def load(name: str) -> Segmenter:
     if name == "balls":
         return BallSegmenter()
     if name == "point-sam":
-        pytest.importorskip("torch", reason="PyTorch is not installed: pip install .[network]")
+        pytest.importorskip("torch", reason="PyTorch is not installed")
         from test_point_sam import write_weights
 
         path = Path(tempfile.mkdtemp()) / "model.safetensors"

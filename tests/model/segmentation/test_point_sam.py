@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="PyTorch is not installed: pip install .[network]")
+pytest.importorskip("torch", reason="PyTorch is not installed")
 
 import torch
 from safetensors.torch import save_file
