@@ -337,7 +337,7 @@ def test_serve_takes_a_backend_and_says_where_it_is_away(capsys, url, monkeypatc
     assert os.environ[TOKEN_VARIABLE] == TOKEN
     assert "can't be reached" not in capsys.readouterr().err
     with pytest.raises(ConfigurationError, match="exclude each other"):
-        config("--backend", url, "--predictor", "magic")
+        config("--backend", url, "--predictor", "qwen3:weights")
     with pytest.raises(ConfigurationError, match="no --backend"):
         config("--backend-token", TOKEN)
 
