@@ -211,7 +211,7 @@ def _add_point_sam(parser: argparse.ArgumentParser) -> None:
     """``--point-sam PATH`` is ``--segmenter point-sam:PATH``."""
     parser.add_argument(
         "--point-sam", dest="segmenter", type="point-sam:{}".format, metavar="PATH",
-        help="let Point-SAM answer, with the published weights at PATH (needs PyTorch)")  # fmt: skip
+        help="let Point-SAM answer, with the published weights at PATH")  # fmt: skip
 
 
 def _add_segment(parser: argparse.ArgumentParser) -> None:
