@@ -13,7 +13,9 @@ from app.person_report import run_person
 from model.datasets.registry import DatasetOptions, open_dataset
 from model.exporters.urdf import UrdfExporter
 
-MADE = ("--data", "procedural", "--family", "Safe", "Laptop", "--jobs", "1")
+MADE = (
+    "--data", "procedural", "--family", "Safe", "Laptop", "--jobs", "1", "--timeout", "900"
+)  # fmt: skip
 
 
 def written(folder: Path, *ids: str) -> Path:

@@ -108,7 +108,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def scored(data: Path, folder: Path, **options: object) -> Report:
     config = EvaluationConfig(
-        DatasetOptions("urdf", data), predictor="they", predictions=folder, jobs=1, **options
+        DatasetOptions("urdf", data),
+        predictor="they",
+        predictions=folder,
+        jobs=1,
+        timeout=900.0,
+        **options,
     )  # type: ignore[arg-type]
     return evaluate(config)
 
@@ -250,7 +255,7 @@ def test_real_objects_through_our_exporter_and_back(shared_data: Path, tmp_path:
         write(dataset.load(object_id).object, tmp_path / "they" / object_id)
     config = EvaluationConfig(
         DatasetOptions("partnet-mobility", dataset.root), predictor="oracle",
-        split="category:Scissors,Bottle", predictions=tmp_path / "they", jobs=1,
+        split="category:Scissors,Bottle", predictions=tmp_path / "they", jobs=1, timeout=900.0,
     )  # fmt: skip
     report = evaluate(config)
     own = [s for s in report.scores if s.object_id in chosen]

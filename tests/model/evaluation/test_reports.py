@@ -133,7 +133,7 @@ def test_the_worst_come_first() -> None:
 
 def test_a_page_with_pictures(tmp_path: Path) -> None:
     data = DatasetOptions("procedural", None, families=("Safe",))
-    config = EvaluationConfig(data, predictor="truth", jobs=1)
+    config = EvaluationConfig(data, predictor="truth", jobs=1, timeout=900.0)
     made = evaluate(config)
     assert made.summary["usable"] == 1.0
     wrong = replace(
