@@ -99,7 +99,10 @@ def collision_of(
     ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic)
               for j in obj.tree.joints]  # fmt: skip
     key = fingerprint("object", settings, ranges, *(v for p in obj.parts for v in (p.link, p)))
-    kept = _recent.get(key) or load_shapes(store, key)
+    kept = load_shapes(store, key)
+    if kept is None and key in _recent:
+        kept = _recent[key]
+        save_shapes(store, key, kept)
     if kept is not None:
         _remember(key, kept)
         progress(1.0, "collision shapes were there already")
