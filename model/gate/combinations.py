@@ -35,7 +35,7 @@ def combination_findings(
 
     Args:
         known: pairs of links that meet when a joint moves alone; they are passed over.
-        seed: of the poses (Halton points, shifted).
+        seed: of the poses (of low discrepancy).
     """
     tree = scene.obj.tree
     joints = [j for j in tree.joints if j.moves and j.mimic is None]
@@ -81,11 +81,14 @@ def _by_joint(scene: Scene, met: dict[frozenset[str], list[Finding]]) -> dict[st
 
 
 def _poses(joints: list[Joint], seed: int) -> Iterator[dict[str, float]]:
-    from scipy.stats import qmc
-
+    # Additive recurrence of low discrepancy (M. Roberts, 2018), shifted at random.
     low, high = np.array([limits_of(j) for j in joints]).T
+    root = 2.0
+    for _ in range(40):
+        root = (1.0 + root) ** (1.0 / (len(joints) + 1))
+    alpha = root ** -np.arange(1.0, len(joints) + 1)
     shift = np.random.default_rng(seed).random(len(joints))
-    unit = (qmc.Halton(len(joints), scramble=False).random(POSES) + shift) % 1.0
+    unit = (shift + np.outer(np.arange(1, POSES + 1), alpha)) % 1.0
     for row in low + unit * (high - low):
         yield {j.name: float(v) for j, v in zip(joints, row, strict=True)}
 

@@ -24,7 +24,7 @@ TOUCHING = 0.01
 AFLOAT = 0.04
 """Gap above which a part that touches nothing is broken, in the object's diagonal; scans and CAD
 leave smaller ones."""
-MANY = 24
+MANY = 10
 """Moving joints from which on each gets fewer samples."""
 SEVERE = ("geometry", "jammed", "floating", "limits", "collision", "detached", "physics")
 """What is told first of findings that are equally bad."""
