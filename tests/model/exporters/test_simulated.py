@@ -34,13 +34,6 @@ def cabinet(tmp_path_factory):
     return written("cabinet", tmp_path_factory.mktemp("cabinet"))
 
 
-@pytest.fixture(scope="module", params=["cabinet", "refrigerator_scan", "oven_scan"])
-def any_demo(request, tmp_path_factory, cabinet):
-    if request.param == "cabinet":
-        return cabinet
-    return written(request.param, tmp_path_factory.mktemp(request.param))
-
-
 def behind_handle(physics: Physics, joint: Joint) -> tuple[np.ndarray, float]:
     """The roomiest place that has something of the link before it on its way out, and the room."""
     hulls = [hull_of_shape(s) for s in physics.collision[joint.child]]
@@ -104,8 +97,8 @@ def test_a_finger_behind_the_handle_pulls_a_drawer_open(cabinet):
     assert max(abs(data.joint(n).qpos[0]) for n in others) < 0.02
 
 
-def test_doors_swing_and_drawers_slide_under_a_small_force(any_demo):
-    obj, physics, path = any_demo
+def test_doors_swing_and_drawers_slide_under_a_small_force(cabinet):
+    obj, physics, path = cabinet
     model = mujoco.MjModel.from_xml_path(str(path))
     for joint in (j for j in obj.tree.joints if j.moves and j.limited):
         data = mujoco.MjData(model)
@@ -132,9 +125,9 @@ def test_doors_swing_and_drawers_slide_under_a_small_force(any_demo):
         assert data.joint(joint.name).qpos[0] > reach, joint.name
 
 
-def test_nothing_moves_by_itself(any_demo):
+def test_nothing_moves_by_itself(cabinet):
     """At rest no shapes of links that move against each other push each other away."""
-    obj, _, path = any_demo
+    obj, _, path = cabinet
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.gravity[:] = 0
     data = mujoco.MjData(model)
