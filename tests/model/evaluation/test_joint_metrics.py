@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.evaluation.joint_metrics import (
@@ -235,6 +235,7 @@ angle = st.floats(-1, 1)
 vector = st.tuples(angle, angle, angle).filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
+@settings(deadline=None)
 @given(a=vector, b=vector)
 def test_axis_angle_is_symmetric_and_blind_to_sign(a, b) -> None:
     found = axis_angle(a, b)
@@ -243,6 +244,7 @@ def test_axis_angle_is_symmetric_and_blind_to_sign(a, b) -> None:
     assert found == pytest.approx(axis_angle(np.negative(a), b))
 
 
+@settings(deadline=None)
 @given(point=vector, origin=vector, axis=vector, along=st.floats(-5, 5))
 def test_distance_to_a_line_ignores_motion_along_it(point, origin, axis, along: float) -> None:
     axis = np.asarray(axis) / np.linalg.norm(axis)

@@ -137,7 +137,7 @@ def test_a_page_with_pictures(tmp_path: Path) -> None:
     made = evaluate(config)
     assert made.summary["usable"] == 1.0
     wrong = replace(
-        made, scores=tuple(replace(s, extra=(("link_0", "fixed"),)) for s in made.scores)
+        made, scores=tuple(replace(s, extra=(("link_0", "prismatic"),)) for s in made.scores)
     )
     page = write_html([(config, wrong)], tmp_path / "page.html", 1).read_text()
     assert page.count("data:image/png;base64,") == 3 and "Safe_0_0" in page
