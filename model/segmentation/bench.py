@@ -42,6 +42,7 @@ class BenchConfig:
         sets: which data sets.
         segmenters: names in the table of segmenters.
         limit: objects of each set, 0 for all (40 procedural ones).
+        offset: which PartNet object the subset begins with; other offsets, other objects.
         points: of each cloud.
         parts: asked for in each object at most.
         least: elements that a part needs to be asked for.
@@ -55,6 +56,7 @@ class BenchConfig:
     sets: tuple[DataSet, ...] = ("partnet",)
     segmenters: tuple[str, ...] = (DEFAULT,)
     limit: int = 20
+    offset: int = 0
     points: int = 100_000
     parts: int = 8
     least: int = 20
@@ -167,11 +169,11 @@ def _objects(config: BenchConfig, data: DataSet) -> Iterator[BenchObject]:
     if not partnet.is_dir():
         partnet = config.data
     if data == "partnet":
-        return partnet_objects(partnet, "all", *common)
+        return partnet_objects(partnet, "all", *common, config.offset)
     if data == "partnet-one-sided":
-        return partnet_objects(partnet, "one-sided", *common)
+        return partnet_objects(partnet, "one-sided", *common, config.offset)
     if data == "partnet-mesh":
-        return partnet_objects(partnet, "mesh", *common)
+        return partnet_objects(partnet, "mesh", *common, config.offset)
     if data == "room":
         rooms = config.data / "scans" / "scannet"
         return room_objects(rooms if rooms.is_dir() else config.data)

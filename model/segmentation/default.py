@@ -243,12 +243,43 @@ class DefaultSession:
         for part, own in state.parts.items():
             if own.mask is not None:
                 of_cell[own.mask] = part
-        labels = encoding.nodes.elements.to_elements(of_cell[encoding.cells.of_node])
+        of_node = of_cell[encoding.cells.of_node]
+        self._split_cells(of_node, of_cell, steps)
+        labels = encoding.nodes.elements.to_elements(of_node)
         if not steps:
             return labels
         for groups in self.groups:
             labels = groups.whole(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+
+    def _split_cells(
+        self,
+        of_node: npt.NDArray[np.int16],
+        of_cell: npt.NDArray[np.int16],
+        steps: tuple[Step, ...],
+    ) -> None:
+        """Share the nodes of cells that were clicked for different parts among those clicks.
+
+        A border may run through a cell: each of its nodes follows the nearest click. Changes
+        ``of_node`` in place.
+        """
+        cells, points = self.encoding.cells, self.encoding.nodes.points
+        said: dict[int, dict[int, ClickStep]] = {}
+        for step in steps:
+            if isinstance(step, ClickStep):
+                said.setdefault(int(cells.of_node[step.node]), {})[step.node] = step
+        for cell, clicks in said.items():
+            if len(clicks) < 2:
+                continue
+            own = int(of_cell[cell])
+            wanted = [
+                s.part if s.positive else (own if own != s.part else BASE) for s in clicks.values()
+            ]
+            if len(set(wanted)) > 1:
+                nodes = np.nonzero(cells.of_node == cell)[0]
+                apart = points[nodes][:, None] - points[list(clicks)][None]
+                nearest = np.linalg.norm(apart, axis=2).argmin(1)
+                of_node[nodes] = np.array(wanted, np.int16)[nearest]
 
     def _instead(
         self, steps: tuple[Step, ...], of_cell: npt.NDArray[np.int16]

@@ -63,6 +63,21 @@ def test_a_click_inside_a_region_takes_a_part_of_it(session, cloud_cabinet):
     assert set(np.unique(labels)) == {1, 2}
 
 
+def test_clicks_for_two_parts_in_one_cell_share_it(session, cloud_cabinet):
+    cells, points = session.encoding.cells, cloud_cabinet.asset.element_centers
+    cell = int(cells.size.argmax())
+    nodes = np.nonzero(cells.of_node == cell)[0]
+    along = points[nodes] @ (points[nodes[-1]] - points[nodes[0]])
+    low, high = int(nodes[along.argmin()]), int(nodes[along.argmax()])
+    for last in (low, high):
+        clicks = [click_at(cloud_cabinet, low + high - last, 1), click_at(cloud_cabinet, last, 2)]
+        labels = session.segment(Prompts(tuple(clicks))).labels
+        nearer = np.linalg.norm(points[nodes] - points[last], axis=1) < np.linalg.norm(
+            points[nodes] - points[low + high - last], axis=1
+        )
+        assert np.array_equal(labels[nodes] == 2, nearer)
+
+
 def test_candidates_differ_from_each_other_and_the_answer(session, cloud_cabinet):
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
     prompts = Prompts((click_at(cloud_cabinet, deepest(points, truth), 1),))
