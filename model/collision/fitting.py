@@ -84,9 +84,9 @@ def _sphere(hull: Hull) -> Primitive | None:
 def _along(hull: Hull, axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Frame (3, 3) with z along the axis, a point on it, and the corners' heights and radii."""
     helper = np.eye(3)[np.abs(axis).argmin()]
-    x: FloatArray = np.cross(axis, helper)
+    x = np.asarray(np.cross(axis, helper), np.float64)
     x /= np.linalg.norm(x)
-    rotation: FloatArray = np.stack([x, np.cross(axis, x), axis], axis=1)
+    rotation = np.stack([x, np.cross(axis, x), axis], axis=1)
     local = hull.vertices @ rotation
     system = np.column_stack([2 * local[:, :2], np.ones(len(local))])
     answer = np.linalg.lstsq(system, (local[:, :2] ** 2).sum(axis=1), rcond=None)[0]

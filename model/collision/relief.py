@@ -162,7 +162,7 @@ def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> 
         if answer is None or (None in answer and np.isfinite(most)):  # dropped at rest alone
             continue
         changed = True
-        back: FloatArray = np.linalg.inv(touch.a_from_b)
+        back = np.linalg.inv(touch.a_from_b).astype(np.float64)
         for link, i, made, was in (
             (touch.a, touch.i, answer[0], a),
             (touch.b, touch.j, answer[1], b),

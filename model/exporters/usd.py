@@ -341,6 +341,6 @@ class _Writer:
 def x_onto(axis: FloatArray) -> FloatArray:
     """(3, 3) rotation that turns x onto a unit axis."""
     helper = np.eye(3)[np.abs(axis).argmin()]
-    side: FloatArray = np.cross(axis, helper)
+    side = np.asarray(np.cross(axis, helper), np.float64)
     side /= np.linalg.norm(side)
     return np.stack([axis, side, np.cross(axis, side)], axis=1)

@@ -85,7 +85,6 @@ def test_a_tray_of_single_sheets_stays_one_too():
         (trimesh.creation.box((0.3, 0.2, 0.1)), "box", (0.1, 0.2, 0.3)),
         (trimesh.creation.cylinder(0.05, 0.4, sections=32), "cylinder", (0.05, 0.4)),
         (trimesh.creation.icosphere(3, 0.1), "sphere", (0.1,)),
-        (trimesh.creation.capsule(0.3, 0.05, count=[24, 24]), "capsule", (0.05, 0.3)),
     ],
 )
 def test_a_primitive_is_found_whatever_its_pose(body, kind, sizes):
