@@ -53,19 +53,19 @@ def asked_parts(
 
 
 def partnet_objects(
-    root: Path, view: View, points: int, limit: int, least: int, most: int
+    root: Path, view: View, points: int, limit: int, least: int, most: int, offset: int = 0
 ) -> Iterator[BenchObject]:
     """PartNet-Mobility objects, each link a part, the tree's root the base.
 
-    ``limit`` takes every n-th object, so that all categories are there. Clouds have colours and
-    no normals.
+    ``limit`` takes every n-th object, so that all categories are there, and ``offset`` says with
+    which to begin: other offsets give other objects. Clouds have colours and no normals.
     """
     from model.datasets.partnet_mobility import PartNetMobility
 
     source = PartNetMobility(root)
     ids = source.ids()
     step = max(len(ids) // limit, 1) if limit else 1
-    chosen = ids[::step][: limit or None]
+    chosen = ids[offset::step][: limit or None]
     for number, object_id in enumerate(chosen):
         truth = source.load(object_id).object
         links = [truth.tree.root, *(p.link for p in truth.parts if p.link != truth.tree.root)]
