@@ -29,7 +29,7 @@ TURN, SLIDE = (200, 30, 30), (20, 60, 200)
 BACKGROUND = (250, 250, 250)
 SPLAT = 1
 """Pixels that a point covers to each side."""
-DENSITY = 4.0
+DENSITY = 2.5
 """Points a pixel, were the object's area spread over the picture."""
 
 FloatArray = npt.NDArray[np.float64]
