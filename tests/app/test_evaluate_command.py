@@ -107,7 +107,7 @@ def test_segmentation_by_simulated_clicks(
 def test_the_annotator_ends_with_the_right_object() -> None:
     """Clicks, names, prediction and corrections go through a session; by hand takes more."""
     data = DatasetOptions("procedural", families=("Safe",))
-    config = AnnotatorConfig(data, points=6000)
+    config = AnnotatorConfig(data, ("geometric",), points=6000)
     report = run_person(config, ["Safe_0_0"], 1)
     predicted, by_hand = report.scores
     assert (predicted.predictor, by_hand.predictor) == ("geometric", BY_HAND)
@@ -122,6 +122,6 @@ def test_the_annotator_ends_with_the_right_object() -> None:
 
 def test_an_object_that_cannot_be_annotated_is_said() -> None:
     data = DatasetOptions("procedural", families=("Safe",))
-    found = annotate(AnnotatorConfig(data), "Spaceship_0_0")
+    found = annotate(AnnotatorConfig(data, ("geometric",)), "Spaceship_0_0")
     assert [s.predictor for s in found] == ["geometric", BY_HAND]
     assert not any(s.right for s in found) and "Spaceship" in found[0].why

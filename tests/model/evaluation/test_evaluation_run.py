@@ -77,7 +77,7 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_one_bad_object_does_not_end_the_run(root: Path, jobs: int) -> None:
-    report = evaluate(EvaluationConfig(of(root), jobs=jobs))
+    report = evaluate(EvaluationConfig(of(root), predictor="geometric", jobs=jobs))
     by_id = {s.object_id: s for s in report.scores}
     assert list(by_id) == ["0", "1", "2", "3", "4"]
     assert "no.obj" in by_id["2"].problem and not by_id["2"].usable
@@ -95,7 +95,7 @@ def test_what_is_wrong_with_the_question_is_said_first(root: Path, tmp_path: Pat
     with pytest.raises(InputFileError):
         evaluate(EvaluationConfig(of(tmp_path / "nowhere")))
     with pytest.raises(ConfigurationError, match="limit"):
-        evaluate(EvaluationConfig(of(root), limit=0))
+        evaluate(EvaluationConfig(of(root), predictor="geometric", limit=0))
 
 
 class Breaking:
@@ -128,7 +128,7 @@ def test_crashes_hangs_and_exceptions_are_failures(
 
 def test_a_stopped_run_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    config = EvaluationConfig(of(root), jobs=1, out=out)
+    config = EvaluationConfig(of(root), predictor="geometric", jobs=1, out=out)
     evaluate(config)
     log = out / "objects.jsonl"
     lines = log.read_text().splitlines()
@@ -153,7 +153,7 @@ def test_a_stopped_run_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.M
     assert len(report.scores) == 5
     assert asked == ["3", "4"]  # 0 and 1 were there; 2 can't be read
 
-    other = EvaluationConfig(of(root), jobs=1, out=out, names=False)
+    other = EvaluationConfig(of(root), predictor="geometric", jobs=1, out=out, names=False)
     asked.clear()
     evaluate(other)
     assert asked == ["0", "1", "3", "4"]  # other settings start anew
@@ -162,7 +162,7 @@ def test_a_stopped_run_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.M
 
 def test_reports(root: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    report = evaluate(EvaluationConfig(of(root), jobs=1, limit=3, out=out))
+    report = evaluate(EvaluationConfig(of(root), predictor="geometric", jobs=1, limit=3, out=out))
     report.write(out)
     assert len(report.scores) == 3
     data = json.loads((out / "report.json").read_text())
