@@ -73,6 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
         ("serve", _add_serve, _serve, "open scans in the browser and articulate them"),
         ("segment", _add_segment, _segment, "cut a scan into parts by clicks from a file"),
         ("predict", _add_predict, _predict, "predict the joints of a folder of parts"),
+        ("scene", _add_scene, _scene, "articulate a whole scene, its objects in place"),
         ("backend", _add_backend, _backend, "predict for other machines over HTTP"),
         ("export", _add_export, _export, "write articulated objects for simulators"),
         ("check", _add_check, _check, "say whether articulated objects work in simulators"),
@@ -202,7 +203,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
         help="largest file that a browser may send (default: 500)")  # fmt: skip
     add("--segmenter", default="default", metavar="NAME", help="who answers clicks")
     _add_point_sam(parser)
-    add("--predictor", default="geometric", metavar="NAME", help="who predicts joints")
+    add("--predictor", default="hybrid", metavar="NAME", help="who predicts joints")
     add_client_options(parser, "--backend-token")
     add("--open", action=argparse.BooleanOptionalAction, default=False, help="open a browser")
 
@@ -231,12 +232,18 @@ def _add_predict(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="folder with link_0, link_1, … or an object.json")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the URDF and its meshes")
-    add("--predictor", default="geometric", metavar="NAME", help="who predicts")
+    add("--predictor", default="hybrid", metavar="NAME", help="who predicts")
     add_client_options(parser, "--token")
     add("--category", metavar="NAME", help="what the object is, such as cabinet")
     add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
     _add_reading(parser)
     _add_json(parser)
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    from app.scene_command import add_options
+
+    add_options(parser)
 
 
 def _add_backend(parser: argparse.ArgumentParser) -> None:
@@ -334,6 +341,12 @@ def _predict(args: argparse.Namespace) -> int:
         )  # fmt: skip
     show.result(report, lambda: printing.joints_table(report, args.out))
     return 0
+
+
+def _scene(args: argparse.Namespace) -> int:
+    from app.scene_command import run_scene
+
+    return run_scene(args)
 
 
 def _backend(args: argparse.Namespace) -> int:

@@ -1,0 +1,139 @@
+"""The rigid parts that an asset already tells, or why a person must cut it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from model.datasets.partnet_mobility import read_partnet_mobility
+from model.datasets.urdf_folders import UrdfFolders
+from model.errors import ArtiworldError
+from model.geometry.asset import Asset
+from model.geometry.part_folder import is_part_folder
+from model.geometry.parts import split
+from model.geometry.point_cloud import PointCloud
+from model.geometry.readers import FOLDER_SUFFIXES, MOBILITY, read_asset, read_part_files
+from model.geometry.topology import connected_shells
+from model.kinematics.articulated_object import Part, SegmentedObject
+from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
+from model.scenes.scene import FloatArray
+
+MOST_PIECES = 12
+"""Connected pieces up to which they pass for parts; beyond, they are screws and panels."""
+
+
+class LeftForAnnotator(ArtiworldError):
+    """The asset doesn't tell its parts; the message says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class AssetParts:
+    """Parts in the asset's own frame, metres, +z up.
+
+    Attributes:
+        how: where the cut comes from, for people.
+    """
+
+    parts: tuple[Part, ...]
+    how: str
+
+
+def known_parts(path: Path) -> AssetParts:
+    """Parts by the asset's links, part files, or connected pieces, in this order.
+
+    Raises:
+        LeftForAnnotator: where none of these tells at least two parts.
+        InputFileError: where the asset can't be read.
+    """
+    if path.is_dir():
+        if (path / MOBILITY).is_file():
+            return _at_least_two(read_partnet_mobility(path).object.parts, "links of its URDF")
+        if (path / "object.urdf").is_file():
+            truth = UrdfFolders(path.parent).load(path.name)
+            return _at_least_two(truth.object.parts, "links of its URDF")
+        if is_part_folder(path, FOLDER_SUFFIXES):
+            return _at_least_two(read_part_files(path).parts, "its part files")
+    return _pieces(read_asset(path))
+
+
+def whole(path: Path) -> Part:
+    """The asset as one rigid part ``link_0``.
+
+    Raises:
+        InputFileError: where it can't be read.
+    """
+    if path.is_dir() and not (path / MOBILITY).is_file() and (path / "object.urdf").is_file():
+        parts = UrdfFolders(path.parent).load(path.name).object.parts
+        meshes = [p.mesh for p in parts if p.mesh is not None]
+        clouds = [p.cloud for p in parts if p.cloud is not None]
+        return Part(
+            "link_0",
+            merged(meshes) if meshes else None,
+            merged_clouds(clouds) if clouds and not meshes else None,
+        )
+    asset = _unshifted(read_asset(path))
+    return Part("link_0", asset.mesh, None if asset.mesh is not None else asset.cloud)
+
+
+def scaled(parts: tuple[Part, ...], factors: FloatArray) -> tuple[Part, ...]:
+    """Parts stretched by (3,) positive factors about the asset's origin."""
+    target = np.diag([*factors, 1.0])
+    return tuple(
+        replace(
+            p,
+            mesh=None if p.mesh is None else moved_mesh(p.mesh, target),
+            cloud=None if p.cloud is None else _stretched(p.cloud, factors),
+        )
+        for p in parts
+    )
+
+
+def bounds_of(parts: tuple[Part, ...]) -> FloatArray:
+    """(2, 3) lowest and highest corner."""
+    return SegmentedObject("bounds", parts).bounds
+
+
+def _stretched(cloud: PointCloud, factors: FloatArray) -> PointCloud:
+    normals = cloud.normals
+    if normals is not None:
+        normals = normals / factors
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        normals = normals.astype(np.float32)
+    points = (cloud.points * factors).astype(np.float32)
+    return replace(cloud, points=points, normals=normals)
+
+
+def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
+    if len(parts) < 2:
+        raise LeftForAnnotator(f"{how} are a single part; cut it by clicks")
+    return AssetParts(parts, how)
+
+
+def _pieces(asset: Asset) -> AssetParts:
+    asset = _unshifted(asset)
+    if asset.mesh is None:
+        raise LeftForAnnotator("it is a point cloud without parts; cut it by clicks")
+    shells = connected_shells(asset.mesh)
+    count = int(shells.max()) + 1 if len(shells) else 0
+    if not 2 <= count <= MOST_PIECES:
+        pieces = "one connected piece" if count == 1 else f"{count} connected pieces"
+        raise LeftForAnnotator(
+            f"its mesh is {pieces}; two to {MOST_PIECES} pass for parts, so cut it by clicks"
+        )
+    return AssetParts(split(asset, shells), "its connected pieces")
+
+
+def _unshifted(asset: Asset) -> Asset:
+    """In the file's own frame, where scenes count from, even far from its origin."""
+    shift = np.asarray(asset.source.shift if asset.source is not None else (0.0, 0.0, 0.0))
+    if not shift.any():
+        return asset
+    back = np.eye(4)
+    back[:3, 3] = shift
+    mesh = None if asset.mesh is None else moved_mesh(asset.mesh, back)
+    cloud = asset.cloud
+    if cloud is not None:
+        cloud = replace(cloud, points=(cloud.points + shift).astype(np.float32))
+    return replace(asset, mesh=mesh, cloud=cloud)

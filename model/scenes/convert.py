@@ -1,0 +1,332 @@
+"""A scene in, an articulated scene out; every step can be killed and taken up again.
+
+::
+
+    OUT/scene.json          the scene with what became of each object, metres, +z up
+    OUT/scene.xml           the whole scene for MuJoCo
+    OUT/<name of the source>  JSON and LISDF sources, as they came, with the URDFs' paths
+    OUT/summary.json        counts, Sim-Id, times, problems
+    OUT/assets/<key>/       a saved asset for each asset and size, with mjcf/ beside it; where an
+                            object's limits were shortened, scene_<n>.urdf
+    OUT/work/               what is done already
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.errors import ArtiworldError, ConfigurationError
+from model.evaluation.pool import robust_map
+from model.geometry.readers import MOBILITY
+from model.kinematics.urdf_reader import read_urdf_model
+from model.progress import Progress, no_progress
+from model.scenes import jobs as job_module
+from model.scenes.assets import AssetIndex, asset_digest
+from model.scenes.jobs import (
+    ASSETS,
+    DONE,
+    FAILED,
+    MISSING,
+    PLAIN,
+    PREDICTED,
+    AssetJob,
+    ConvertAsset,
+    read_done,
+)
+from model.scenes.neighbours import Standing, shortened
+from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
+from model.scenes.results import write_results
+from model.scenes.scene import Scene, SceneObject, SceneObjectError
+
+LIMITS, LOCK = "work/limits", "work/lock"
+
+
+@dataclass(frozen=True)
+class ConvertSettings:
+    """How a scene is converted.
+
+    Attributes:
+        jobs: processes.
+        predictor, seed: who predicts joints.
+        keep_limits: leave joint limits as predicted, whatever stands in the way.
+        collision: make collision shapes; bases that are free are free in MJCF only with them, as
+            they would fall through the floor without.
+        seconds: time limit an asset.
+    """
+
+    jobs: int = 1
+    predictor: str = "geometric"
+    seed: int = 0
+    keep_limits: bool = False
+    collision: bool = False
+    seconds: float = 1800.0
+
+
+@dataclass(eq=False)
+class Outcome:
+    """What became of one object; filled in from step to step.
+
+    Attributes:
+        obj: the object.
+        decision: of the finder.
+        path: its asset, or None.
+        truth: whether the asset is known to move; None where nobody knows.
+        key: of its asset's job, or None.
+        state, reason: what became of it.
+        report: of its asset's job.
+        changes: joints whose limits were shortened.
+    """
+
+    obj: SceneObject
+    decision: Decision
+    path: Path | None = None
+    truth: bool | None = None
+    key: str | None = None
+    state: str = MISSING
+    reason: str = ""
+    report: dict[str, Any] = field(default_factory=dict)
+    changes: list[dict[str, Any]] = field(default_factory=list)
+
+
+def convert_scene(
+    scene: Scene,
+    assets: AssetIndex,
+    out: Path,
+    finder: ArticulableFinder,
+    settings: ConvertSettings | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Convert every articulable object and write the scene into ``out``.
+
+    Run again with the same arguments after a kill, it goes on where it was.
+
+    Returns:
+        What ``summary.json`` holds.
+
+    Raises:
+        ConfigurationError: where another run is writing into ``out``.
+        InputFileError: where ``out`` can't be written.
+    """
+    settings = settings or ConvertSettings()
+    start = time.perf_counter()
+    with _alone(out):
+        _sweep_up(out)
+        outcomes = _decide(scene, assets, finder)
+        made = _make_jobs(outcomes, settings)
+        reused = _run_jobs(made, outcomes, out, settings, progress)
+        if not settings.keep_limits:
+            _shorten(outcomes, out, progress)
+        summary = write_results(
+            scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous
+        )
+        summary |= {
+            "finder": finder.name,
+            "predictor": settings.predictor,
+            "assets_converted": len(made) - reused,
+            "assets_done_before": reused,
+            "seconds": round(time.perf_counter() - start, 3),
+        }
+        job_module.write_json(out / "summary.json", summary)
+    progress(1.0, "done")
+    return summary
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    path = out / LOCK
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w")
+    except OSError as error:
+        raise ConfigurationError(f"{out} can't be written: {error.strerror}") from error
+    with file:
+        try:
+            # A POSIX lock belongs to this process alone: workers that outlive a kill don't hold it.
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ConfigurationError(f"another conversion is writing into {out}") from None
+        yield
+
+
+def _sweep_up(out: Path) -> None:
+    """Drafts that a killed run left."""
+    for draft in (out / ASSETS).glob(".*"):
+        shutil.rmtree(draft, ignore_errors=True)
+    for folder in (out / DONE, out / LIMITS):
+        for draft in folder.glob(".*"):
+            draft.unlink(missing_ok=True)
+
+
+def _decide(scene: Scene, assets: AssetIndex, finder: ArticulableFinder) -> list[Outcome]:
+    asked = [
+        ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects
+    ]  # fmt: skip
+    truths: dict[Path, bool | None] = {}
+    out: list[Outcome] = []
+    for obj, decision in zip(scene.objects, finder.find(asked), strict=True):
+        outcome = Outcome(obj, decision)
+        if obj.box is not None:
+            outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
+        elif obj.asset is None:
+            outcome.reason = "names no asset"
+        else:
+            outcome.path = assets.find(obj.asset)
+            if outcome.path is None:
+                outcome.reason = f"asset {obj.asset!r} is in none of the folders given"
+            else:
+                if outcome.path not in truths:
+                    truths[outcome.path] = _moves(outcome.path)
+                outcome.truth = truths[outcome.path]
+        out.append(outcome)
+    return out
+
+
+def _moves(path: Path) -> bool | None:
+    """Whether the asset's own URDF has a moving joint; None where it has no URDF."""
+    for name in (MOBILITY, "object.urdf"):
+        if (path / name).is_file():
+            try:
+                return any(j.moves for j in read_urdf_model(path / name).tree.joints)
+            except ArtiworldError:
+                return None
+    return None
+
+
+def _make_jobs(outcomes: Sequence[Outcome], settings: ConvertSettings) -> dict[str, AssetJob]:
+    digests: dict[Path, str] = {}
+    made: dict[str, AssetJob] = {}
+    for o in outcomes:
+        if o.path is None:
+            continue
+        try:
+            if o.path not in digests:
+                digests[o.path] = asset_digest(o.path)
+        except ArtiworldError as error:
+            o.state, o.reason, o.path = FAILED, str(error), None
+            continue
+        job = _job(o, digests[o.path], settings)
+        o.key = job.key
+        made.setdefault(job.key, job)
+    return made
+
+
+def _job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
+    assert o.path is not None
+    x, y, z = (round(float(v), 9) for v in o.obj.scale)
+    fit = None if o.obj.fit is None else tuple(round(float(v), 9) for v in o.obj.fit)
+    articulate = o.decision.articulable
+    category = (o.decision.kind or o.obj.category) if articulate else None
+    told = [digest, x, y, z, fit, articulate, category, settings.collision]
+    told += [settings.predictor, settings.seed] if articulate else []
+    short = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:12]
+    stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]
+    return AssetJob(
+        f"{stem}-{short}", o.path, (x, y, z), fit, articulate, category, settings.predictor,  # type: ignore[arg-type]
+        settings.seed, settings.collision, settings.seconds,
+    )  # fmt: skip
+
+
+def _run_jobs(
+    made: dict[str, AssetJob],
+    outcomes: Sequence[Outcome],
+    out: Path,
+    settings: ConvertSettings,
+    progress: Progress,
+) -> int:
+    """Convert what isn't done; returns how many were done before."""
+    reports = {k: r for k in made if (r := read_done(out, k)) is not None}
+    reused = len(reports)
+    waiting = [k for k in made if k not in reports]
+    tell = _time_left(progress, 0.0, 0.8, len(waiting))
+    tell(0, "converting")
+    run = ConvertAsset(out, {k: made[k] for k in waiting}, os.getpid())
+    for i, (key, report) in enumerate(robust_map(run, waiting, settings.jobs), 1):
+        reports[key] = report if report is not None else job_module.died(made[key])
+        tell(i, key)
+    for o in outcomes:
+        if o.key is not None:
+            o.report = reports[o.key]
+            o.state, o.reason = o.report["state"], o.report["reason"]
+    return reused
+
+
+def _shorten(outcomes: Sequence[Outcome], out: Path, progress: Progress) -> None:
+    """Shorten the limits of each articulated object, its neighbours at rest."""
+    standing = {o.obj.id: s for o in outcomes if (s := _standing(o, out)) is not None}
+    moving = [o for o in outcomes if o.state == PREDICTED and o.obj.id in standing]
+    tell = _time_left(progress, 0.8, 0.97, len(moving))
+    for i, o in enumerate(moving):
+        tell(i, f"limits of {o.obj.id}")
+        me = standing[o.obj.id]
+        others = tuple(s for s in standing.values() if s is not me and _close(me, s))
+        o.changes = _kept(out, me, others)
+
+
+def _kept(out: Path, me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]]:
+    """:func:`~model.scenes.neighbours.shortened`, worked out once."""
+    told = [
+        [s.id, None if s.folder is None else s.folder.name, s.world_from_asset.tolist(),
+         s.bounds.tolist()]
+        for s in (me, *others)
+    ]  # fmt: skip
+    key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+    path = out / LIMITS / f"{key}.json"
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        pass
+    changes = shortened(me, others)
+    job_module.write_json(path, changes)
+    return changes
+
+
+def _standing(o: Outcome, out: Path) -> Standing | None:
+    if o.obj.box is not None:
+        half = np.asarray(o.obj.box) / 2
+        return Standing(o.obj.id, None, o.obj.world_from_object, np.stack([-half, half]))
+    if o.key is None or o.report.get("bounds") is None:
+        return None
+    bounds = np.asarray(o.report["bounds"])
+    try:
+        placement = o.obj.placed(bounds)
+    except SceneObjectError:
+        return None
+    return Standing(
+        o.obj.id, out / ASSETS / o.key, placement.world_from_asset, bounds * placement.scale
+    )
+
+
+def _close(a: Standing, b: Standing) -> bool:
+    """Whether ``b`` is within two diagonals of ``a``: no part of it moves further."""
+    low, high = a.world_bounds()
+    reach = 2 * float(np.linalg.norm(high - low))
+    other = b.world_bounds()
+    return bool((other[1] >= low - reach).all() and (other[0] <= high + reach).all())
+
+
+def _time_left(
+    progress: Progress, start: float, end: float, count: int
+) -> Callable[[int, str], None]:
+    began = time.monotonic()
+
+    def tell(done: int, what: str) -> None:
+        left = ""
+        if 0 < done < count:
+            seconds = (time.monotonic() - began) / done * (count - done)
+            left = f", {seconds / 60:.0f} min left" if seconds > 90 else f", {seconds:.0f} s left"
+        fraction = start + (end - start) * (done / count if count else 1.0)
+        progress(fraction, f"{done}/{count} {what}{left}")
+
+    return tell

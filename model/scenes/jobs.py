@@ -1,0 +1,189 @@
+"""One asset of a scene, converted once however often it stands there."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from model.errors import ArtiworldError, InputFileError
+from model.evaluation.pool import OutOfTimeError, time_limit
+from model.exporters.asset_folder import write_asset
+from model.exporters.mjcf import MjcfExporter
+from model.exporters.physics import Physics, PhysicsSettings, physics_of, plain_physics
+from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
+from model.kinematics.tree import KinematicTree
+from model.predictors import load_predictor
+from model.scenes.asset_parts import LeftForAnnotator, bounds_of, known_parts, scaled, whole
+from model.scenes.scene import SceneObject
+
+ASSETS, DONE, MJCF = "assets", "work/assets", "mjcf"
+
+PREDICTED, STATIC, ANNOTATE, FAILED = "predicted", "static", "annotate", "failed"
+"""What became of an asset; ``annotate`` stands there rigid until a person cuts it."""
+MISSING, PLAIN = "missing", "plain"
+"""States of objects whose asset isn't there, and of plain boxes without one."""
+
+
+@dataclass(frozen=True)
+class AssetJob:
+    """An asset at one size.
+
+    Attributes:
+        key: names its folder; the same for the same files, size and settings.
+        path: of the asset.
+        scale, fit: as in :class:`~model.scenes.scene.SceneObject`.
+        articulate: whether joints are wanted.
+        category: hint for the predictor.
+        predictor, seed: as :func:`model.predictors.load_predictor` and ``predict`` take them.
+        collision: whether collision shapes are made, which takes most of the time.
+        seconds: time limit.
+    """
+
+    key: str
+    path: Path
+    scale: tuple[float, float, float]
+    fit: tuple[float, float, float] | None
+    articulate: bool
+    category: str | None
+    predictor: str
+    seed: int
+    collision: bool
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ConvertAsset:
+    """Runs jobs into ``out``; picklable. Never raises: what went wrong is in the answer."""
+
+    out: Path
+    jobs: dict[str, AssetJob]
+    parent: int
+
+    def __call__(self, key: str) -> dict[str, Any]:
+        """Convert one asset and record it; the record is written last, so a kill loses only it."""
+        _end_with(self.parent)
+        job = self.jobs[key]
+        start = time.perf_counter()
+        try:
+            with time_limit(job.seconds):
+                report = _convert(job, self.out)
+        except (ArtiworldError, OutOfTimeError) as error:
+            report = _record(job, FAILED, str(error))
+        except Exception as error:  # one bad object never ends the run
+            report = _record(job, FAILED, f"{type(error).__name__}: {error}")
+        report["seconds"] = round(time.perf_counter() - start, 3)
+        write_json(self.out / DONE / f"{key}.json", report)
+        return report
+
+
+def died(job: AssetJob) -> dict[str, Any]:
+    """The answer of a job whose process died."""
+    return {**_record(job, FAILED, "its process died (out of memory?)"), "seconds": 0.0}
+
+
+def _record(job: AssetJob, state: str, reason: str) -> dict[str, Any]:
+    return {"key": job.key, "state": state, "reason": reason, "bounds": None, "joints": []}
+
+
+def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
+    state, reason, how = STATIC, "", None
+    parts = None
+    if job.articulate:
+        try:
+            found = known_parts(job.path)
+            parts, how = found.parts, found.how
+        except LeftForAnnotator as left:
+            state, reason = ANNOTATE, str(left)
+    if parts is None:
+        parts = (whole(job.path),)
+    asset_bounds = bounds_of(parts)
+    holder = _holder(job)
+    placement = holder.placed(asset_bounds)
+    parts = scaled(parts, placement.scale)
+    name = job.path.stem if job.path.is_file() else job.path.name
+    tree, confidence, problems, backend = KinematicTree((parts[0].link,)), {}, (), None
+    if job.articulate and state == STATIC:
+        answer = load_predictor(job.predictor).predict(
+            SegmentedObject(name, parts, job.category), seed=job.seed
+        )
+        problems, backend = answer.problems, answer.backend
+        if answer.tree is not None and any(j.moves for j in answer.tree.joints):
+            state, tree, confidence = PREDICTED, answer.tree, dict(answer.confidence)
+        else:
+            state = ANNOTATE
+            reason = "no joint was predicted: " + ("; ".join(problems) or "no reason was given")
+            parts = scaled((whole(job.path),), placement.scale)
+            tree = KinematicTree((parts[0].link,))
+    obj = ArticulatedObject(name, parts, tree, job.category)
+    physics: Physics = physics_of(obj, PhysicsSettings()) if job.collision else plain_physics(obj)
+    folder = out / ASSETS / job.key
+    # The source's path stays out: the asset may be moved, its hash is in the key.
+    write_asset(
+        obj, folder, provenance={"source": name, "predictor": backend, "parts": how},
+        physics=physics if job.collision else None,
+    )  # fmt: skip
+    (folder / MJCF).mkdir(exist_ok=True)
+    MjcfExporter().export(obj, folder / MJCF, physics=physics)
+    joints = [{**asdict(j), "confidence": confidence.get(j.child)} for j in tree.joints if j.moves]
+    return {
+        **_record(job, state, reason),
+        "bounds": asset_bounds.tolist(),
+        "joints": joints,
+        "parts": len(parts),
+        "how": how,
+        "problems": list(problems),
+    }
+
+
+def _holder(job: AssetJob) -> SceneObject:
+    import numpy as np
+
+    return SceneObject(job.key, job.key, np.eye(4), np.asarray(job.scale), fit=job.fit)
+
+
+def read_done(out: Path, key: str) -> dict[str, Any] | None:
+    """The record of a job that an earlier run finished, or None."""
+    path = out / DONE / f"{key}.json"
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(report, dict) or report.get("key") != key:
+        return None
+    if report["state"] == FAILED:
+        return None  # whatever failed may go well now
+    return report if (out / ASSETS / key / MJCF / "object.xml").is_file() else None
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` at once or not at all.
+
+    Raises:
+        InputFileError: where the folder can't be written.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)
+        draft.write_text(text + "\n", encoding="utf-8")
+        draft.replace(path)
+    except OSError as error:
+        raise InputFileError(path, f"can't be written: {error.strerror}") from error
+
+
+def _end_with(parent: int) -> None:
+    """A worker whose run was killed ends too, instead of writing beside the next run."""
+    if os.getpid() == parent or any(t.name == "end-with-parent" for t in threading.enumerate()):
+        return
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()

@@ -1,0 +1,65 @@
+"""Writing ``scene.json``, ArtiWorld's own scene file.
+
+::
+
+    {"artiworld_scene": 1, "name", "source": {"file", "reader", "frame": {…}},
+     "objects": [{"id", "description", "category", "room", "asset", "position", "quaternion_wxyz",
+                  "scale", "anchor", "fit", "static", "box", …what the conversion says}],
+     "problems": [{"object", "reason", "skipped"}]}
+
+Metres, right-handed, +z up, whatever the source's frame, which ``frame`` tells. See
+:class:`~model.scenes.scene.SceneObject` for what the values mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from model.scenes.readers.own import FORMAT, MARK
+from model.scenes.scene import FloatArray, Scene, SceneObject
+
+
+def scene_to_json(scene: Scene, said: Mapping[str, Mapping[str, Any]] | None = None) -> Any:
+    """The scene as JSON values.
+
+    Args:
+        said: object id → further entries, such as its URDF.
+    """
+    said = said or {}
+    return {
+        MARK: FORMAT,
+        "name": scene.name,
+        "source": {
+            "file": scene.path.name, "reader": scene.reader, "frame": asdict(scene.frame),
+        },
+        "objects": [{**_object(o), **said.get(o.id, {})} for o in scene.objects],
+        "problems": [asdict(p) for p in scene.problems],
+    }  # fmt: skip
+
+
+def quaternion_wxyz(pose: FloatArray) -> list[float]:
+    """Of a (4, 4) rigid pose; w ≥ 0."""
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True)
+    return (np.array([w, x, y, z]) + 0.0).tolist()
+
+
+def _object(o: SceneObject) -> dict[str, Any]:
+    return {
+        "id": o.id,
+        "description": o.description,
+        "category": o.category,
+        "room": o.room,
+        "asset": o.asset,
+        "position": o.world_from_object[:3, 3].tolist(),
+        "quaternion_wxyz": quaternion_wxyz(o.world_from_object),
+        "scale": o.scale.tolist(),
+        "anchor": o.anchor,
+        "fit": None if o.fit is None else [float(v) for v in o.fit],
+        "static": o.static,
+        "box": None if o.box is None else [float(v) for v in o.box],
+    }

@@ -1,0 +1,1 @@
+"""One file a scene format; :mod:`model.scenes.registry` lists them."""

@@ -1,0 +1,144 @@
+"""LISDF and SDF worlds: XML that places URDFs by ``<include>`` and plain boxes by ``<model>``.
+
+Metres, radians, +z up. A pose that is left out is the identity, as SDF has it.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from model.errors import InputFileError
+from model.scenes.poses import from_rpy
+from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
+from model.scenes.values import collect, numbers, read_text, shown
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+_GENERIC = frozenset({"models", "urdf", "robots", "meshes", "assets", "", ".", ".."})
+
+
+class LisdfReader:
+    """``<include>`` are objects with an asset; ``<model>`` with a box geometry are plain boxes."""
+
+    name = "lisdf"
+    description = "LISDF and SDF worlds"
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        return path.suffix.lower() in (".lisdf", ".sdf", ".world") or b"<sdf" in head[:2048]
+
+    def read(self, path: Path) -> Scene:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        root = parse_xml(path)
+        world = root.find("world") if root.tag == "sdf" else None
+        if world is None:
+            raise InputFileError(path, "holds no <sdf> with a <world>", "give an LISDF world")
+        entries = [
+            ((element.tag, i), element)
+            for tag in ("include", "model")
+            for i, element in enumerate(world.findall(tag))
+        ]
+        objects, problems = collect(entries, _object, _name)
+        return Scene(world.get("name") or path.stem, path, self.name, objects, problems)
+
+
+def parse_xml(path: Path) -> Element:
+    """The root of an XML file of people.
+
+    Raises:
+        InputFileError: where it is damaged, or uses entities, which are refused.
+    """
+    import defusedxml
+    from defusedxml import ElementTree
+
+    try:
+        return ElementTree.fromstring(read_text(path).lstrip())
+    except ElementTree.ParseError as error:
+        raise InputFileError(path, f"is not XML: {error}", "export the scene again") from None
+    except defusedxml.DefusedXmlException as error:
+        raise InputFileError(path, f"uses XML entities, which are refused ({error})") from None
+
+
+def _name(element: Element) -> str | None:
+    return element.get("name") or (element.findtext("name") or "").strip() or None
+
+
+def _object(place: tuple[str | int, ...], element: Element) -> SceneObject:
+    name = _name(element)
+    if name is None:
+        raise SceneObjectError("has no name; each object needs one")
+    static = (element.findtext("static") or "").strip().lower()
+    common: dict[str, Any] = {
+        "id": name,
+        "static": {"true": True, "1": True, "false": False, "0": False}.get(static),
+        "place": place,
+    }
+    world = _pose(element, "pose")
+    if element.tag == "model":
+        local, size = _box(element)
+        return SceneObject(
+            description=spoken(name), world_from_object=world @ local, scale=np.ones(3),
+            box=size, anchor="center", **common,
+        )  # fmt: skip
+    uri = (element.findtext("uri") or "").strip()
+    if not uri:
+        raise SceneObjectError("has no <uri>; the URDF or mesh that it shows is needed")
+    category = category_of(uri)
+    words = spoken(name)
+    description = words if category is None else f"{words} ({spoken(category)})"
+    return SceneObject(
+        description=description, world_from_object=world, scale=_scale(element), asset=uri,
+        category=category, **common,
+    )  # fmt: skip
+
+
+def _floats(text: str, what: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        raise SceneObjectError(f"{what} is {shown(text)}; numbers are needed") from None
+
+
+def _pose(element: Element, tag: str) -> FloatArray:
+    text = element.findtext(tag)
+    return np.eye(4) if text is None else from_rpy(numbers(_floats(text, tag), 6, tag))
+
+
+def _scale(element: Element) -> FloatArray:
+    text = element.findtext("scale")
+    if text is None:
+        return np.ones(3)
+    values = _floats(text, "scale")
+    return numbers(values * 3 if len(values) == 1 else values, 3, "scale")
+
+
+def _box(model: Element) -> tuple[FloatArray, tuple[float, float, float]]:
+    for link in model.iter("link"):
+        for tag in ("collision", "visual"):
+            for shape in link.findall(tag):
+                size = shape.findtext("geometry/box/size")
+                if size is not None:
+                    x, y, z = numbers(_floats(size, "box size"), 3, "box size")
+                    return _pose(link, "pose") @ _pose(shape, "pose"), (x, y, z)
+    raise SceneObjectError("is a <model> without a box; boxes and <include> are read")
+
+
+def category_of(uri: str) -> str | None:
+    """``models/Microwave/7128/mobility.urdf`` → ``Microwave``: the folder with a word in it."""
+    folders = uri.replace("\\", "/").split("/")[:-1]
+    for folder in reversed(folders):
+        if folder.lower() not in _GENERIC and re.fullmatch(r"[A-Za-z][A-Za-z_ ]*[A-Za-z]", folder):
+            return folder
+    return None
+
+
+def spoken(name: str) -> str:
+    """``CabinetLower#2`` → ``cabinet lower``."""
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    text = re.sub(r"[^A-Za-z]+", " ", text)
+    return text.strip().lower() or name

@@ -1,0 +1,73 @@
+"""ArtiWorld's own scene file, ``scene.json``; :mod:`model.scenes.own_file` writes it and tells the
+format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.errors import InputFileError
+from model.scenes.poses import pose, rotation_from_quaternion
+from model.scenes.scene import ANCHORS, Scene, SceneObject, SceneObjectError
+from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
+
+MARK = "artiworld_scene"
+FORMAT = 1
+
+
+class OwnReader:
+    """``{"artiworld_scene": 1, "objects": […]}``, metres, +z up."""
+
+    name = "artiworld"
+    description = "ArtiWorld's own scene.json"
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        return path.suffix.lower() == ".json" and f'"{MARK}"'.encode() in head
+
+    def read(self, path: Path) -> Scene:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        data = read_json(path)
+        version = data.get(MARK) if isinstance(data, dict) else None
+        if not isinstance(version, int) or not isinstance(data.get("objects"), list):
+            raise InputFileError(path, f"has no {MARK!r} and 'objects'", "give a scene.json")
+        if version > FORMAT:
+            raise InputFileError(path, f"has format {version}, newer than {FORMAT}", "update")
+        entries = [(("objects", i), e) for i, e in enumerate(data["objects"])]
+        objects, problems = collect(entries, _object, lambda e: maybe_text(e.get("id")))
+        name = maybe_text(data.get("name")) or path.stem
+        return Scene(name, path, self.name, objects, problems)
+
+
+def _object(place: Place, entry: Any) -> SceneObject:
+    if not isinstance(entry, dict):
+        raise SceneObjectError(f"is {shown(entry)}; an object with id and pose is needed")
+    w, x, y, z = numbers(entry.get("quaternion_wxyz"), 4, "quaternion_wxyz")
+    turn = rotation_from_quaternion(np.array([x, y, z, w]))
+    anchor = entry.get("anchor", "origin")
+    if anchor not in ANCHORS:
+        raise SceneObjectError(f"anchor is {shown(anchor)}; one of {', '.join(ANCHORS)} is needed")
+    static = entry.get("static")
+    return SceneObject(
+        id=text(entry.get("id"), "id"),
+        description=text(entry.get("description"), "description"),
+        world_from_object=pose(numbers(entry.get("position"), 3, "position"), turn),
+        scale=numbers(entry.get("scale"), 3, "scale"),
+        asset=maybe_text(entry.get("asset")),
+        category=maybe_text(entry.get("category")),
+        room=maybe_text(entry.get("room")),
+        anchor=anchor,
+        fit=_size(entry.get("fit"), "fit"),
+        static=static if isinstance(static, bool) else None,
+        box=_size(entry.get("box"), "box"),
+        place=place,
+    )
+
+
+def _size(value: Any, what: str) -> tuple[float, float, float] | None:
+    if value is None:
+        return None
+    x, y, z = numbers(value, 3, what)
+    return x, y, z

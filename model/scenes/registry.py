@@ -1,0 +1,119 @@
+"""All scene readers in one table: built-ins and plug-ins load the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from model.errors import ConfigurationError, InputFileError
+from model.scenes.protocol import SceneReader
+from model.scenes.scene import Scene
+
+ENTRY_POINTS = "artiworld.scene_readers"
+"""Entry-point group of plug-ins; each names a callable without arguments that gives a reader."""
+
+_HEAD = 2**16
+
+
+def _own() -> SceneReader:
+    from model.scenes.readers.own import OwnReader
+
+    return OwnReader()
+
+
+def _lisdf() -> SceneReader:
+    from model.scenes.readers.lisdf import LisdfReader
+
+    return LisdfReader()
+
+
+def _holodeck() -> SceneReader:
+    from model.scenes.readers.holodeck import HolodeckReader
+
+    return HolodeckReader()
+
+
+def _mesatask() -> SceneReader:
+    from model.scenes.readers.mesatask import MesaTaskReader
+
+    return MesaTaskReader()
+
+
+def _internscenes() -> SceneReader:
+    from model.scenes.readers.internscenes import InternScenesReader
+
+    return InternScenesReader()
+
+
+BUILT_IN: dict[str, Callable[[], SceneReader]] = {
+    "artiworld": _own,
+    "lisdf": _lisdf,
+    "holodeck": _holodeck,
+    "mesatask": _mesatask,
+    "internscenes": _internscenes,
+}
+
+
+def _table() -> dict[str, Callable[[], SceneReader]]:
+    table = dict(BUILT_IN)
+    for point in entry_points(group=ENTRY_POINTS):
+        # A plug-in may not take a built-in's name.
+        table.setdefault(point.name, lambda point=point: point.load()())
+    return table
+
+
+def reader_names() -> tuple[str, ...]:
+    """Names that :func:`load_reader` takes, built-ins first."""
+    return tuple(_table())
+
+
+def load_reader(name: str) -> SceneReader:
+    """The reader called ``name``.
+
+    Raises:
+        ConfigurationError: where there is none, naming those that are there.
+    """
+    table = _table()
+    if name not in table:
+        raise ConfigurationError(f"no scene format {name!r}; there are {', '.join(table)}")
+    made = table[name]()
+    if not isinstance(made, SceneReader):
+        raise ConfigurationError(
+            f"the plug-in {name!r} is no scene reader: it needs name, description, recognises, read"
+        )
+    return made
+
+
+def read_scene(path: str | Path, format: str | None = None) -> Scene:
+    """Read a scene.
+
+    Args:
+        path: the file.
+        format: name of the reader; by default the first that recognises the file.
+
+    Raises:
+        InputFileError: where nobody recognises the file or it can't be read.
+        ConfigurationError: for an unknown format.
+    """
+    path = Path(path)
+    if format is not None:
+        return load_reader(format).read(path)
+    head = _head(path)
+    for name in reader_names():
+        reader = load_reader(name)
+        if reader.recognises(path, head):
+            return reader.read(path)
+    raise InputFileError(
+        path,
+        "is no scene of a known format",
+        f"known are {', '.join(reader_names())}; name one with --format",
+    )
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEAD)
+    except OSError as error:
+        raise InputFileError(path, f"can't be read: {error.strerror}", "check the path") from None

@@ -1,0 +1,214 @@
+"""Writing a converted scene: its own JSON, MJCF, the source with the URDFs' paths, a summary."""
+
+from __future__ import annotations
+
+import copy
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
+
+import numpy as np
+
+from model.exporters.saved import URDF
+from model.kinematics.urdf import number, xml_name
+from model.scenes.jobs import ASSETS, MISSING, PREDICTED, write_json
+from model.scenes.own_file import quaternion_wxyz, scene_to_json
+from model.scenes.readers.lisdf import parse_xml
+from model.scenes.scene import Scene
+from model.scenes.scene_mjcf import Stand, write_scene_mjcf
+from model.scenes.values import read_json
+
+if TYPE_CHECKING:
+    from model.scenes.convert import Outcome
+
+SCENE_JSON, SCENE_MJCF, SUMMARY = "scene.json", "scene.xml", "summary.json"
+
+
+def write_results(
+    scene: Scene,
+    outcomes: Sequence[Outcome],
+    out: Path,
+    *,
+    free_bases: bool,
+    ambiguous: Collection[str] = (),
+) -> dict[str, Any]:
+    """Write everything but the assets into ``out`` and return the summary.
+
+    Args:
+        free_bases: whether bases that may move do so in MJCF.
+        ambiguous: ids that several assets have.
+    """
+    urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state == PREDICTED}
+    said = {o.obj.id: _said(o, urdfs.get(o.obj.id)) for o in outcomes}
+    write_json(out / SCENE_JSON, scene_to_json(scene, said))
+    write_scene_mjcf(scene.name, _stands(outcomes, free_bases), out, SCENE_MJCF)
+    files = [SCENE_JSON, SCENE_MJCF]
+    back = _write_back(scene, said, out)
+    files += [back] if back is not None else []
+    return _summary(scene, outcomes, files, ambiguous)
+
+
+def _urdf(o: Outcome, index: int, out: Path) -> str:
+    """The object's URDF below ``out``; its own one where its limits were shortened."""
+    folder = f"{ASSETS}/{o.key}"
+    if not o.changes:
+        return f"{folder}/{URDF}"
+    root = parse_xml(out / folder / URDF)
+    changes = {xml_name(c["joint"]): c["limits"] for c in o.changes}
+    for joint in root.findall("joint"):
+        limits = changes.get(xml_name(joint.get("name", "")))
+        if limits is None:
+            continue
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit", effort="100", velocity="1")
+        limit.set("lower", number(limits[0]))
+        limit.set("upper", number(limits[1]))
+    name = f"scene_{index}.urdf"
+    draft = out / folder / f".{name}"
+    draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+    draft.replace(out / folder / name)
+    return f"{folder}/{name}"
+
+
+def _said(o: Outcome, urdf: str | None) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "state": o.state,
+        "reason": o.reason or None,
+        "articulable": o.decision.articulable,
+        "why": o.decision.reason,
+        "kind": o.decision.kind,
+        "expected_parts": list(o.decision.parts),
+        "base": base_of(o),
+        "urdf": urdf,
+    }
+    bounds = o.report.get("bounds")
+    if bounds is not None:
+        world = o.obj.placed(bounds).world_from_asset
+        out["world_from_urdf"] = {
+            "position": world[:3, 3].tolist(), "quaternion_wxyz": quaternion_wxyz(world),
+        }  # fmt: skip
+        out["asset_folder"] = f"{ASSETS}/{o.key}"
+        out["joints"] = [
+            {k: j[k] for k in ("name", "type", "child", "lower", "upper", "confidence")}
+            for j in o.report["joints"]
+        ]
+    if o.changes:
+        out["shortened"] = o.changes
+    return out
+
+
+def base_of(o: Outcome) -> str:
+    """``fixed`` or ``free``: as the object's kind demands, else as the scene says, else fixed."""
+    if o.decision.base is not None:
+        return o.decision.base
+    return "free" if o.obj.static is False else "fixed"
+
+
+def _stands(outcomes: Sequence[Outcome], free_bases: bool) -> list[Stand]:
+    out: list[Stand] = []
+    for o in outcomes:
+        if o.obj.box is not None:
+            out.append(Stand(o.obj.id, None, o.obj.world_from_object, box=o.obj.box))
+        elif o.report.get("bounds") is not None:
+            out.append(
+                Stand(
+                    o.obj.id,
+                    o.key,
+                    o.obj.placed(o.report["bounds"]).world_from_asset,
+                    free_bases and base_of(o) == "free",
+                    {c["joint"]: c["limits"] for c in o.changes},
+                )
+            )
+    return out
+
+
+def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str | None:
+    """The source as it came, with the URDFs' paths in it; None for a kind that can't hold them."""
+    name = scene.path.name
+    if name in (SCENE_JSON, SCENE_MJCF, SUMMARY):
+        name = f"source_{name}"
+    urdf_of = {o.id: said[o.id]["urdf"] for o in scene.objects if said[o.id].get("urdf")}
+    if scene.path.suffix.lower() == ".json":
+        data = copy.deepcopy(read_json(scene.path))
+        for obj in scene.objects:
+            if obj.id in urdf_of:
+                entry: Any = data
+                for step in obj.place:
+                    entry = entry[step]
+                entry["articulation"] = {"urdf": urdf_of[obj.id], "base": said[obj.id]["base"]}
+        write_json(out / name, data)
+        return name
+    if scene.reader == "lisdf":
+        _write_lisdf(scene, urdf_of, out / name)
+        return name
+    return None
+
+
+def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
+    root = parse_xml(scene.path)
+    world = root.find("world")
+    assert world is not None
+    for obj in scene.objects:
+        if obj.id not in urdf_of:
+            continue
+        tag, index = obj.place
+        element = world.findall(str(tag))[int(index)]
+        uri, scale = element.find("uri"), element.find("scale")
+        assert uri is not None
+        uri.text = urdf_of[obj.id]
+        if scale is not None:  # the URDF is at its size in the scene
+            scale.text = " ".join(["1.0"] * len((scale.text or "1").split()))
+    draft = path.with_name(f".{path.name}.draft")
+    draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+    draft.replace(path)
+
+
+def _summary(
+    scene: Scene, outcomes: Sequence[Outcome], files: list[str], ambiguous: Collection[str]
+) -> dict[str, Any]:
+    seconds = {o.key: o.report.get("seconds", 0.0) for o in outcomes if o.report}
+    used = {(o.obj.asset or "").lower().rsplit("/", 1)[-1] for o in outcomes}
+    return {
+        "format": 1,
+        "scene": scene.name,
+        "reader": scene.reader,
+        "objects": len(outcomes),
+        "states": dict(Counter(o.state for o in outcomes)),
+        "articulable": sum(o.decision.articulable for o in outcomes),
+        "sim_id": dict(sim_id(outcomes)),
+        "missing_assets": sorted({o.obj.asset or "" for o in outcomes if o.state == MISSING}),
+        "ambiguous_assets": sorted(set(ambiguous) & used),
+        "shortened_joints": sum(len(o.changes) for o in outcomes),
+        "seconds_an_asset": round(float(np.mean(list(seconds.values()))), 3) if seconds else None,
+        "problems": [asdict(p) for p in scene.problems],
+        "results": [
+            {"id": o.obj.id, "state": o.state, "kind": o.decision.kind, "reason": o.reason,
+             "joints": len(o.report.get("joints", ())), "shortened": len(o.changes)}
+            for o in outcomes
+        ],
+        "files": files,
+    }  # fmt: skip
+
+
+def sim_id(outcomes: Sequence[Outcome]) -> Mapping[str, int | float | None]:
+    """Sim-Id (ArtiWorld, metrics): articulable objects found, of those whose asset says.
+
+    Returns:
+        ``articulable``, ``found``, ``wrongly_found``, ``unknown`` (no URDF says) and ``share``.
+    """
+    known = [o for o in outcomes if o.truth is not None]
+    there = [o for o in known if o.truth]
+    found = sum(o.decision.articulable for o in there)
+    return {
+        "articulable": len(there),
+        "found": found,
+        "wrongly_found": sum(o.decision.articulable for o in known if not o.truth),
+        "unknown": len(outcomes) - len(known),
+        "share": found / len(there) if there else None,
+    }

@@ -1,0 +1,162 @@
+"""The :class:`Scene`: objects and where they stand, whatever file they came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import ArtiworldError
+
+FloatArray = npt.NDArray[np.float64]
+Anchor = Literal["origin", "center", "base"]
+ANCHORS: tuple[Anchor, ...] = get_args(Anchor)
+
+
+class SceneObjectError(ArtiworldError):
+    """An object of a scene that can't be used; the rest of the scene goes on without it."""
+
+
+@dataclass(frozen=True)
+class SceneFrame:
+    """How the file tells places; everything in a :class:`Scene` is metres, right-handed, +z up.
+
+    Attributes:
+        up_axis: of the file.
+        unit_scale: metres per unit of the file.
+        left_handed: as Unity has it.
+    """
+
+    up_axis: Literal["y", "z"] = "z"
+    unit_scale: float = 1.0
+    left_handed: bool = False
+
+
+@dataclass(frozen=True)
+class SceneProblem:
+    """Something in the file that was not taken as it is.
+
+    Attributes:
+        object: id of the object, or its place in the file where it has none.
+        reason: what is wrong and what would be right.
+        skipped: whether the object was left out.
+    """
+
+    object: str
+    reason: str
+    skipped: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """One rigid object in a scene.
+
+    A vertex v of the asset (metres, +z up, as :func:`model.geometry.readers.read_asset` gives it)
+    stands at ``world_from_object @ (scale * (v - anchor point))``.
+
+    Attributes:
+        id: unique within the scene.
+        description: in people's words.
+        category: what it is, where the file tells it, or None.
+        world_from_object: (4, 4) rigid pose, metres, world +z up.
+        scale: (3,) positive factors on the asset's axes, its own frame.
+        asset: id of the asset in the file's own words, or None.
+        room: where it is, or None.
+        anchor: which point of the asset's bounding box sits at the pose: its ``origin``, the box'
+            ``center``, or the middle of its bottom (``base``).
+        fit: (3,) metres that the asset's box is stretched to before ``scale``, or None.
+        static: whether the file says that it stands still; None where it says nothing.
+        box: (3,) full sizes in metres of an object that is a plain box without an asset, or None.
+        place: where the object is in the file, for writing back.
+    """
+
+    id: str
+    description: str
+    world_from_object: FloatArray
+    scale: FloatArray
+    asset: str | None = None
+    category: str | None = None
+    room: str | None = None
+    anchor: Anchor = "origin"
+    fit: tuple[float, float, float] | None = None
+    static: bool | None = None
+    box: tuple[float, float, float] | None = None
+    place: tuple[str | int, ...] = ()
+
+    def __post_init__(self) -> None:
+        pose = _array(self.world_from_object, (4, 4), "world_from_object")
+        if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-6 or (
+            np.linalg.det(pose[:3, :3]) < 0
+        ):
+            raise SceneObjectError("its rotation is none (a rigid rotation is needed)")
+        scale = _array(self.scale, (3,), "scale")
+        if (scale <= 0).any():
+            raise SceneObjectError(f"scale {scale.tolist()} must be three positive numbers")
+        for name in ("fit", "box"):
+            size = getattr(self, name)
+            if size is not None and (_array(size, (3,), name) <= 0).any():
+                raise SceneObjectError(f"size {list(size)} must be three positive numbers")
+        object.__setattr__(self, "world_from_object", pose)
+        object.__setattr__(self, "scale", scale)
+
+    def placed(self, bounds: npt.ArrayLike) -> Placement:
+        """Where an asset with the (2, 3) ``bounds`` (metres, its own frame) stands."""
+        low, high = np.asarray(bounds, np.float64)
+        factor = self.scale.copy()
+        if self.fit is not None:
+            extent = high - low
+            # A sheet without thickness can't be stretched along it.
+            factor *= np.where(extent > 1e-9, np.asarray(self.fit) / np.maximum(extent, 1e-9), 1.0)
+        point = {
+            "origin": np.zeros(3),
+            "center": (low + high) / 2,
+            "base": np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]),
+        }[self.anchor]
+        world = self.world_from_object.copy()
+        world[:3, 3] -= world[:3, :3] @ (factor * point)
+        return Placement(world, factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Vertex v of the asset stands at ``world_from_asset @ (scale * v)``.
+
+    Attributes:
+        world_from_asset: (4, 4) rigid, metres.
+        scale: (3,) positive factors on the asset's own axes.
+    """
+
+    world_from_asset: FloatArray
+    scale: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A scene as it was read.
+
+    Attributes:
+        name: short, for people.
+        path: the file.
+        reader: name of who read it.
+        objects: ids are unique.
+        problems: what was left out or changed, for people.
+        frame: how the file tells places, for writing back.
+    """
+
+    name: str
+    path: Path
+    reader: str
+    objects: tuple[SceneObject, ...]
+    problems: tuple[SceneProblem, ...] = ()
+    frame: SceneFrame = SceneFrame()
+
+
+def _array(value: Any, shape: tuple[int, ...], what: str) -> FloatArray:
+    out = np.array(value, dtype=np.float64)
+    if out.shape != shape or not np.isfinite(out).all():
+        raise SceneObjectError(f"{what} must be {'x'.join(map(str, shape))} finite numbers")
+    out.flags.writeable = False
+    return out

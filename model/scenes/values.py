@@ -1,0 +1,158 @@
+"""Values out of scene files, strictly: what isn't as it should be is told, nothing guessed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.errors import InputFileError
+from model.geometry.formats.loaded import read_bytes
+from model.scenes.scene import FloatArray, SceneObject, SceneObjectError, SceneProblem
+
+MAX_BYTES = 256 * 2**20
+"""Far beyond any honest scene description; geometry lies beside it."""
+MAX_OBJECTS = 20_000
+_SHOWN = 60
+
+Place = tuple[str | int, ...]
+
+
+def read_text(path: Path) -> str:
+    """The file's text.
+
+    Raises:
+        InputFileError: where it can't be read, is too large or no text.
+    """
+    try:
+        return read_bytes(path, MAX_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputFileError(
+            path, f"is not text: byte {error.start} is not UTF-8", "a scene description is needed"
+        ) from None
+
+
+def read_json(path: Path) -> Any:
+    """The file as JSON.
+
+    Raises:
+        InputFileError: naming the place where it stops being JSON.
+    """
+    text = read_text(path)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputFileError(
+            path,
+            f"is not JSON: line {error.lineno}, column {error.colno}: {error.msg}",
+            "give the scene's JSON file as it was written",
+        ) from None
+    except RecursionError:
+        raise InputFileError(path, "its JSON is nested too deeply", "it is no scene") from None
+
+
+def shown(value: Any) -> str:
+    """A value in a message, cut short."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
+
+
+def numbers(value: Any, count: int, what: str) -> FloatArray:
+    """``count`` finite numbers from a list, or from ``{"x", "y", "z"}``.
+
+    Raises:
+        SceneObjectError: naming what is there instead.
+    """
+    if value is None:
+        raise SceneObjectError(f"{what} is missing ({count} numbers are needed)")
+    if isinstance(value, dict) and count == 3:
+        value = [value.get(k) for k in "xyz"]
+    good = isinstance(value, (list, tuple)) and len(value) == count
+    if not good or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in value):
+        raise SceneObjectError(f"{what} is {shown(value)}; {count} numbers are needed")
+    try:
+        out = np.array(value, dtype=np.float64)
+    except OverflowError:
+        out = np.full(count, np.inf)
+    if not np.isfinite(out).all():
+        raise SceneObjectError(f"{what} is {shown(value)}; its numbers must be finite")
+    return out
+
+
+def text(value: Any, what: str) -> str:
+    """A text that is not empty.
+
+    Raises:
+        SceneObjectError: where it is none.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise SceneObjectError(f"{what} is {shown(value)}; a text is needed")
+    return value.strip()
+
+
+def maybe_text(value: Any) -> str | None:
+    """A text, or None for anything else."""
+    return value.strip() if isinstance(value, str) and value.strip() else None
+
+
+def collect(
+    entries: Iterable[tuple[Place, Any]],
+    make: Callable[[Place, Any], SceneObject],
+    name_of: Callable[[Any], str | None],
+) -> tuple[tuple[SceneObject, ...], tuple[SceneProblem, ...]]:
+    """Make an object of each entry; a broken one is told and left out.
+
+    A second object of the same id stays in the scene under an id of its own, which is told too.
+
+    Args:
+        entries: place in the file and what is there.
+        make: raises :class:`SceneObjectError` where the entry is broken.
+        name_of: the entry's id, for messages.
+    """
+    objects: list[SceneObject] = []
+    problems: list[SceneProblem] = []
+    taken: set[str] = set()
+    for place, entry in entries:
+        label = _label(place, entry, name_of)
+        if len(objects) >= MAX_OBJECTS:
+            problems.append(SceneProblem(label, f"and all after it: over {MAX_OBJECTS} objects"))
+            break
+        try:
+            made = make(place, entry)
+        except SceneObjectError as error:
+            problems.append(SceneProblem(label, str(error)))
+            continue
+        if made.id in taken:
+            fresh = _free(made.id, taken)
+            problems.append(
+                SceneProblem(made.id, f"the id is there twice; this one is now {fresh!r}", False)
+            )
+            made = with_id(made, fresh)
+        taken.add(made.id)
+        objects.append(made)
+    return tuple(objects), tuple(problems)
+
+
+def with_id(obj: SceneObject, id: str) -> SceneObject:
+    """The same object under another id."""
+    from dataclasses import replace
+
+    return replace(obj, id=id)
+
+
+def _label(place: Place, entry: Any, name_of: Callable[[Any], str | None]) -> str:
+    try:
+        name = name_of(entry)
+    except (AttributeError, KeyError, TypeError):
+        name = None
+    return name or " ".join(str(p) for p in place)
+
+
+def _free(id: str, taken: set[str]) -> str:
+    i = 2
+    while f"{id}_{i}" in taken:
+        i += 1
+    return f"{id}_{i}"

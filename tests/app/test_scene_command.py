@@ -1,0 +1,290 @@
+"""``artiworld scene``: whole scenes from the command line, killed and taken up again."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.cli import main
+from model.exporters.asset_folder import load_object
+from model.geometry.readers import read_asset, read_part_files
+from model.kinematics.urdf import read_urdf
+from model.scenes.registry import read_scene
+from tests.model.scenes import scenes_made as made
+
+
+@pytest.fixture(scope="module")
+def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made.make_assets(tmp_path_factory.mktemp("assets"))
+
+
+def table_scene(**more: object) -> dict:
+    """Two cabinets of one size and one twice as large, a rock against the first one's door, and an
+    object whose asset is nowhere."""
+    turn = [0, 0, math.sin(made.YAW / 2), math.cos(made.YAW / 2)]
+    side = np.array([math.cos(made.YAW), math.sin(made.YAW), 0])
+    first = np.array(made.POSITION)
+
+    def entry(name: str, uid: str, at: np.ndarray, scale: list[float]) -> dict:
+        return {"instance": name, "retrieved_uid": uid, "position": at.tolist(),
+                "rotation": turn, "scale_factor": scale}  # fmt: skip
+
+    return made.mesatask([
+        entry("cabinet_1", "cab", first, [1, 1, 1]),
+        entry("cabinet_2", "cab", first + [0, 9, 0], [1, 1, 1]),
+        entry("cabinet_3", "cab", first + [9, 0, 0], [2, 2, 2]),
+        entry("rock_1", "rock", first + 0.6 * side, [1, 1, 1]),
+        entry("teapot_1", "nowhere", first + [20, 0, 0], [1, 1, 1]),
+        {**entry("broken_1", "cab", first, [1, 1, 1]), "rotation": [0, 0, 0, 0]},
+    ])  # fmt: skip
+
+
+def convert(scene: Path, assets: Path, out: Path, *more: str) -> dict:
+    words = ["scene", "convert", str(scene), "--assets", str(assets), "--out", str(out)]
+    assert main([*words, "--jobs", "1", "--json", *more]) == 0
+    return json.loads((out / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def converted(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    folder = tmp_path_factory.mktemp("table")
+    scene = made.write_scene(folder / "layout.json", table_scene())
+    return folder / "out", convert(scene, assets, folder / "out")
+
+
+def objects_of(out: Path) -> dict[str, dict]:
+    return {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
+
+
+def world_of(entry: dict) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.spatial.transform import Rotation
+
+    w, x, y, z = entry["world_from_urdf"]["quaternion_wxyz"]
+    turn = Rotation.from_quat([x, y, z, w]).as_matrix()
+    return turn, np.array(entry["world_from_urdf"]["position"])
+
+
+def test_states_are_told(converted: tuple[Path, dict]) -> None:
+    out, summary = converted
+    states = {k: v["state"] for k, v in objects_of(out).items()}
+    assert states == {"cabinet_1": "predicted", "cabinet_2": "predicted", "cabinet_3": "predicted",
+                      "rock_1": "static", "teapot_1": "missing"}  # fmt: skip
+    assert summary["missing_assets"] == ["nowhere"]
+    assert [p["object"] for p in summary["problems"]] == ["broken_1"]
+
+
+def test_identical_assets_are_converted_once(converted: tuple[Path, dict]) -> None:
+    out, summary = converted
+    assert summary["assets_converted"] == 3 and len(list((out / "assets").iterdir())) == 3
+
+
+def test_articulated_objects_stand_exactly_where_the_rigid_ones_stood(
+    converted: tuple[Path, dict], assets: Path
+) -> None:
+    out, _ = converted
+    parts = read_part_files(assets / "cab").parts
+    scene = {o.id: o for o in read_scene(out.parent / "layout.json").objects}
+    for name, entry in objects_of(out).items():
+        if entry["state"] != "predicted":
+            continue
+        factor = scene[name].scale
+        rigid = np.concatenate([p.mesh.vertices for p in parts if p.mesh is not None]) * factor
+        middle = (rigid.min(0) + rigid.max(0)) / 2
+        pose = scene[name].world_from_object
+        expected = (rigid - middle) @ pose[:3, :3].T + pose[:3, 3]
+        turn, at = world_of(entry)
+        obj = read_urdf(out / entry["urdf"])
+        made_ = np.concatenate([p.mesh.vertices for p in obj.parts if p.mesh is not None])
+        made_ = made_ @ turn.T + at
+        assert np.abs(np.sort(made_, 0) - np.sort(expected, 0)).max() < 1e-6
+
+
+def test_limits_end_where_the_neighbour_stands(converted: tuple[Path, dict]) -> None:
+    out, _ = converted
+    entries = objects_of(out)
+    change = {c["joint"]: c for c in entries["cabinet_1"]["shortened"]}
+    assert change and all("rock_1" in c["hits"].values() for c in change.values())
+    obj = read_urdf(out / entries["cabinet_1"]["urdf"])
+    free = load_object(out / entries["cabinet_1"]["asset_folder"])
+    for name, c in change.items():
+        assert obj.tree.by_name[name].upper == pytest.approx(c["limits"][1])
+        assert obj.tree.by_name[name].upper < free.tree.by_name[name].upper  # type: ignore[operator]
+    # Far from the rock nothing is shortened.
+    assert "shortened" not in entries["cabinet_2"] and "shortened" not in entries["cabinet_3"]
+    slides = [c for n, c in change.items() if free.tree.by_name[n].type == "prismatic"]
+    # The rock's near face is 0.6 - 0.1 - 0.3 + 0.02 m (the door's handle is not the drawer's).
+    assert slides and all(c["limits"][1] <= 0.6 - 0.1 - 0.29 + 0.02 for c in slides)
+
+
+def test_keep_limits(converted: tuple[Path, dict], assets: Path, tmp_path: Path) -> None:
+    out, _ = converted
+    summary = convert(out.parent / "layout.json", assets, tmp_path / "out", "--keep-limits")
+    assert summary["shortened_joints"] == 0
+
+
+def test_the_source_is_written_back_with_urdfs(converted: tuple[Path, dict]) -> None:
+    out, _ = converted
+    before, after = (json.loads((f / "layout.json").read_text()) for f in (out.parent, out))
+    for old, new in zip(before["objects"], after["objects"], strict=True):
+        urdf = new.pop("articulation", None)
+        assert old == new
+        assert (urdf is not None) == old["instance"].startswith("cabinet")
+        assert urdf is None or (out / urdf["urdf"]).is_file()
+
+
+def test_mujoco_steps_the_scene_for_a_second(converted: tuple[Path, dict]) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    out, _ = converted
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    data = mujoco.MjData(model)
+    names = {model.joint(i).name.split("/")[0] for i in range(model.njnt)}
+    assert names == {"cabinet_1", "cabinet_2", "cabinet_3"}
+    mujoco.mj_forward(model, data)
+    for name, entry in objects_of(out).items():
+        if "world_from_urdf" in entry:
+            roots = [b for b in range(1, model.nbody) if model.body(b).parentid[0] == 0]
+            (root,) = [b for b in roots if model.body(b).name.startswith(f"{name}/")]
+            assert np.allclose(data.xpos[root], world_of(entry)[1], atol=1e-9)
+    for _ in range(round(1 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    assert np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+
+
+def test_the_own_scene_reads_back(converted: tuple[Path, dict]) -> None:
+    out, _ = converted
+    scene = read_scene(out / "scene.json")
+    assert scene.reader == "artiworld" and len(scene.objects) == 5
+
+
+def test_lisdf_is_written_back(assets: Path, tmp_path: Path) -> None:
+    text = made.lisdf().replace("<scale>1.0", "<scale>0.5")
+    path = made.write_scene(tmp_path / "kitchen.lisdf", text)
+    convert(path, assets, tmp_path / "out")
+    (obj,) = read_scene(tmp_path / "out" / "kitchen.lisdf").objects
+    (before,) = read_scene(path).objects
+    assert obj.asset is not None and (tmp_path / "out" / obj.asset).is_file()
+    assert np.allclose(obj.scale, 1) and np.allclose(before.scale, 0.5)
+    assert np.allclose(obj.world_from_object, before.world_from_object)
+
+
+def test_killed_in_the_middle_it_goes_on(assets: Path, tmp_path: Path) -> None:
+    turn = [0, 0, 0, 1]
+    objects = [
+        {"instance": f"cabinet_{i}", "retrieved_uid": "cab", "position": [3 * i, 0, 0],
+         "rotation": turn, "scale_factor": [1 + i / 10] * 3}
+        for i in range(6)
+    ]  # fmt: skip
+    scene = made.write_scene(tmp_path / "layout.json", made.mesatask(objects))
+    out = tmp_path / "out"
+    words = ["scene", "convert", str(scene), "--assets", str(assets), "--out", str(out)]
+    words = [sys.executable, "-m", "app.cli", *words, "--jobs", "2"]
+    run = subprocess.Popen(words, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
+    done = out / "work" / "assets"
+    until = time.monotonic() + 240
+    while time.monotonic() < until and not list(done.glob("*.json")) and run.poll() is None:
+        time.sleep(0.02)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    time.sleep(2.5)  # the workers see within a second that they are alone
+    kept = {p.name: p.stat().st_mtime_ns for p in done.glob("*.json")}
+    assert 1 <= len(kept) < 6 and not (out / "summary.json").exists()
+    summary = convert(scene, assets, out)
+    assert summary["assets_done_before"] == len(kept)
+    assert summary["assets_converted"] == 6 - len(kept)
+    assert summary["states"] == {"predicted": 6}
+    after = {p.name: p.stat().st_mtime_ns for p in done.glob("*.json")}
+    assert len(after) == 6 and all(after[name] == when for name, when in kept.items())
+    assert not list((out / "assets").glob(".*"))
+    again = convert(scene, assets, out)
+    assert again["assets_done_before"] == 6
+
+
+def test_one_bad_asset_never_ends_the_run(tmp_path: Path) -> None:
+    folder = made.make_assets(tmp_path / "assets")
+    (folder / "bad.obj").write_text("v 1 2 nan\nf 1 2 3\n")
+    both = [
+        {"instance": f"cabinet_{i}", "retrieved_uid": uid, "position": [3 * i, 0, 0],
+         "rotation": [0, 0, 0, 1], "scale_factor": [1, 1, 1]}
+        for i, uid in enumerate(("bad", "rock", "cab"))
+    ]  # fmt: skip
+    scene = made.write_scene(tmp_path / "layout.json", made.mesatask(both))
+    convert(scene, folder, tmp_path / "out")
+    entries = objects_of(tmp_path / "out")
+    assert entries["cabinet_0"]["state"] == "failed" and "bad.obj" in entries["cabinet_0"]["reason"]
+    assert entries["cabinet_1"]["state"] == "annotate"
+    assert "one connected piece" in entries["cabinet_1"]["reason"]
+    assert entries["cabinet_2"]["state"] == "predicted"
+
+
+def test_inspect(assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = made.write_scene(tmp_path / "layout.json", table_scene())
+    assert main(["scene", "inspect", str(scene), "--assets", str(assets), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [o["articulable"] for o in report["objects"]] == [True, True, True, False, True]
+    assert report["missing_assets"] == ["nowhere"]
+    assert main(["scene", "inspect", str(scene)]) == 0
+    shown = capsys.readouterr().out
+    assert "cabinet_1" in shown and "left out" in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["nowhere.json"], "nowhere.json"),
+        (["layout.json", "--assets", "nowhere"], "nowhere"),
+        (["layout.json", "--format", "nonsense"], "nonsense"),
+        (["layout.json", "--predictor", "nonsense"], "nonsense"),
+        (["layout.json", "--time-limit", "0"], "--time-limit"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(
+    words: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    made.write_scene(tmp_path / "layout.json", made.mesatask())
+    assert main(["scene", "convert", *words, "--out", "out"]) == 2
+    error = capsys.readouterr().err
+    assert told in error and len(error.strip().splitlines()) == 1
+
+
+def test_two_runs_into_one_folder_are_refused(assets: Path, tmp_path: Path) -> None:
+    scene = made.write_scene(tmp_path / "layout.json", made.mesatask())
+    (tmp_path / "out" / "work").mkdir(parents=True)
+    code = (
+        "import fcntl, sys, time; f = open(sys.argv[1], 'w'); fcntl.lockf(f, fcntl.LOCK_EX);"
+        "print('held', flush=True); time.sleep(600)"
+    )
+    lock = str(tmp_path / "out" / "work" / "lock")
+    holder = subprocess.Popen([sys.executable, "-c", code, lock], stdout=subprocess.PIPE)
+    try:
+        assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
+        words = ["scene", "convert", str(scene), "--assets", str(assets)]
+        assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    finally:
+        holder.kill()
+        holder.wait()
+
+
+def test_a_real_cabinet_in_a_kitchen(shared_data: Path, tmp_path: Path) -> None:
+    folder = shared_data / "partnet_mobility"
+    rotated = read_asset(folder / "46744")
+    text = made.lisdf().replace("Cabinet/cab/link_0.obj", "Cabinet/46744/mobility.urdf")
+    scene = made.write_scene(tmp_path / "kitchen.lisdf", text)
+    summary = convert(scene, folder / "46744", tmp_path / "out", "--keep-limits")
+    assert summary["states"] == {"predicted": 1} and summary["sim_id"]["share"] == 1.0
+    (entry,) = objects_of(tmp_path / "out").values()
+    obj = read_urdf(tmp_path / "out" / entry["urdf"])
+    every = np.stack([p.bounds for p in obj.parts])
+    bounds = np.stack([every[:, 0].min(0), every[:, 1].max(0)])
+    assert np.abs(bounds - rotated.bounds).max() < 1e-6
+    assert np.allclose(world_of(entry)[1], made.POSITION)

@@ -1,0 +1,56 @@
+"""The lexicon: what descriptions say about objects."""
+
+from __future__ import annotations
+
+import pytest
+
+from model.scenes.finders import LexiconFinder, read_lexicon
+from model.scenes.protocol import ArticulableFinder, ObjectDescription
+
+
+@pytest.fixture(scope="module")
+def finder() -> LexiconFinder:
+    return LexiconFinder()
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("a white kitchen cabinet with two doors", "cabinet"),
+        ("CabinetLower", "cabinet"),
+        ("refridgerator", "refrigerator"),
+        ("Microwave Oven", "microwave"),
+        ("wooden bookshelf with drawers", "shelf"),
+        ("bottles", "bottle"),
+        ("oven counter", "oven"),
+        ("swivel chair", "office chair"),
+        ("pair of scissors", "scissors"),
+        ("Chest of Drawers", "chest of drawers"),
+        ("a coffee table with a drawer", "table"),
+    ],
+)
+def test_found(finder: LexiconFinder, text: str, kind: str) -> None:
+    (decision,) = finder.find([ObjectDescription(text)])
+    assert decision.articulable and decision.kind == kind
+    assert decision.parts and text in decision.reason and decision.base in ("fixed", "free")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["oven mitt", "banana", "a rug under the cabinet", "dining table", "wooden chair", "", "pan",
+     "door mat", "picture of a fridge", "vase"],
+)  # fmt: skip
+def test_left_rigid_with_a_reason(finder: LexiconFinder, text: str) -> None:
+    (decision,) = finder.find([ObjectDescription(text)])
+    assert not decision.articulable and decision.reason
+
+
+def test_the_category_counts_before_the_description(finder: LexiconFinder) -> None:
+    (decision,) = finder.find([ObjectDescription("model 7128", "Microwave")])
+    assert decision.articulable and "category" in decision.reason
+
+
+def test_it_is_a_finder_and_its_words_are_unique(finder: LexiconFinder) -> None:
+    assert isinstance(finder, ArticulableFinder)
+    words = [w for k in read_lexicon().kinds for w in k.words]
+    assert sorted({w for w in words if words.count(w) > 1}) == []
