@@ -75,7 +75,7 @@ class AnnotatorConfig:
     """
 
     data: DatasetOptions
-    predictors: tuple[str, ...] = ("geometric",)
+    predictors: tuple[str, ...] = ("hybrid",)
     segmenter: str = "default"
     names: bool = True
     points: int = 30_000

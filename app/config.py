@@ -50,5 +50,5 @@ class ServeConfig:
     unit_scale: float = 1.0
     max_upload_mb: int = 500
     segmenter: str = "default"
-    predictor: str = "geometric"
+    predictor: str = "hybrid"
     allowed_origins: tuple[str, ...] = ()

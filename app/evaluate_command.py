@@ -33,7 +33,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--predictor",
         metavar="NAME,NAME",
-        help="who predicts (default: geometric); truth answers with the truth",
+        help="who predicts (default: hybrid); truth answers with the truth",
     )
     add("--predictions", action="append", default=[], metavar="[NAME=]DIR",
         help="score the URDFs in this folder instead; may be repeated")  # fmt: skip
@@ -163,7 +163,7 @@ def configurations(args: argparse.Namespace) -> list[EvaluationConfig]:
         jobs=args.jobs, limit=args.limit, seed=args.seed, timeout=args.timeout,
         execute=args.execute, out=args.out,
     )  # fmt: skip
-    listed = args.predictor or ("" if args.predictions else "geometric")
+    listed = args.predictor or ("" if args.predictions else "hybrid")
     out = [replace(base, predictor=name.strip()) for name in listed.split(",") if name.strip()]
     for given in args.predictions:
         name, separator, folder = given.partition("=")

@@ -100,7 +100,7 @@ def predict(
     folder: Path,
     out: Path,
     *,
-    predictor: str = "geometric",
+    predictor: str = "hybrid",
     category: str | None = None,
     seed: int = 0,
     reading: ReadOptions | None = None,

@@ -14,7 +14,11 @@ from model.remote import is_backend
 ENTRY_POINTS = "artiworld.predictors"
 """Entry-point group of plug-ins; each names a callable without arguments that gives a Predictor."""
 
-DEFAULT = "geometric"
+DEFAULT = "hybrid"
+"""Arti4URDF with geometry beside it, on the weights that come with the repository."""
+
+SMALL_MODELS = ("hybrid", "arti4urdf")
+"""Names that also take a folder of the small model's weights: ``hybrid:FOLDER``."""
 
 FULL_MODELS = {"qwen3": "local", "qwen3-vllm": "vllm"}
 """Names that take a folder of weights, and the engine that writes their answers."""
@@ -26,7 +30,18 @@ def _geometric() -> Predictor:
     return GeometricPredictor()
 
 
-BUILT_IN: dict[str, Callable[[], Predictor]] = {"geometric": _geometric}
+@lru_cache(maxsize=2)
+def _small_predictor(name: str, folder: Path | None = None) -> Predictor:
+    from model.arti4urdf.predictor import HybridSettings, load_arti4urdf
+
+    return load_arti4urdf(folder, name=name, hybrid=HybridSettings() if name == "hybrid" else None)
+
+
+BUILT_IN: dict[str, Callable[[], Predictor]] = {
+    "hybrid": lambda: _small_predictor("hybrid"),
+    "arti4urdf": lambda: _small_predictor("arti4urdf"),
+    "geometric": _geometric,
+}
 
 
 def _table() -> dict[str, Callable[[], Predictor]]:
@@ -45,8 +60,8 @@ def predictor_names() -> tuple[str, ...]:
 def load_predictor(name: str = DEFAULT) -> Predictor:
     """The predictor called ``name``.
 
-    The address of a backend is a name too, and so is ``qwen3:FOLDER``: the paper-size model with
-    the weights in that folder.
+    The address of a backend is a name too, and so are ``qwen3:FOLDER``, the paper-size model with
+    the weights in that folder, and ``hybrid:FOLDER``, the small one with weights of one's own.
 
     Raises:
         ConfigurationError: where there is none, naming those that are there.
@@ -59,6 +74,8 @@ def load_predictor(name: str = DEFAULT) -> Predictor:
     kind, colon, folder = name.partition(":")
     if colon and kind in FULL_MODELS:
         return _full_predictor(Path(folder), FULL_MODELS[kind])
+    if colon and kind in SMALL_MODELS:
+        return _small_predictor(kind, Path(folder))
     return _table()[name]()
 
 
@@ -69,11 +86,11 @@ def check_predictor(name: str) -> None:
         ConfigurationError: naming those that are there.
     """
     kind, colon, folder = name.partition(":")
-    if is_backend(name) or (colon and folder and kind in FULL_MODELS):
+    if is_backend(name) or (colon and folder and kind in (*FULL_MODELS, *SMALL_MODELS)):
         return
     table = _table()
     if name not in table:
-        known = ", ".join([*table, *(f"{kind}:FOLDER" for kind in FULL_MODELS)])
+        known = ", ".join([*table, *(f"{k}:FOLDER" for k in (*FULL_MODELS, *SMALL_MODELS))])
         raise ConfigurationError(f"no predictor {name!r}; there are {known}")
 
 

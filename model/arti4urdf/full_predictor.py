@@ -53,7 +53,7 @@ class FullPredictor:
             prompt,
             max_tokens=TOKENS_AT_LEAST + TOKENS_PER_PART * len(segmented.parts),
             seed=seed,
-            progress=lambda f, text: progress(0.1 + 0.9 * f, text),
+            progress=lambda fraction, message: progress(0.1 + 0.9 * fraction, message),
         )
         tree, problems = parse_answer(answer.text)
         told = list(problems)

@@ -37,10 +37,10 @@ class HybridSettings:
         motion: exponent of the share of its range that a candidate moves freely.
     """
 
-    tree: float = 0.9
-    weight: float = 0.7
-    swept: float = 0.0
-    motion: float = 0.0
+    tree: float = 0.95
+    weight: float = 1.0
+    swept: float = 2.5
+    motion: float = 1.0
 
 
 class Arti4UrdfPredictor:

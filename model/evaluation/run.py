@@ -60,7 +60,7 @@ class EvaluationConfig:
 
     data: DatasetOptions
     split: str = "all"
-    predictor: str = "geometric"
+    predictor: str = "hybrid"
     predictions: Path | None = None
     frame: Frame | None = None
     names: bool = True

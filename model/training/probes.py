@@ -56,9 +56,26 @@ def _hits(model: ArtiModel, batch: Batch) -> dict[str, list[float]]:
     return {str(k): values[loss.kinds == k].tolist() for k in np.unique(loss.kinds)}
 
 
-def shuffled_shapes(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:
-    """Every part gets the points of another part of its object, placed and sized as its own."""
+def shuffled_clouds(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:
+    """Every part gets the cloud of another part of its object, placed and sized as its own."""
     return [_with_shapes(p, p.arrays.points[_elsewhere(len(p.arrays), rng)]) for p in prompts]
+
+
+def shuffled_shapes(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:
+    """Every part gets all that is read of another part's shape: cloud, looks and candidates.
+
+    Places, sizes and relations stay.
+    """
+    out = []
+    for prompt in prompts:
+        arrays, order = prompt.arrays, _elsewhere(len(prompt.arrays), rng)
+        moved = _with_shapes(prompt, arrays.points[order]).arrays
+        looks = {
+            name: getattr(arrays, name)[order]
+            for name in ("scalars", "vectors", "candidate_scalars", "candidate_vectors")
+        }
+        out.append(replace(prompt, arrays=replace(moved, **looks)))
+    return out
 
 
 def foreign_wholes(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:

@@ -72,7 +72,7 @@ def test_evaluate_scores_real_objects(shared_data, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert report["predictor"] == "geometric" and report["summary"]
+    assert report["predictor"] == "hybrid" and report["summary"]
     assert (tmp_path / "report.md").exists()
     assert_users_mistake(
         artiworld("evaluate", "--root", root, "--predictor", "magic"), "magic", "geometric"
