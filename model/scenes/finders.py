@@ -110,7 +110,8 @@ class LexiconFinder:
             if found is None:
                 continue
             kind, word, likeness = found
-            taken = f"its {source} {text!r} is a {kind.name}"
+            article = "an" if kind.name[0] in "aeiou" else "a"
+            taken = f"its {source} {text!r} is {article} {kind.name}"
             if word != kind.name:
                 taken += f" (by {word!r})"
             if kind.needs and not any(re.search(rf"\b{n}", said) for n in kind.needs):

@@ -165,6 +165,29 @@ def test_the_own_scene_reads_back(converted: tuple[Path, dict]) -> None:
     assert scene.reader == "artiworld" and len(scene.objects) == 5
 
 
+@pytest.mark.parametrize(
+    ("file", "value"),
+    [
+        ("house.json", made.holodeck()),
+        ("layout.json", made.internscenes()),
+        ("scene.json", made.own()),
+    ],
+)
+def test_other_formats_end_to_end(file: str, value: object, assets: Path, tmp_path: Path) -> None:
+    path = made.write_scene(tmp_path / file, value)
+    assert convert(path, assets, tmp_path / "out")["states"] == {"predicted": 1}
+    (entry,) = objects_of(tmp_path / "out").values()
+    turn, at = world_of(entry)
+    obj = read_urdf(tmp_path / "out" / entry["urdf"])
+    every = np.concatenate([p.mesh.vertices for p in obj.parts if p.mesh is not None])
+    # The middle of its box is where every format puts it, turned by the same angle.
+    middle = (every.min(0) + every.max(0)) / 2
+    assert np.allclose(turn @ middle + at, made.POSITION, atol=1e-6)
+    assert np.allclose(turn[:, 0], [math.cos(made.YAW), math.sin(made.YAW), 0], atol=1e-6)
+    back = tmp_path / "out" / ("source_scene.json" if file == "scene.json" else file)
+    assert "articulation" in back.read_text()
+
+
 def test_lisdf_is_written_back(assets: Path, tmp_path: Path) -> None:
     text = made.lisdf().replace("<scale>1.0", "<scale>0.5")
     path = made.write_scene(tmp_path / "kitchen.lisdf", text)
