@@ -37,9 +37,9 @@ class HybridSettings:
         motion: exponent of the share of its range that a candidate moves freely.
     """
 
-    tree: float = 0.99
-    weight: float = 2.5
-    swept: float = 4.0
+    tree: float = 0.999
+    weight: float = 5.0
+    swept: float = 10.0
     motion: float = 1.0
 
 

@@ -86,7 +86,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     tab.page.screenshot(path=str(tmp_path / "worst.png"))
 
     # Against the gate the key is not enough.
-    tab.page.locator("canvas").first.click(position={"x": 5, "y": 5})
+    tab.page.evaluate("document.activeElement?.blur()")
     tab.key("y")
     tab.page.get_by_text("say why it is right").first.wait_for()
     assert obj.document.review.state == "predicted"
@@ -127,7 +127,7 @@ def test_the_least_sure_prediction_follows_a_decision(
         record_prediction(obj, sure)
     assert tab.app.object is objects[0]
     tab.step("Review")
-    tab.page.locator("canvas").first.click(position={"x": 5, "y": 5})
+    tab.page.evaluate("document.activeElement?.blur()")
     tab.key("x")
     wait_until(lambda: objects[0].document.review.state == "rejected", "rejected")
     wait_until(lambda: tab.app.object is objects[2], "the least sure one")
