@@ -29,9 +29,9 @@ class TrainingConfig:
     model: ModelConfig = field(default_factory=ModelConfig)
     augmentation: Augmentation = field(default_factory=Augmentation)
     batch: int = 32
-    learning_rate: float = 8e-4
+    learning_rate: float = 1e-3
     warmup: int = 200
-    steps: int = 5000
+    steps: int = 3300
     weight_decay: float = 0.03
     seed: int = 0
     average: float = 0.995
