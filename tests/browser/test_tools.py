@@ -41,9 +41,6 @@ def prompts_become(tab: Tab, count: int) -> Any:
     return tab.document.prompts[-1]
 
 
-@pytest.mark.xfail(
-    strict=False, reason="where the browser draws in software the pointer's messages can be late"
-)
 def test_the_preview_follows_the_pointer_and_changes_nothing(
     start: Any, open_tab: Any, cabinet: Any
 ) -> None:
