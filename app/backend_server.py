@@ -185,7 +185,7 @@ class Backend:
         before.append(job)
         job.add_done_callback(wake)
         try:
-            yield _line(progress=[0.0, "Waiting for the backend"])
+            yield _line(progress=[0.0, _queue_text(before, job)])
             while not job.done:
                 with suppress(TimeoutError):
                     async with asyncio.timeout(HEARTBEAT_SECONDS):

@@ -186,8 +186,10 @@
 
   window.__artiworld = {
     set(options) {
+      const before = state.hover;
       Object.assign(state, options);
       if (!state.hover) quiet();
+      else if (!before && pointer && !timer) timer = setTimeout(tell, HOVER_MS);
       draw();
     },
     get: () => ({ ...state }),

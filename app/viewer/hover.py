@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _SECONDS = 10.0
+_AGAIN = 0.25
+"""Seconds until a place that could not be answered yet is asked again; the pointer may rest."""
 _BEFORE_CLICKS = -5
 """Priority of its jobs: everything else that waits goes first."""
 
@@ -65,20 +67,25 @@ class Hover:
         self._news.set()
 
     def _loop(self) -> None:
+        settled = True
         while not self._closed:
-            self._news.wait()
+            self._news.wait(None if settled else _AGAIN)
             self._news.clear()
+            settled = True
             try:
-                self._show()
-            except (Cancelled, TimeoutError):
-                pass  # something newer came, or the workers have more urgent things to do
+                settled = self._show()
+            except Cancelled:
+                pass  # something newer came
+            except TimeoutError:
+                settled = False  # the workers have more urgent things to do
             except ArtiworldError as error:
                 log.debug("no preview: %s", error)
             except Exception:  # a preview that fails must not end the previews
                 if not self._closed:
                     log.exception("the preview failed")
 
-    def _show(self) -> None:
+    def _show(self) -> bool:
+        """Answer the newest place; False where that has to wait for the object."""
         app, place, came = self._app, self._place, self._came
         obj = app.object
         ready = (
@@ -93,7 +100,7 @@ class Hover:
         )
         if not ready:
             self._clear()
-            return
+            return not (self.on and place is not None and obj is not None and obj.busy)
         assert obj is not None and obj.asset is not None and place is not None
         origin, direction = app.pointing.camera().ray(place)
         hit = app.bench.geometry.submit(
@@ -106,11 +113,11 @@ class Hover:
         ).result(_SECONDS)
         if hit is None:
             self._clear()
-            return
+            return True
         element, part, doc = int(hit.element), app.part, obj.document
         wanted = (element, part, doc.key)
         if wanted == self._shown:
-            return
+            return True
         x, y, z = (float(v) for v in hit.position)
         answer = app.bench.segmentation.submit(
             tool_tasks.hover,
@@ -123,10 +130,11 @@ class Hover:
             priority=_BEFORE_CLICKS,
         ).result(_SECONDS)
         if self._place is None or obj is not app.object or obj.document.key != doc.key:
-            return  # clicked or left meanwhile
+            return True  # clicked or left meanwhile
         self._shown = wanted
         app.scene.show_hover(answer.gained, answer.lost, palette.part_color(part))
         self.seconds = time.perf_counter() - came
+        return True
 
     def _clear(self) -> None:
         if self._shown is not None:

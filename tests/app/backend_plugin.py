@@ -13,6 +13,7 @@ from model.geometric.predictor import GeometricPredictor
 from model.progress import Cancelled, no_progress
 
 LOG = Path(os.environ["MOODY_LOG"])
+GO = LOG.with_name("go")  # what is held goes on once this file is there
 
 
 def note(text):
@@ -31,10 +32,11 @@ class Moody:
             raise ValueError("a bug")
         if mood == "crash":
             os._exit(3)
-        if mood == "slow":
+        if mood in ("slow", "held"):
             note("begin")
+            over = time.monotonic() + float(seconds)
             try:
-                for _ in range(int(float(seconds) / 0.02)):
+                while time.monotonic() < over and not (mood == "held" and GO.exists()):
                     progress(0.5, "Dawdling")
                     time.sleep(0.02)
             except Cancelled:

@@ -213,14 +213,19 @@ def test_one_after_the_other_and_too_many_are_refused(url, log):
     def ask(_: int) -> str:
         try:
             client.predict(
-                cupboard_object("slow 0.5"), progress=lambda _, text: messages.append(text)
+                cupboard_object("held 60"), progress=lambda _, text: messages.append(text)
             )
         except BackendError as error:
             return str(error)
         return "answered"
 
     with ThreadPoolExecutor(5) as pool:
-        answers = sorted(pool.map(ask, range(5)))
+        asked = [pool.submit(ask, i) for i in range(5)]
+        _wait(lambda: sum(a.done() for a in asked) == 2 and "Dawdling" in messages)
+        _wait(lambda: "Waiting for 2 others" in messages)
+        log.with_name("go").touch()
+        answers = [a.result(60) for a in asked]
+    log.with_name("go").unlink()
     assert answers.count("answered") == 3
     assert all("3 requests are under way" in a for a in answers if a != "answered")
     assert log.read_text().split() == ["begin", "end"] * 3
