@@ -35,7 +35,7 @@ from model.kinematics.articulated_object import (
 )
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
-from model.predictors import load_predictor
+from model.predictors import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import load_segmenter
 from model.segmentation.simulate import deepest, next_part_click
@@ -75,7 +75,7 @@ class AnnotatorConfig:
     """
 
     data: DatasetOptions
-    predictors: tuple[str, ...] = ("hybrid",)
+    predictors: tuple[str, ...] = (DEFAULT,)
     segmenter: str = "default"
     names: bool = True
     points: int = 30_000

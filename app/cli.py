@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from model.errors import ArtiworldError
+from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 _DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."
@@ -203,7 +204,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
         help="largest file that a browser may send (default: 500)")  # fmt: skip
     add("--segmenter", default="default", metavar="NAME", help="who answers clicks")
     _add_point_sam(parser)
-    add("--predictor", default="hybrid", metavar="NAME", help="who predicts joints")
+    add("--predictor", default=DEFAULT_PREDICTOR, metavar="NAME", help="who predicts joints")
     add_client_options(parser, "--backend-token")
     add("--open", action=argparse.BooleanOptionalAction, default=False, help="open a browser")
 
@@ -232,7 +233,7 @@ def _add_predict(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="folder with link_0, link_1, … or an object.json")
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the URDF and its meshes")
-    add("--predictor", default="hybrid", metavar="NAME", help="who predicts")
+    add("--predictor", default=DEFAULT_PREDICTOR, metavar="NAME", help="who predicts")
     add_client_options(parser, "--token")
     add("--category", metavar="NAME", help="what the object is, such as cabinet")
     add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")

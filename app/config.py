@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from model.geometry.asset import UpAxis
+from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 
 TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
 """Environment variable that may hold the token, so that it stands in no list of processes."""
@@ -50,5 +51,5 @@ class ServeConfig:
     unit_scale: float = 1.0
     max_upload_mb: int = 500
     segmenter: str = "default"
-    predictor: str = "hybrid"
+    predictor: str = DEFAULT_PREDICTOR
     allowed_origins: tuple[str, ...] = ()

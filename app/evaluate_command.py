@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from model.errors import ConfigurationError
+from model.predictors import DEFAULT
 
 if TYPE_CHECKING:
     from app.printing import Show
@@ -33,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--predictor",
         metavar="NAME,NAME",
-        help="who predicts (default: hybrid); truth answers with the truth",
+        help=f"who predicts (default: {DEFAULT}); truth answers with the truth",
     )
     add("--predictions", action="append", default=[], metavar="[NAME=]DIR",
         help="score the URDFs in this folder instead; may be repeated")  # fmt: skip
@@ -163,7 +164,7 @@ def configurations(args: argparse.Namespace) -> list[EvaluationConfig]:
         jobs=args.jobs, limit=args.limit, seed=args.seed, timeout=args.timeout,
         execute=args.execute, out=args.out,
     )  # fmt: skip
-    listed = args.predictor or ("" if args.predictions else "hybrid")
+    listed = args.predictor or ("" if args.predictions else DEFAULT)
     out = [replace(base, predictor=name.strip()) for name in listed.split(",") if name.strip()]
     for given in args.predictions:
         name, separator, folder = given.partition("=")

@@ -14,6 +14,7 @@ from model.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.geometry.asset import UpAxis
 from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.kinematics.joint import Joint
+from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
 
 FORMAT = 1
@@ -100,7 +101,7 @@ def predict(
     folder: Path,
     out: Path,
     *,
-    predictor: str = "hybrid",
+    predictor: str = DEFAULT,
     category: str | None = None,
     seed: int = 0,
     reading: ReadOptions | None = None,

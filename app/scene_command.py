@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from model.predictors import DEFAULT
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
@@ -25,7 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="folder for the articulated scene; a run that was killed goes on there")  # fmt: skip
     add("--jobs", type=_jobs, default=os.cpu_count() or 1, metavar="N",
         help="processes (default: as many as processors)")  # fmt: skip
-    add("--predictor", default="geometric", metavar="NAME", help="who predicts joints")
+    add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts joints")
     add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
     add("--keep-limits", action="store_true",
         help="leave joint limits as predicted where the motion hits neighbours")  # fmt: skip

@@ -6,10 +6,13 @@ from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from model.errors import ConfigurationError
-from model.predictor import Predictor
 from model.remote import is_backend
+
+if TYPE_CHECKING:  # the command line asks for names alone
+    from model.predictor import Predictor
 
 ENTRY_POINTS = "artiworld.predictors"
 """Entry-point group of plug-ins; each names a callable without arguments that gives a Predictor."""

@@ -31,6 +31,7 @@ from model.errors import ArtiworldError, ConfigurationError
 from model.evaluation.pool import robust_map
 from model.geometry.readers import MOBILITY
 from model.kinematics.urdf_reader import read_urdf_model
+from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
@@ -67,7 +68,7 @@ class ConvertSettings:
     """
 
     jobs: int = 1
-    predictor: str = "geometric"
+    predictor: str = DEFAULT
     seed: int = 0
     keep_limits: bool = False
     collision: bool = False
