@@ -6,7 +6,6 @@ share their probability, so that a hinge is not outvoted because three mechanism
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +14,7 @@ import torch
 
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.grammar import Choice, Decision, Feed, Grammar, Lock
-from model.arti4urdf.network import ArtiModel, Prompt, feeds_to_tensors
+from model.arti4urdf.network import ArtiModel, Encoded, Prompt, feeds_to_tensors
 from model.arti4urdf.structure import CANDIDATE_SCALARS, SLOTS
 
 Array = npt.NDArray[np.float64]
@@ -112,7 +111,8 @@ def decode(
         rng: sample instead of taking the likeliest.
     """
     scalars = prompt.arrays.candidate_scalars
-    grammar = Grammar(scalars[..., 0] > 0, scalars[..., CANDIDATE_SCALARS - 1] > 0, locked)
+    present, rotates = scalars[..., 0] > 0, scalars[..., CANDIDATE_SCALARS - 1] > 0
+    grammar = Grammar(present, rotates, locked, json_step=model.config.json_step)
     tape = _Tape(grammar, same_motion(prompt))
     encoded = model.encode([prompt])
     cache = model.decoder.new_cache(capacity=encoded.prefix.shape[1] + 12 * len(prompt.arrays))
@@ -133,14 +133,7 @@ def decode(
             tape.passes += 1
         assert hidden is not None
         tape.feeds += pending
-        node = asked.part if asked.kind == "child" else -1
-        logits = torch.cat(
-            [
-                model.word_logits(hidden)[0, 0],
-                model.point(encoded, hidden, torch.tensor([[node]], device=model.device))[0, 0],
-            ]
-        )
-        values = logits.double().cpu().numpy()
+        values = _logits(model, encoded, hidden, asked)
         if prior is not None and asked.kind in ("type", "slot", "lower"):
             values[: v.SIZE] += prior[asked.part]
         pending = [_make(tape, asked, values, rng)]
@@ -154,6 +147,20 @@ def decode(
         tape.passes,
         total,
     )
+
+
+def _logits(model: ArtiModel, encoded: Encoded, hidden: torch.Tensor, asked: Choice) -> Array:
+    """(SIZE + P,) logits of words and parts."""
+
+    def about(kind: str) -> torch.Tensor:
+        part = asked.part if asked.kind == kind else -1
+        return torch.tensor([[part]], device=model.device)
+
+    words = model.word_logits(hidden)[0, 0].double().cpu().numpy()
+    if asked.kind == "slot":
+        words[v.SLOT_IDS] += model.offer(encoded, hidden, about("slot"))[0, 0].cpu().numpy()
+    parts = model.point(encoded, hidden, about("child"))[0, 0].double().cpu().numpy()
+    return np.concatenate([words, parts])
 
 
 def _only(asked: Choice) -> tuple[int, int] | None:
@@ -189,8 +196,3 @@ def _make(tape: _Tape, asked: Choice, logits: Array, rng: np.random.Generator | 
     value = float(np.clip(score[pick], 0, 1)) if asked.kind == "slot" else float(probability[pick])
     tape.made.append(Made(asked.kind, asked.part, word, part, value, words, parts))
     return tape.grammar.take(word, part)
-
-
-def plain_passes(feeds: Sequence[Feed]) -> int:
-    """Forward passes of token-by-token generation of the same answer."""
-    return len(feeds)

@@ -85,9 +85,18 @@ class Grammar:
     Args:
         present: (P, SLOTS) which candidates there are. rotates: (P, SLOTS) which of them rotate.
         locked: part → its settled joint.
+        json_step: write the tree first, then the motions; False decides each part's motion as soon
+            as the part is placed, without the reasoning chain (an ablation of the paper).
     """
 
-    def __init__(self, present: Bools, rotates: Bools, locked: dict[int, Lock] | None = None):
+    def __init__(
+        self,
+        present: Bools,
+        rotates: Bools,
+        locked: dict[int, Lock] | None = None,
+        *,
+        json_step: bool = True,
+    ):
         self._present, self._rotates = present, rotates
         self.locked = dict(locked or {})
         self.count = len(present)
@@ -95,7 +104,8 @@ class Grammar:
         self.root = -1
         self._placed = np.zeros(self.count, bool)
         self._stack: list[int] = []
-        self._pending: list[Feed] = [Feed(v.ID["<json_start>"])]
+        self._json_step = json_step
+        self._pending = [Feed(v.ID["<json_start>" if json_step else "<urdf_start>"])]
         self._queue: list[int] = []
         self._asks: Kind | None = "root"
         self._part = -1
@@ -165,7 +175,7 @@ class Grammar:
         elif kind == "type":
             self.decisions[at].type = int(np.flatnonzero(word == v.TYPE_IDS)[0])
             feed = Feed(word)
-            self._ask_children(at)
+            self._after_type(at)
         else:
             feed = Feed(word)
             self._take_motion(kind, at, word)
@@ -185,6 +195,18 @@ class Grammar:
             self.decisions[part].parent = at
             self._asks, self._part = "type", part
         return Feed(v.ID["<child>"], part)
+
+    def _after_type(self, part: int) -> None:
+        if self._json_step or not self._moves(part):
+            self._ask_children(part)
+        else:
+            self._asks, self._part = "slot", part
+
+    def _moves(self, part: int) -> bool:
+        """Whether a motion has to be decided for it."""
+        lock = self.locked.get(part)
+        fixed = self.decisions[part].type == v.TYPES.index("fixed")
+        return part != self.root and not fixed and (lock is None or lock.type < 0)
 
     def _ask_children(self, part: int) -> None:
         self._asks, self._part = "child", part
@@ -208,15 +230,16 @@ class Grammar:
             self._begin_urdf()
 
     def _begin_urdf(self) -> None:
-        self._pending += [Feed(v.ID[t]) for t in ("<json_end>", "<urdf_start>", "<links>")]
-        fixed = v.TYPES.index("fixed")
-        settled = {k for k, lock in self.locked.items() if lock.type >= 0}
-        self._queue = [
-            k
-            for k in range(self.count)
-            if k != self.root and k not in settled and self.decisions[k].type != fixed
-        ]
+        if self._json_step:
+            self._pending += [Feed(v.ID[t]) for t in ("<json_end>", "<urdf_start>", "<links>")]
+            self._queue = [k for k in range(self.count) if self._moves(k)]
         self._next_joint()
+
+    def _after_motion(self) -> None:
+        if self._json_step:
+            self._next_joint()
+        else:
+            self._ask_children(self._part)
 
     def _next_joint(self) -> None:
         if not self._queue:
@@ -246,19 +269,19 @@ class Grammar:
                 self._after_axis(limited)
         elif kind == "lower":
             if word == v.ID["<as_offered>"]:
-                self._next_joint()
+                self._after_motion()
             else:
                 decision.lower = _level(word)
                 self._asks = "upper"
         else:
             decision.upper = _level(word)
-            self._next_joint()
+            self._after_motion()
 
     def _after_axis(self, limited: bool) -> None:
         if limited:
             self._asks = "lower"
         else:
-            self._next_joint()
+            self._after_motion()
 
     def copy(self) -> Grammar:
         """An independent state."""

@@ -63,14 +63,14 @@ class PointBertConfig:
 ULIP2 = PointBertConfig()
 POINT_LLM = PointBertConfig(depth=12, points=8192)
 NANO = PointBertConfig(
-    width=128,
-    depth=3,
-    heads=4,
+    width=96,
+    depth=2,
+    heads=3,
     groups=16,
-    neighbours=16,
-    encoder_width=128,
-    point_width=32,
-    points=256,
+    neighbours=12,
+    encoder_width=96,
+    point_width=24,
+    points=192,
     drop_path=0.0,
     normalisation="layer",
     unit_neighbourhoods=True,

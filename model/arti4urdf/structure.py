@@ -24,32 +24,15 @@ from model.geometric.roles import guess_mechanisms
 from model.geometric.scene import SAMPLE_BUDGET, Scene, make_scene
 from model.geometric.shape import rotation
 from model.geometric.tree import root_scores, spanning_parents
-from model.geometric.vocabulary import Mechanism, mechanism_of
+from model.geometric.vocabulary import MECHANISMS as ALL_MECHANISMS
+from model.geometric.vocabulary import mechanism_of
 from model.kinematics.articulated_object import SegmentedObject
 from model.progress import Progress, no_progress
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
-MECHANISMS: tuple[Mechanism, ...] = (
-    "hinge",
-    "flap",
-    "drop",
-    "temple",
-    "pivot",
-    "swing",
-    "lever",
-    "toggle",
-    "tilt",
-    "spin",
-    "swivel",
-    "screw",
-    "slide_out",
-    "slide_along",
-    "lift",
-    "press",
-)
-"""All but "fixed". Weights know them by their place: add new ones at the end."""
+MECHANISMS = tuple(m for m in ALL_MECHANISMS if m != "fixed")
 RANKS = 2
 SLOTS = len(MECHANISMS) * RANKS
 """Candidates a part: the best ``RANKS`` of each mechanism; slot = mechanism * RANKS + rank."""
@@ -59,6 +42,15 @@ POINTS = 512
 CANDIDATE_SCALARS = 7
 CANDIDATE_VECTORS = 2
 VECTORS = 5
+SIZES, LOOKS = 17, 35
+SCALARS = SIZES + LOOKS + 2 * len(MECHANISMS) + 2
+"""Numbers of a part: sizes and place, looks, a score a mechanism, what the name says."""
+FIRST_LOOK = 15
+"""Numbers from here on are judgements of the geometric rules."""
+NAME_SAYS = SCALARS - len(MECHANISMS) - 2
+"""Numbers from here on are what the name says; the last, that it says nothing."""
+AREA_ROOT = 12
+"""Which of them is the square root of the area."""
 RELATIONS = 8
 
 
@@ -288,9 +280,6 @@ def _scalars(
     said, _ = mechanism_of(shape.name, scene.category)
     out += [float(said == m) for m in (*MECHANISMS, "fixed")] + [float(said is None)]
     return out
-
-
-LOOKS = 35
 
 
 def _look_scalars(context: PartContext, k: Looks | None) -> list[float]:

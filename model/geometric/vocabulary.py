@@ -30,6 +30,7 @@ import re
 from functools import lru_cache
 from typing import Literal, get_args
 
+# Weights know mechanisms by their place: add new ones before "fixed".
 Mechanism = Literal[
     "hinge",
     "flap",

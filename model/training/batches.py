@@ -13,17 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.arti4urdf import vocabulary as v
+from model.arti4urdf.answer import LINE_REACH
 from model.arti4urdf.grammar import FREE, Choice, Feed, Grammar
 from model.arti4urdf.network import Prompt
-from model.arti4urdf.structure import StructureArrays
+from model.arti4urdf.structure import FIRST_LOOK, NAME_SAYS, StructureArrays
 from model.training.labels import Labels
 from model.training.samples import Sample
 
 Bools = npt.NDArray[np.bool_]
-FIRST_LOOK = 15
-"""Scalars from here on are judgements of the geometric rules."""
-LINE_REACH = 1.0
-"""Free lines lie within this many diagonals of the part's centre, along each axis."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +33,7 @@ class Augmentation:
         plain: share of samples without the judgements of the geometric rules, so that the network
             learns to read shapes.
         jitter: standard deviation of the numbers, as a share of their size.
+        hidden: most of the numbers that a sample may lack; the share is drawn between 0 and this.
     """
 
     turns: bool = True
@@ -43,9 +41,10 @@ class Augmentation:
     nameless: float = 0.25
     plain: float = 0.3
     jitter: float = 0.02
+    hidden: float = 0.3
 
 
-PLAIN = Augmentation(turns=False, shuffle=False, nameless=0.0, plain=0.0, jitter=0.0)
+PLAIN = Augmentation(turns=False, shuffle=False, nameless=0.0, plain=0.0, jitter=0.0, hidden=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +87,24 @@ def augmented(sample: Sample, how: Augmentation, rng: np.random.Generator) -> tu
         names = tuple(names[k] for k in order)
     if rng.random() < how.nameless:
         names, category = ("",) * len(names), ""
+        arrays = without_names(arrays)
     if how.jitter:
         arrays = _jittered(arrays, how.jitter, rng)
+    if how.hidden:
+        arrays = _with_gaps(arrays, float(rng.uniform(0, how.hidden)), rng)
     if rng.random() < how.plain:
         arrays = without_judgements(arrays)
     codes = rng.permutation(256)[: len(arrays)] if how.shuffle else np.arange(len(arrays))
     ids = tuple(v.name_ids(n) for n in names)
     return Prompt(arrays, v.category_id(category), ids, codes), labels
+
+
+def without_names(arrays: StructureArrays) -> StructureArrays:
+    """Without what the parts' names say of their motion."""
+    scalars = arrays.scalars.copy()
+    scalars[:, NAME_SAYS:] = 0
+    scalars[:, -1] = 1
+    return replace(arrays, scalars=scalars)
 
 
 def without_judgements(arrays: StructureArrays) -> StructureArrays:
@@ -114,6 +124,24 @@ def _jittered(arrays: StructureArrays, amount: float, rng: np.random.Generator) 
     points = arrays.points[:, rng.permutation(count)]
     return replace(
         arrays, points=points, scalars=noisy(arrays.scalars), vectors=noisy(arrays.vectors)
+    )
+
+
+def _with_gaps(arrays: StructureArrays, share: float, rng: np.random.Generator) -> StructureArrays:
+    """Without a random share of its numbers: no single cue may carry the answer."""
+
+    def gaps(values: npt.NDArray[np.float32], axis: int) -> npt.NDArray[np.float32]:
+        shape = [1] * values.ndim
+        shape[axis] = values.shape[axis]
+        return (rng.random(shape) >= share).astype(np.float32)
+
+    seen = gaps(arrays.candidate_scalars, 2)
+    seen[..., [0, -1]] = 1  # whether it is there and whether it turns is what the answer is about
+    return replace(
+        arrays,
+        scalars=arrays.scalars * gaps(arrays.scalars, 1),
+        vectors=arrays.vectors * gaps(arrays.vectors, 1),
+        candidate_scalars=arrays.candidate_scalars * seen,
     )
 
 
@@ -143,10 +171,12 @@ def _ordered(labels: Labels, order: npt.NDArray[np.int64]) -> Labels:
     return Labels(parents=np.where(parents >= 0, place[parents], -1), **rest)
 
 
-def teach(prompt: Prompt, labels: Labels, rng: np.random.Generator) -> Example:
+def teach(
+    prompt: Prompt, labels: Labels, rng: np.random.Generator, *, json_step: bool = True
+) -> Example:
     """The answer to teach, drawn among those that are right."""
     scalars = prompt.arrays.candidate_scalars
-    grammar = Grammar(scalars[..., 0] > 0, scalars[..., 6] > 0)
+    grammar = Grammar(scalars[..., 0] > 0, scalars[..., 6] > 0, json_step=json_step)
     feeds: list[Feed] = []
     taught: list[Taught] = []
     teacher = _Teacher(labels, grammar)
@@ -223,7 +253,7 @@ class Batch:
         examples: as they are.
         words, parts: (B, T) tokens, padded. lengths: of each row.
         rows, places: (C,) where each decision is predicted.
-        nodes: (C,) part whose child is asked for, -1 else.
+        nodes: (C,) part whose child is asked for, -1 else. slots: (C,) the same for a candidate.
         allowed, right: (C, SIZE + P) words, then parts.
         kinds: (C,).
     """
@@ -235,6 +265,7 @@ class Batch:
     rows: npt.NDArray[np.int64]
     places: npt.NDArray[np.int64]
     nodes: npt.NDArray[np.int64]
+    slots: npt.NDArray[np.int64]
     allowed: Bools
     right: Bools
     kinds: npt.NDArray[np.str_]
@@ -264,6 +295,7 @@ def collate(examples: Sequence[Example]) -> Batch:
         np.array([b for b, _ in every]),
         np.array([t.position - 1 for _, t in every]),
         np.array([t.asked.part if t.asked.kind == "child" else -1 for _, t in every]),
+        np.array([t.asked.part if t.asked.kind == "slot" else -1 for _, t in every]),
         allowed,
         right,
         np.array([t.asked.kind for _, t in every]),

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from model.arti4urdf import vocabulary as v
+from model.arti4urdf.language_model import DecoderConfig
 from model.arti4urdf.network import ModelConfig
 from model.errors import ConfigurationError
 from model.training.batches import Augmentation
+
+HALF = DecoderConfig(v.SIZE, 96, 256, 3, 3, 1, head_dim=32)
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class TrainingConfig:
     learning_rate: float = 1e-3
     warmup: int = 200
     steps: int = 3300
-    weight_decay: float = 0.03
+    weight_decay: float = 0.05
     seed: int = 0
     average: float = 0.995
     every: int = 250
@@ -59,6 +63,8 @@ def presets() -> dict[str, TrainingConfig]:
         "nano": nano,
         "nano-no-structure": replace(nano, model=replace(nano.model, structure_prompt=False)),
         "nano-no-global": replace(nano, model=replace(nano.model, global_token=False)),
+        "nano-no-json": replace(nano, model=replace(nano.model, json_step=False)),
+        "nano-half": replace(nano, model=replace(nano.model, decoder=HALF)),
     }
 
 

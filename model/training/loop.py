@@ -67,7 +67,9 @@ def _batches(shards: Shards, config: TrainingConfig, start: int) -> Iterator[tup
             pool = [pool[int(k)] for k in draw.permutation(POOL)]
         rng = np.random.default_rng([config.seed, step, 1])
         chosen = pool[step % POOL]
-        yield step, collate([teach(*augmented(s, config.augmentation, rng), rng) for s in chosen])
+        varied = [augmented(s, config.augmentation, rng) for s in chosen]
+        json_step = config.model.json_step
+        yield step, collate([teach(*pair, rng, json_step=json_step) for pair in varied])
 
 
 def rate(config: TrainingConfig, step: int) -> float:
@@ -143,7 +145,7 @@ def train(
         run.load(out)
     shards = Shards(data)
     shards.refresh()
-    checks = _validation(validation)
+    checks = _validation(validation, config.model.json_step)
     end = time.monotonic() + seconds
     sums: dict[str, list[float]] = {}
     began, first = time.monotonic(), run.step
@@ -225,6 +227,7 @@ def _begin(config: TrainingConfig, device: str) -> _Run:
 
 def _step(run: _Run, config: TrainingConfig, step: int, batch: Batch) -> dict[str, float]:
     run.model.train()
+    torch.manual_seed(config.seed * 1_000_003 + step)  # dropout; a resumed run draws the same
     for group in run.optimizer.param_groups:
         group["lr"] = rate(config, step)
     # The fused kernels are slower than plain products on sequences this short.
@@ -246,14 +249,15 @@ def _step(run: _Run, config: TrainingConfig, step: int, batch: Batch) -> dict[st
     return out
 
 
-def _validation(folder: Path | None, most: int = 200) -> list[Batch]:
+def _validation(folder: Path | None, json_step: bool, most: int = 200) -> list[Batch]:
     """Held-out batches, as they are: no turns, all cues."""
     if folder is None:
         return []
     shards = Shards(folder)
     shards.refresh()
     rng = np.random.default_rng(0)
-    examples = [teach(*augmented(s, PLAIN, rng), rng) for s in shards.samples[:most]]
+    pairs = [augmented(s, PLAIN, rng) for s in shards.samples[:most]]
+    examples = [teach(*pair, rng, json_step=json_step) for pair in pairs]
     return [collate(examples[k : k + 32]) for k in range(0, len(examples), 32)]
 
 

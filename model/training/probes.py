@@ -19,7 +19,7 @@ Change = Callable[[Sequence[Prompt], np.random.Generator], list[Prompt]]
 
 @dataclass(frozen=True)
 class Probe:
-    """Share of right decisions, by kind; names and categories hidden.
+    """Share of right decisions, by kind, over the objects without names and category.
 
     Attributes:
         types, slots: joint types; candidates.
@@ -35,11 +35,13 @@ def probe(model: ArtiModel, samples: Sequence[Sample], change: Change | None = N
     """Teacher-forced accuracy after ``change`` of the prompts."""
     rng = np.random.default_rng(0)
     how = replace(PLAIN, nameless=1.0)
-    pairs = [augmented(s, how, rng) for s in samples]
+    pairs = [augmented(s, how, rng) for s in samples if not any(s.names)]
     prompts = [prompt for prompt, _ in pairs]
     if change is not None:
         prompts = change(prompts, rng)
-    taught = [teach(p, labels, rng) for p, (_, labels) in zip(prompts, pairs, strict=True)]
+    step = model.config.json_step
+    taught_pairs = zip(prompts, (labels for _, labels in pairs), strict=True)
+    taught = [teach(prompt, labels, rng, json_step=step) for prompt, labels in taught_pairs]
     hits: dict[str, list[float]] = {}
     model.eval()
     for start in range(0, len(taught), 32):

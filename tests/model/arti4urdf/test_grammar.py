@@ -30,7 +30,8 @@ def _random_answer(rng: np.random.Generator, grammar: Grammar) -> int:
 
 def _grammar(rng: np.random.Generator, count: int, locked: dict[int, Lock]) -> Grammar:
     present = rng.random((count, SLOTS)) < rng.random()
-    return Grammar(present, rng.random((count, SLOTS)) < 0.5, locked)
+    planned = bool(rng.random() < 0.7)
+    return Grammar(present, rng.random((count, SLOTS)) < 0.5, locked, json_step=planned)
 
 
 def test_ten_thousand_random_answers_are_trees() -> None:

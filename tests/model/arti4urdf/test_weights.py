@@ -20,15 +20,17 @@ from model.training.probes import (
     shuffled_shapes,
     without_rules,
 )
-from model.training.samples import Sample, generate_samples, training_families
+from model.training.samples import Sample, draw_truth, make_sample, training_families
 
 MOST_BYTES = 25 * 2**20
 
 
 @pytest.fixture(scope="module")
 def fresh() -> list[Sample]:
-    """Objects that no training saw: another seed."""
-    found = generate_samples(training_families(), 77_001, range(48))
+    """Objects that no training saw (another seed), without names."""
+    families = training_families()
+    truths = [draw_truth(families[k % len(families)], 77_001, k)[0] for k in range(48)]
+    found = [make_sample(t, named=False, seed=k) for k, t in enumerate(truths)]
     return [s for s in found if s is not None]
 
 

@@ -78,8 +78,8 @@ def test_whoever_chooses_as_the_labels_say_is_usable(
     said: list[Grammar] = []
 
     class Recorded(Grammar):
-        def __init__(self, *settings: object) -> None:
-            super().__init__(*settings)  # type: ignore[arg-type]
+        def __init__(self, *settings: object, **more: object) -> None:
+            super().__init__(*settings, **more)  # type: ignore[arg-type]
             said.append(self)
 
     monkeypatch.setattr(batches, "Grammar", Recorded)
