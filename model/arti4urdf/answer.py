@@ -25,7 +25,7 @@ from model.kinematics.articulated_object import ArticulatedObject, SegmentedObje
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.tree_json import tree_json_problems, tree_to_json
-from model.kinematics.urdf import to_urdf_text
+from model.kinematics.urdf import to_urdf_text, vector
 from model.kinematics.urdf_reader import read_urdf_model
 
 Array = npt.NDArray[np.float64]
@@ -104,6 +104,19 @@ def _travel(
     if found.travel is not None:
         return found.travel
     return 0.0, max(0.02, 2 * structure.scene.shapes[part].box.reach(found.axis))
+
+
+DECIMALS = 5
+"""Of the numbers that a language model writes: hundredths of a millimetre."""
+
+
+def rounded(answer: str) -> str:
+    """The answer with the numbers of its URDF to :data:`DECIMALS`, as a model is to write them."""
+
+    def shorter(found: re.Match[str]) -> str:
+        return found[1] + vector(np.round([float(x) for x in found[2].split()], DECIMALS)) + '"'
+
+    return re.sub(r'(\b(?:xyz|lower|upper)=")([^"]*)"', shorter, answer)
 
 
 def write_answer(tree: KinematicTree, segmented: SegmentedObject, mesh_suffix: str = ".obj") -> str:

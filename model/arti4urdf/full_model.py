@@ -125,7 +125,9 @@ class FullModel(nn.Module):
     def geometry(self, clouds: Tensor) -> Tensor:
         """(B, N, 6) clouds → (B, output_width) features in the adapters' type."""
         clouds = clouds.to(self.device, torch.float32)
-        with torch.set_grad_enabled(self.train_encoder and torch.is_grad_enabled()):
+        gradients = self.train_encoder and torch.is_grad_enabled()
+        # As precise in training as in use.
+        with torch.autocast(self.device.type, enabled=False), torch.set_grad_enabled(gradients):
             groups = group_points(clouds, self.encoder.config)
             weight = self.encoder.norm.weight
             features = self.encoder(Groups(*(part.to(weight.dtype) for part in groups)))

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from model.arti4urdf.answer import parse_answer
 from model.arti4urdf.full_model import LANGUAGE, FullModel, load_full_model
 from model.arti4urdf.published_weights import load_qwen3
 from model.arti4urdf.text_engine import LocalEngine, TextEngine, VllmEngine
 from model.arti4urdf.text_prompt import make_example
+from model.arti4urdf.text_script import Author
 from model.errors import ConfigurationError, KinematicsError
 from model.kinematics.articulated_object import ArticulatedObject, Prediction, SegmentedObject
 from model.kinematics.joint import Joint
@@ -44,29 +47,46 @@ class FullPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """As :meth:`model.predictor.Predictor.predict`. The likeliest answer is taken."""
+        """As :meth:`model.predictor.Predictor.predict`. The likeliest choices are taken."""
         start = time.perf_counter()
         progress(0.0, "Reading shapes")
         example = make_example(segmented, self._reader.encoder.config.points, seed=seed)
         prompt = self._reader.prompt_embeddings(example)
-        answer = self._engine.generate(
+        text, likely, told = self._answer(
             prompt,
-            max_tokens=TOKENS_AT_LEAST + TOKENS_PER_PART * len(segmented.parts),
-            seed=seed,
-            progress=lambda fraction, message: progress(0.1 + 0.9 * fraction, message),
+            segmented,
+            locked,
+            seed,
+            lambda fraction, message: progress(0.1 + 0.9 * fraction, message),
         )
-        tree, problems = parse_answer(answer.text)
-        told = list(problems)
-        if not answer.complete:
-            told.append("the answer was cut off at its longest length")
+        tree, problems = parse_answer(text)
+        told += [p for p in problems if "was normalised" not in p]
         if tree is not None:
             tree = _fitted(tree, segmented, locked, told)
-        likely = math.exp(min(answer.log_probability, 0.0))
-        confidence = {} if tree is None else {j.child: likely for j in tree.joints}
+        confidence = {} if tree is None else {j.child: likely(j.child) for j in tree.joints}
         confidence |= {j.child: 1.0 for j in locked if j.child in confidence}
         return Prediction(
-            tree, tuple(told), confidence, self.name, seed, time.perf_counter() - start, answer.text
+            tree, tuple(told), confidence, self.name, seed, time.perf_counter() - start, text
         )
+
+    def _answer(
+        self,
+        prompt: Tensor,
+        segmented: SegmentedObject,
+        locked: tuple[Joint, ...],
+        seed: int,
+        progress: Progress,
+    ) -> tuple[str, Callable[[str], float], list[str]]:
+        """The text, the probability of what it says of a link, and what went wrong."""
+        if isinstance(self._engine, LocalEngine):
+            written = self._engine.write(prompt, Author(segmented, locked), progress=progress)
+            odds = written.log_probabilities
+            return written.text, lambda link: math.exp(min(odds.get(link, 0.0), 0.0)), []
+        most = TOKENS_AT_LEAST + TOKENS_PER_PART * len(segmented.parts)
+        answer = self._engine.generate(prompt, max_tokens=most, seed=seed, progress=progress)
+        told = [] if answer.complete else ["the answer was cut off at its longest length"]
+        likely = math.exp(min(answer.log_probability, 0.0))
+        return answer.text, lambda link: likely, told
 
 
 def _fitted(

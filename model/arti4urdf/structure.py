@@ -25,14 +25,14 @@ from model.geometric.scene import SAMPLE_BUDGET, Scene, make_scene
 from model.geometric.shape import rotation
 from model.geometric.tree import root_scores, spanning_parents
 from model.geometric.vocabulary import MECHANISMS as ALL_MECHANISMS
-from model.geometric.vocabulary import mechanism_of
+from model.geometric.vocabulary import Mechanism, mechanism_of
 from model.kinematics.articulated_object import SegmentedObject
 from model.progress import Progress, no_progress
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
-MECHANISMS = tuple(m for m in ALL_MECHANISMS if m != "fixed")
+MECHANISMS: tuple[Mechanism, ...] = tuple(m for m in ALL_MECHANISMS if m != "fixed")
 RANKS = 2
 SLOTS = len(MECHANISMS) * RANKS
 """Candidates a part: the best ``RANKS`` of each mechanism; slot = mechanism * RANKS + rank."""

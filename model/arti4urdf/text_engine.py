@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -12,6 +13,8 @@ from tokenizers import Tokenizer
 from torch import Tensor
 
 from model.arti4urdf.language_model import Decoder
+from model.arti4urdf.text_script import Author
+from model.arti4urdf.text_writing import Vocabulary, Written, write
 from model.errors import ConfigurationError
 from model.progress import Progress, no_progress
 
@@ -91,6 +94,20 @@ class LocalEngine:
         words = said[:-1] if complete else said
         text = self._tokenizer.decode(words, skip_special_tokens=False)
         return Generated(text, total / max(len(said), 1), complete)
+
+    @torch.inference_mode()
+    def write(self, prompt: Tensor, author: Author, *, progress: Progress = no_progress) -> Written:
+        """Let the model make ``author``'s choices, the likeliest each time.
+
+        See :func:`model.arti4urdf.text_writing.write`.
+        """
+        return write(
+            self._decoder, self._tokenizer, self._vocabulary, prompt, author, progress=progress
+        )
+
+    @cached_property
+    def _vocabulary(self) -> Vocabulary:
+        return Vocabulary(self._tokenizer)
 
 
 def _draw(odds: Tensor, temperature: float, generator: torch.Generator) -> int:

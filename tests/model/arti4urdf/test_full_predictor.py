@@ -20,6 +20,7 @@ from model.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
 from model.arti4urdf.text_engine import Generated, LocalEngine, VllmEngine  # noqa: E402
 from model.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
+from model.arti4urdf.text_script import Author  # noqa: E402
 from model.errors import ArtiworldError, ConfigurationError  # noqa: E402
 from model.geometry.mesh import Mesh  # noqa: E402
 from model.geometry.point_cloud import PointCloud  # noqa: E402
@@ -165,6 +166,32 @@ def test_by_name_from_its_folder(folder, tmp_path):
     assert predictor.name == "qwen3 saved"
     with pytest.raises(ArtiworldError, match="no such folder"):
         load_predictor(f"qwen3:{tmp_path / 'absent'}")
+
+
+def test_random_weights_write_answers_that_parse(folder):
+    predictor = load_predictor(f"qwen3:{folder}")
+    found = predictor.predict(chest())
+    assert found.tree is not None and found.problems == ()
+    assert 0 < found.confidence[next(iter(found.confidence))] < 1
+    settled = predictor.predict(chest(), locked=(LID,))
+    assert settled.tree is not None and settled.tree.joints == (LID,)
+    assert settled.confidence == {"link_1": 1.0}
+
+
+def test_forced_spans_are_read_in_one_pass_and_change_nothing(folder, reader):
+    words = load_qwen3(folder / "language_model", dtype=torch.float32)
+    engine = LocalEngine(words.decoder, words.tokenizer, reader.end)
+    prompt = reader.prompt_embeddings(make_example(chest(), 64))
+    written = engine.write(prompt, Author(chest()))
+    tokens = words.tokenizer.encode(written.text, add_special_tokens=False).ids
+    assert written.passes < len(tokens) / 4
+    # The sum of the choices' probabilities is what one pass over the whole text would give or
+    # more: choices are renormalised over what may come.
+    row = torch.tensor([tokens])
+    embeds = torch.cat([prompt[None], words.decoder.embed(row)], 1)
+    odds = words.decoder.logits(words.decoder(embeds)[0]).log_softmax(-1)
+    free = float(odds[len(prompt) - 1 : -1].gather(1, row.T).detach().sum())
+    assert free <= sum(written.log_probabilities.values()) <= 0
 
 
 def test_vllm_is_asked_for_where_it_is_not_installed(monkeypatch, tmp_path):
