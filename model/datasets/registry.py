@@ -89,6 +89,27 @@ def open_dataset(options: DatasetOptions) -> Dataset:
     return BUILT_IN[options.name](options)
 
 
+def recognised(root: Path) -> Dataset:
+    """The PartNet-Mobility or PhysXNet folder at ``root``, told apart by what is in it.
+
+    Raises:
+        InputFileError: where it is neither.
+    """
+    if not Path(root).is_dir():
+        raise InputFileError(root, "no such folder", "give one of PartNet-Mobility or PhysXNet")
+    physxnet = (Path(root) / "finaljson").is_dir()
+    found = open_dataset(DatasetOptions("physxnet" if physxnet else "partnet-mobility", root))
+    try:
+        found.ids()
+    except InputFileError as error:
+        raise InputFileError(
+            root,
+            "no PartNet-Mobility object (<id>/mobility.urdf) and none of PhysXNet "
+            "(finaljson/<id>.json) in it",
+        ) from error
+    return found
+
+
 def _folder(options: DatasetOptions) -> Path:
     if options.root is None:
         raise ConfigurationError(f"the data set {options.name} needs --root, its folder")

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Sequence
 
 from model.datasets.protocol import Dataset
-from model.errors import ConfigurationError
+from model.errors import ArtiworldError, ConfigurationError
 
 HELD_OUT = ("display", "suitcase", "plier", "kettle", "oven")
 """The categories that the paper never trains on (*ArtiWorld*, section on data)."""
@@ -50,6 +50,27 @@ def select(dataset: Dataset, split: str, *, seed: int = 0) -> tuple[str, ...]:
         there = ", ".join(sorted({dataset.category(i) or "unknown" for i in ids})[:40])
         raise ConfigurationError(f"the split {split!r} leaves no object; categories: {there}")
     return tuple(kept)
+
+
+def training_ids(
+    dataset: Dataset, *, held_out: bool = False, test_share: float = 0.0
+) -> tuple[str, ...]:
+    """What of ``dataset`` is trained on; an object whose category can't be read stays.
+
+    Args:
+        dataset: asked for ids and categories.
+        held_out: keep the paper's five held-out categories.
+        test_share: leave out what the split ``test:<share>`` holds.
+    """
+    ids = [i for i in dataset.ids() if not (test_share and in_test(i, 0, test_share))]
+    return tuple(i for i in ids if held_out or not is_held_out(_category(dataset, i)))
+
+
+def _category(dataset: Dataset, object_id: str) -> str | None:
+    try:
+        return dataset.category(object_id)
+    except ArtiworldError:
+        return None
 
 
 def is_held_out(category: str | None) -> bool:

@@ -10,6 +10,7 @@ from model.arti4urdf.language_model import DecoderConfig
 from model.arti4urdf.network import ModelConfig
 from model.errors import ConfigurationError
 from model.training.batches import Augmentation
+from model.training.full_config import full_presets
 
 HALF = DecoderConfig(v.SIZE, 96, 256, 3, 3, 1, head_dim=32)
 
@@ -76,5 +77,6 @@ def preset(name: str) -> TrainingConfig:
     """
     found = presets()
     if name not in found:
-        raise ConfigurationError(f"no preset {name!r}; there are {', '.join(found)}")
+        known = ", ".join([*found, *full_presets()])
+        raise ConfigurationError(f"no preset {name!r}; there are {known}")
     return found[name]

@@ -6,9 +6,10 @@ import importlib.util
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -72,7 +73,26 @@ def _batches(shards: Shards, config: TrainingConfig, start: int) -> Iterator[tup
         yield step, collate([teach(*pair, rng, json_step=json_step) for pair in varied])
 
 
-def rate(config: TrainingConfig, step: int) -> float:
+class Schedule(Protocol):
+    """What the learning rate follows from; see :class:`TrainingConfig`."""
+
+    @property
+    def learning_rate(self) -> float:
+        """At its peak."""
+        ...
+
+    @property
+    def warmup(self) -> int:
+        """Steps until the peak."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """Of the whole run."""
+        ...
+
+
+def rate(config: Schedule, step: int) -> float:
     """Learning rate at ``step``."""
     if step < config.warmup:
         return config.learning_rate * (step + 1) / config.warmup
@@ -135,7 +155,7 @@ def train(
         ConfigurationError: where ``out`` holds a run of another configuration, or no data is there.
     """
     out.mkdir(parents=True, exist_ok=True)
-    _same_config(config, out)
+    same_config(config.to_json(), out)
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
@@ -164,7 +184,7 @@ def train(
             entry |= {f"valid {k}": x for k, x in _score(run.average, checks).items()}
             with (out / LOG).open("a") as log:
                 log.write(json.dumps(entry) + "\n")
-            _to_board(out, entry)
+            to_board(out, entry)
             run.save(out)
             shards.refresh()
         if stop:
@@ -172,8 +192,8 @@ def train(
     return out
 
 
-def _to_board(out: Path, entry: dict[str, float]) -> None:
-    """The same for TensorBoard, where it is installed."""
+def to_board(out: Path, entry: dict[str, float]) -> None:
+    """A log entry for TensorBoard, where it is installed."""
     if importlib.util.find_spec("tensorboard") is None:
         return
     from torch.utils.tensorboard import SummaryWriter
@@ -201,14 +221,25 @@ def export_weights(run: Path, folder: Path, *, version: str) -> None:
     save_weights(model, folder, version=version, record=record)
 
 
-def _same_config(config: TrainingConfig, out: Path) -> None:
+def same_config(config: dict[str, Any], out: Path, *, free: Collection[str] = ()) -> None:
+    """Write a run's configuration into its folder, or compare it with what is there.
+
+    Args:
+        config: as JSON values. out: folder of the run.
+        free: names that may differ from slice to slice.
+
+    Raises:
+        ConfigurationError: where the folder belongs to another run.
+    """
     path = out / CONFIG
-    mine = json.loads(json.dumps(config.to_json()))
-    if path.exists() and (there := json.loads(path.read_text())) != mine:
-        differ = sorted(k for k in mine if mine[k] != there.get(k))
-        raise ConfigurationError(
-            f"{path} belongs to another run ({', '.join(differ)} differ): choose another folder"
-        )
+    mine = json.loads(json.dumps(config))
+    if path.exists():
+        there = json.loads(path.read_text())
+        differ = sorted(k for k in {*mine, *there} - {*free} if mine.get(k) != there.get(k))
+        if differ:
+            raise ConfigurationError(
+                f"{path} belongs to another run ({', '.join(differ)} differ): choose another folder"
+            )
     path.write_text(json.dumps(mine, indent=1))
 
 

@@ -17,7 +17,9 @@ from model.arti4urdf.structure import StructureArrays, read_structure, structure
 from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
 from model.datasets.procedural.generate import COMPOSITE, family_names, make
 from model.datasets.protocol import GroundTruth
-from model.errors import ConfigurationError
+from model.datasets.registry import recognised
+from model.datasets.splits import training_ids
+from model.errors import ArtiworldError, ConfigurationError
 from model.progress import Progress, no_progress
 from model.training.labels import Labels, label
 
@@ -49,6 +51,11 @@ def training_families() -> tuple[str, ...]:
     return tuple(f for f in family_names() if f not in HELD_OUT)
 
 
+def family_of(families: Sequence[str], index: int) -> str:
+    """What the object with this index is: composites every fourth, the families in turn."""
+    return COMPOSITE if index % 4 == 3 else families[index % len(families)]
+
+
 def draw_truth(family: str, seed: int, index: int) -> tuple[GroundTruth, bool]:
     """A procedural object, one time in three clean, else corrupted, and whether it has names."""
     rng = np.random.default_rng([seed, index, 7])
@@ -78,10 +85,9 @@ def make_sample(truth: GroundTruth, *, named: bool, seed: int) -> Sample | None:
 def generate_samples(
     families: Sequence[str], seed: int, indices: Sequence[int]
 ) -> Iterator[Sample | None]:
-    """Samples one by one: composites every fourth, the families in turn; None for a failure."""
+    """Samples one by one; None for a failure."""
     for index in indices:
-        family = COMPOSITE if index % 4 == 3 else families[index % len(families)]
-        truth, named = draw_truth(family, seed, index)
+        truth, named = draw_truth(family_of(families, index), seed, index)
         yield make_sample(truth, named=named, seed=index)
 
 
@@ -219,26 +225,41 @@ def _write_one(
     return len(kept)
 
 
-def write_dataset(root: Path, folder: Path, *, progress: Progress = no_progress) -> int:
-    """Add a shard of the PartNet-Mobility objects under ``root``, with and without names.
+def write_dataset(
+    root: Path,
+    folder: Path,
+    *,
+    held_out: bool = False,
+    test_share: float = 0.0,
+    progress: Progress = no_progress,
+) -> tuple[int, list[str]]:
+    """Add a shard of the objects under ``root``, each with and without names.
+
+    Args:
+        root: of PartNet-Mobility or PhysXNet. folder: of the shards.
+        held_out, test_share: see :func:`model.datasets.splits.training_ids`.
+        progress: told each object.
 
     Returns:
-        Samples written.
+        Samples written, and what couldn't be read and why.
 
     Raises:
-        ArtiworldError: where there are none.
+        InputFileError: where ``root`` is no such folder.
     """
-    from model.datasets.partnet_mobility import PartNetMobility
-
-    dataset = PartNetMobility(root)
-    ids = dataset.ids()
+    dataset = recognised(root)
+    ids = training_ids(dataset, held_out=held_out, test_share=test_share)
     kept: list[Sample] = []
+    bad: list[str] = []
     for k, object_id in enumerate(ids):
         progress(k / len(ids), object_id)
-        truth = dataset.load(object_id)
-        made = (make_sample(truth, named=named, seed=k) for named in (True, False))
+        try:
+            truth = dataset.load(object_id)
+            made = [make_sample(truth, named=named, seed=k) for named in (True, False)]
+        except ArtiworldError as error:
+            bad.append(str(error))
+            continue
         kept += [s for s in made if s is not None]
     if kept:
         folder.mkdir(parents=True, exist_ok=True)
-        write_shard(kept, folder / f"data_{root.name}.npz")
-    return len(kept)
+        write_shard(kept, folder / f"data_{root.resolve().name}.npz")
+    return len(kept), bad

@@ -1,0 +1,239 @@
+"""Objects for the paper-size model: made or read when they are drawn, varied, written as text.
+
+What is drawn depends on the seed and the position alone, not on processes or slices.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from torch.utils.data import Dataset as TorchDataset
+
+from model.arti4urdf.answer import rounded, write_answer
+from model.arti4urdf.full_model import Example
+from model.arti4urdf.text_prompt import make_example
+from model.datasets.protocol import Dataset, GroundTruth
+from model.errors import ArtiworldError
+from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
+from model.kinematics.tree import KinematicTree
+from model.remote.wire import decode_request, encode_request
+from model.training.full_config import FullConfig
+from model.training.samples import MOST_PARTS, draw_truth, family_of
+
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
+
+TRIES = 20
+"""Objects in a row that may be useless before a run gives up."""
+TOO_LONG = "too long"
+
+
+@dataclass(frozen=True)
+class ObjectSet:
+    """All objects of a run, by number.
+
+    Attributes:
+        samples: procedural objects, the first ones. seed: of them. families: to make.
+        listed: (data set, id) of the others.
+        cache: folder where what was made or read is kept; None for none.
+    """
+
+    samples: int
+    seed: int
+    families: tuple[str, ...]
+    listed: tuple[tuple[Dataset, str], ...] = ()
+    cache: Path | None = None
+
+    def __len__(self) -> int:
+        return self.samples + len(self.listed)
+
+    def name(self, number: int) -> str:
+        """Of one object, unique among all runs."""
+        if number < self.samples:
+            return f"{family_of(self.families, number)}_{self.seed}_{number}"
+        dataset, object_id = self.listed[number - self.samples]
+        root = zlib.crc32(str(Path(getattr(dataset, "root", "")).resolve()).encode())
+        return f"{dataset.name}_{root:08x}_{object_id}"
+
+    def load(self, number: int) -> GroundTruth:
+        """Make or read one object; a damaged file of the cache is made again.
+
+        Raises:
+            ArtiworldError: where its files are missing or broken.
+        """
+        name = self.name(number)
+        path = None if self.cache is None else self.cache / f"{name}.npz"
+        if path is not None and path.is_file():
+            try:
+                return _unpacked(path.read_bytes())
+            except (ArtiworldError, OSError):
+                pass
+        if number < self.samples:
+            truth, _ = draw_truth(family_of(self.families, number), self.seed, number)
+        else:
+            dataset, object_id = self.listed[number - self.samples]
+            truth = dataset.load(object_id)
+        if path is not None:
+            _write(path, _packed(truth))
+        return truth
+
+
+def _packed(truth: GroundTruth) -> bytes:
+    """A request whose settled joints are the true ones."""
+    return encode_request(truth.segmented(), truth.object.tree.joints, 0)
+
+
+def _unpacked(data: bytes) -> GroundTruth:
+    segmented, joints, _ = decode_request(data)
+    links = dict.fromkeys(p.link for p in segmented.parts)
+    links |= dict.fromkeys(link for j in joints for link in (j.parent, j.child))
+    tree = KinematicTree(tuple(links), joints)
+    obj = ArticulatedObject(segmented.name, segmented.parts, tree, segmented.category)
+    return GroundTruth(segmented.name, obj)
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft.write_bytes(data)
+    draft.replace(path)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What one position of the order gave.
+
+    Attributes:
+        example: with its answer; None where :data:`TRIES` objects in a row were useless.
+        position: in the order.
+        left_out: (object, why) of those that were passed over.
+    """
+
+    example: Example | None
+    position: int
+    left_out: tuple[tuple[str, str], ...] = ()
+
+
+class Draws(TorchDataset[Drawn]):
+    """Position in the order of a run → the example to train on.
+
+    Args:
+        objects: to draw from. config: how they are varied.
+        tokenizer: counts the tokens.
+        count: positions there are.
+    """
+
+    def __init__(
+        self, objects: ObjectSet, config: FullConfig, tokenizer: Tokenizer, count: int
+    ) -> None:
+        self.objects, self.config, self.tokenizer = objects, config, tokenizer
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, position: int) -> Drawn:
+        left_out: list[tuple[str, str]] = []
+        for attempt in range(TRIES):
+            number = self._number(position, attempt)
+            try:
+                example, why = self._example(number, position)
+            except ArtiworldError as error:
+                example, why = None, str(error)
+            except Exception as error:  # whatever is wrong with one object, the run goes on
+                example, why = None, f"{type(error).__name__}: {error}"
+            if example is not None:
+                return Drawn(example, position, tuple(left_out))
+            left_out.append((self.objects.name(number), " ".join(why.split())[:300]))
+        return Drawn(None, position, tuple(left_out))
+
+    def _number(self, position: int, attempt: int) -> int:
+        """Every object once an epoch, in an order of its own; a substitute for useless ones."""
+        seed, count = self.config.seed, len(self.objects)
+        if attempt:
+            return int(np.random.default_rng([seed, position, attempt, 5]).integers(count))
+        epoch, place = divmod(position, count)
+        return int(_order(seed, epoch, count)[place])
+
+    def _example(self, number: int, position: int) -> tuple[Example | None, str]:
+        config = self.config
+        truth = self.objects.load(number)
+        parts = len(truth.object.parts)
+        if not 2 <= parts <= MOST_PARTS:
+            return None, f"{parts} parts, not 2 to {MOST_PARTS}"
+        rng = np.random.default_rng([config.seed, position, 3])
+        segmented, tree = varied(truth.object, config, rng)
+        example = make_example(
+            segmented, config.points, structure=config.structure, seed=int(rng.integers(2**31))
+        )
+        answer = rounded(write_answer(tree, segmented))
+        length = 1 + sum(
+            len(self.tokenizer.encode(text, add_special_tokens=False).ids)
+            for text in (example.prompt, answer)
+        )
+        if length > config.longest:
+            return None, f"{TOO_LONG}: {length} tokens, more than {config.longest}"
+        return replace(example, answer=answer), ""
+
+
+@lru_cache(maxsize=2)
+def _order(seed: int, epoch: int, count: int) -> npt.NDArray[np.int64]:
+    return np.random.default_rng([seed, epoch, 6]).permutation(count)
+
+
+def varied(
+    obj: ArticulatedObject, config: FullConfig, rng: np.random.Generator
+) -> tuple[SegmentedObject, KinematicTree]:
+    """The parts in a random order, numbered anew, some without their names; and their true tree.
+
+    Joints and helper links are called as :class:`model.arti4urdf.text_script.Author` calls them,
+    and children stand in the order of their numbers: no name is left to be guessed.
+    """
+    order = [int(k) for k in rng.permutation(len(obj.parts))]
+    nameless = rng.random() < config.nameless
+    hidden = nameless | (rng.random(len(order) + 1) < config.forgotten)
+    parts = tuple(
+        replace(obj.parts[k], link=f"link_{i}", name=None if hidden[i] else obj.parts[k].name)
+        for i, k in enumerate(order)
+    )
+    tree = renumbered(obj.tree, [obj.parts[k] for k in order])
+    category = None if hidden[-1] else obj.category
+    return SegmentedObject("object", parts, category), tree
+
+
+def renumbered(tree: KinematicTree, parts: Sequence[Part]) -> KinematicTree:
+    """The tree with ``parts[i]`` as ``link_i``, its helpers and joints named after them."""
+    number = {p.link: i for i, p in enumerate(parts)}
+    below = {link: _first_part(tree, link, number) for link in tree.links}
+    called: dict[str, str] = {}
+    taken: set[str] = set()
+    for link in reversed(tree.order):
+        name = f"link_{number[link]}" if link in number else f"helper_{max(below[link], 0)}"
+        while name in taken:  # a second helper above the same part
+            name += "_above"
+        called[link] = name
+        taken.add(name)
+    joints = tuple(
+        replace(
+            j, name=f"joint_{called[j.child]}", parent=called[j.parent], child=called[j.child],
+            mimic=None,
+        )
+        for j in sorted(tree.joints, key=lambda j: below[j.child])
+    )  # fmt: skip
+    return KinematicTree(tuple(called[link] for link in tree.links), joints)
+
+
+def _first_part(tree: KinematicTree, link: str, number: Mapping[str, int]) -> int:
+    """The number of a part, or of the first part that a helper carries; -1 for one without any."""
+    if link in number:
+        return number[link]
+    below = (_first_part(tree, child, number) for child in tree.children(link))
+    return min((n for n in below if n >= 0), default=-1)

@@ -1,0 +1,358 @@
+"""The training loop of the paper-size model, on one process or many (Hugging Face accelerate).
+
+Source: ArtiWorld (CVPR 2026), training: Adam, learning rate 1e-5, 20 epochs, bfloat16, gradient
+checkpointing, one object a GPU on eight GPUs. The encoder stays as ULIP-2 publishes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch.utils.data import DataLoader
+
+from model.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
+from model.errors import ConfigurationError
+from model.progress import Progress, no_progress
+from model.training.full_config import FullConfig, check_size, require_extras
+from model.training.full_data import Drawn, Draws, ObjectSet
+from model.training.loop import CONFIG, LOG, rate, same_config, to_board
+
+STATE = "state.json"
+LEFT_OUT = "left_out.jsonl"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where a run's weights and objects come from.
+
+    Attributes:
+        point_encoder: a checkpoint of ULIP-2. language_model: a folder of Qwen3.
+        objects: to train on. held: to validate on, never trained on.
+        jobs: processes that make objects beside each training process; 0 for none.
+    """
+
+    point_encoder: Path
+    language_model: Path
+    objects: ObjectSet
+    held: ObjectSet
+    jobs: int = 0
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a slice came to.
+
+    Attributes:
+        step: that was reached. steps: of the whole run.
+        loss: mean since the last log entry; NaN where no step was made.
+        left_out: why → how many objects, over all slices.
+    """
+
+    step: int
+    steps: int
+    loss: float
+    left_out: dict[str, int]
+
+
+def train_full(
+    config: FullConfig,
+    sources: Sources,
+    out: Path,
+    *,
+    seconds: float = math.inf,
+    weights: Path | None = None,
+    progress: Progress = no_progress,
+) -> Finished:
+    """Train, or go on where the last slice ended.
+
+    Args:
+        config: the run; it is written beside the state and must not change between slices.
+        sources: weights and objects.
+        out: folder of the run. seconds: stop (and save) after this long.
+        weights: write the model here for use at the end of the slice.
+        progress: of the main process.
+
+    Raises:
+        InputFileError: where weights are absent or don't fit the preset.
+        ConfigurationError: where packages are missing, the batch can't be shared among the
+            processes, ``out`` holds another run, or no object is usable.
+    """
+    require_extras(config)
+    from transformers.utils.logging import disable_progress_bar
+
+    disable_progress_bar()  # there is one already
+    check_size(config, sources.language_model)
+    config = _resolved(config, len(sources.objects))
+    trainer = _Trainer(config, sources, out)
+    loss = trainer.train(seconds, progress if trainer.main else no_progress)
+    if weights is not None:
+        trainer.export(weights)
+    trainer.accelerator.end_training()
+    return Finished(trainer.step, config.steps, loss, trainer.left_out())
+
+
+def _resolved(config: FullConfig, objects: int) -> FullConfig:
+    """With the number of steps, and a warm-up that fits into it."""
+    steps = config.steps or math.ceil(config.epochs * objects / config.batch)
+    return replace(config, steps=steps, warmup=min(config.warmup, steps))
+
+
+def load_model(config: FullConfig, point_encoder: Path, language_model: Path) -> FullModel:
+    """The untrained model, ready for the optimiser.
+
+    What is trained is in float32: a step of 1e-5 would vanish in bfloat16's rounding.
+    """
+    lora = LoraSettings(config.lora_rank, 2 * config.lora_rank) if config.lora_rank else None
+    torch.manual_seed(config.seed)
+    frozen = torch.bfloat16 if lora and config.bfloat16 else torch.float32
+    model = make_full_model(point_encoder, language_model, dtype=frozen, lora=lora)
+    for parameter in model.trained_parameters():
+        parameter.data = parameter.data.float()
+    cut = {name: getattr(config, name) for name in ("points", "groups", "neighbours")}
+    model.encoder.config = replace(model.encoder.config, **cut)
+    return model
+
+
+class _Trainer:
+    """One process of a run."""
+
+    def __init__(self, config: FullConfig, sources: Sources, out: Path) -> None:
+        from accelerate import Accelerator
+        from accelerate.utils import DistributedType
+
+        self.config, self.sources, self.out = config, sources, out
+        # accelerate's own launcher has said which precision it wants; the configuration decides.
+        self.accelerator: Any = Accelerator(mixed_precision="bf16" if config.bfloat16 else "no")
+        self.main = self.accelerator.is_main_process
+        self.share, rest = divmod(config.batch, self.accelerator.num_processes)
+        if rest:
+            raise ConfigurationError(
+                f"a batch of {config.batch} can't be shared by {self.accelerator.num_processes} "
+                f"processes: --set batch={self.accelerator.num_processes * (self.share + 1)}"
+            )
+        if self.main:
+            out.mkdir(parents=True, exist_ok=True)
+            same_config(self._record(), out, free=("paths",))
+        self.accelerator.wait_for_everyone()
+        model = load_model(config, sources.point_encoder, sources.language_model)
+        if config.checkpointing:
+            model.use_gradient_checkpointing()
+        self.tokenizer = model.tokenizer
+        self.sharded = self.accelerator.distributed_type == DistributedType.FSDP
+        if self.sharded:
+            # It isn't trained, and small: every process keeps the whole.
+            model.encoder.to(self.accelerator.device)
+            self.accelerator.state.fsdp_plugin.ignored_modules = [model.encoder]
+        optimizer = torch.optim.Adam(model.trained_parameters(), lr=config.learning_rate)
+        self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        self._frozen = {
+            name
+            for name, value in self.model.named_parameters(remove_duplicate=False)
+            if not value.requires_grad
+        }
+        self.step = self._restored()
+
+    def _record(self) -> dict[str, Any]:
+        """The resolved configuration; objects by a number that tells other ones apart."""
+        objects, paths = self.sources.objects, self.sources
+        names = "\n".join(objects.name(k) for k in range(len(objects)))
+        return {
+            **asdict(self.config),
+            "objects": len(objects),
+            "objects_crc": zlib.crc32(names.encode()),
+            "seeds": {"objects": objects.seed, "validation": self.sources.held.seed},
+            "paths": {
+                "point_encoder": str(paths.point_encoder),
+                "language_model": str(paths.language_model),
+            },
+        }
+
+    # --- training -----------------------------------------------------------------------------
+
+    def train(self, seconds: float, progress: Progress) -> float:
+        """Steps until the end or the time is over; gives the mean loss since the last entry."""
+        config, end, began, first = self.config, time.monotonic() + seconds, time.monotonic(), 0
+        losses: list[float] = []
+        mean = math.nan
+        skipped = 0
+        self.model.train()
+        draws = Draws(self.sources.objects, config, self.tokenizer, config.steps * config.batch)
+        batches = self._batches(draws, range(self.step, config.steps))
+        for step in range(self.step, config.steps):
+            loss = self._one_step(step, batches)
+            losses += [loss] if math.isfinite(loss) else []
+            skipped += not math.isfinite(loss)
+            self.step, first = step + 1, first + 1
+            speed = first * config.batch / (time.monotonic() - began)
+            progress(
+                self.step / config.steps,
+                f"step {self.step} of {config.steps}, loss {loss:.3f}, {speed:.2g} objects/s",
+            )
+            stop = self._any(time.monotonic() > end) or self.step == config.steps
+            if stop or self.step % config.every == 0:
+                mean = sum(losses) / len(losses) if losses else math.nan
+                self._log(mean, speed, skipped)
+                losses, skipped = [], 0
+                self._save()
+            if stop:
+                break
+        return mean
+
+    def _one_step(self, step: int, batches: Iterator[list[Drawn]]) -> float:
+        """One step of the optimiser over ``share`` objects here; gives the loss over all.
+
+        NaN where the gradient isn't finite and nothing was changed.
+        """
+        config, total = self.config, torch.zeros((), device=self.accelerator.device)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate(config, step)
+        self.optimizer.zero_grad(set_to_none=True)
+        for turn in range(self.share):
+            drawn = self._taken(next(batches))
+            # Dropout depends on the object's place alone; a resumed run draws the same.
+            torch.manual_seed(config.seed * 1_000_003 + drawn.position)
+            last = turn + 1 == self.share
+            with nullcontext() if last else self.accelerator.no_sync(self.model):
+                loss = self.model([drawn.example])
+                self.accelerator.backward(loss / self.share)
+            total += loss.detach().float() / self.share
+        norm = self.accelerator.clip_grad_norm_(self.model.parameters(), 1.0)
+        if not bool(torch.isfinite(norm)):  # one bad sample must not end the run
+            return math.nan
+        self.optimizer.step()
+        return float(self.accelerator.reduce(total, "mean"))
+
+    def _batches(self, draws: Draws, steps: range) -> Iterator[list[Drawn]]:
+        """Examples one by one, this process's share of every step."""
+        here, world = self.accelerator.process_index, self.accelerator.num_processes
+        batch = self.config.batch
+        order = [step * batch + turn * world + here for step in steps for turn in range(self.share)]
+        jobs = self.sources.jobs
+        loader: DataLoader[Drawn] = DataLoader(
+            draws,
+            sampler=order,
+            batch_size=1,
+            collate_fn=list,
+            num_workers=jobs,
+            multiprocessing_context="spawn" if jobs else None,
+        )
+        return iter(loader)  # type: ignore[return-value]
+
+    def _taken(self, batch: list[Drawn]) -> Drawn:
+        (drawn,) = batch
+        if drawn.left_out:
+            with (self.out / LEFT_OUT).open("a") as stream:
+                for name, why in drawn.left_out:
+                    stream.write(json.dumps({"object": name, "why": why}) + "\n")
+        if drawn.example is None:
+            name, why = drawn.left_out[-1]
+            raise ConfigurationError(
+                f"{len(drawn.left_out)} objects in a row can't be trained on, see "
+                f"{self.out / LEFT_OUT}; the last was {name}: {why}"
+            )
+        return drawn
+
+    def _any(self, here: bool) -> bool:
+        """Whether it is so in any process: all of them must stop at the same step."""
+        flag = torch.tensor(float(here), device=self.accelerator.device)
+        return bool(self.accelerator.reduce(flag, "sum") > 0)
+
+    @torch.no_grad()
+    def _validation(self) -> float:
+        """Mean loss over held-out objects, shared among the processes."""
+        world = self.accelerator.num_processes
+        count = len(self.sources.held) // world
+        draws = Draws(self.sources.held, self.config, self.tokenizer, count * world)
+        total = torch.zeros((), device=self.accelerator.device)
+        self.model.eval()
+        for k in range(count):
+            drawn = self._taken([draws[k * world + self.accelerator.process_index]])
+            total += self.model([drawn.example]).float() / count
+        self.model.train()
+        return float(self.accelerator.reduce(total, "mean")) if count else math.nan
+
+    def _log(self, loss: float, speed: float, skipped: int) -> None:
+        values = {"loss": loss, "valid loss": self._validation()}
+        entry: dict[str, float] = {k: round(v, 4) for k, v in values.items() if math.isfinite(v)}
+        if not self.main:
+            return
+        entry |= {"step": self.step, "speed": round(speed, 3), "skipped": skipped}
+        entry |= {"rate": rate(self.config, self.step - 1), **self.left_out()}
+        with (self.out / LOG).open("a") as log:
+            log.write(json.dumps(entry) + "\n")
+        to_board(self.out, entry)
+
+    def left_out(self) -> dict[str, int]:
+        """Why → objects that were passed over so far, each once."""
+        path = self.out / LEFT_OUT
+        said = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        reasons = {entry["object"]: entry["why"].partition(":")[0] for entry in said}
+        long = sum(why == "too long" for why in reasons.values())
+        return {"too long": long, "unusable": len(reasons) - long}
+
+    # --- state --------------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        """Write the state; the last one stays until this one is whole."""
+        accelerator, folder = self.accelerator, self.out / f"state-{self.step:08d}"
+        if self.main:
+            shutil.rmtree(folder, ignore_errors=True)
+        accelerator.wait_for_everyone()
+        # What isn't trained is read from its own files again.
+        hook = accelerator.register_save_state_pre_hook(self._only_trained)
+        accelerator.save_state(str(folder), safe_serialization=False)
+        hook.remove()
+        accelerator.wait_for_everyone()
+        if not self.main:
+            return
+        draft = self.out / f".{STATE}"
+        draft.write_text(json.dumps({"step": self.step, "folder": folder.name}))
+        os.replace(draft, self.out / STATE)
+        for old in self.out.glob("state-*"):
+            if old != folder:
+                shutil.rmtree(old, ignore_errors=True)
+
+    def _only_trained(self, _: Any, states: list[dict[str, Any]], __: str) -> None:
+        for state in states:  # none where the model is sharded
+            for name in self._frozen & set(state):
+                del state[name]
+
+    def _restored(self) -> int:
+        """Read the last state; gives its step, 0 for a new run."""
+        path = self.out / STATE
+        if not path.exists():
+            return 0
+        said = json.loads(path.read_text())
+        folder = self.out / str(said["folder"])
+        try:
+            options = {} if self.sharded else {"strict": False}
+            self.accelerator.load_state(str(folder), **options)
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            raise ConfigurationError(
+                f"{folder} can't be read ({str(error).splitlines()[0][:200]}); "
+                f"delete {path} to begin anew"
+            ) from error
+        return int(said["step"])
+
+    def export(self, folder: Path) -> None:
+        """Write what ``qwen3:FOLDER`` reads, with the configuration beside it."""
+        state = self.accelerator.get_state_dict(self.model)
+        if self.main:
+            model = load_model(self.config, self.sources.point_encoder, self.sources.language_model)
+            model.load_state_dict({k: v.cpu() for k, v in state.items()})
+            if self.config.bfloat16:
+                model.language_model.to(torch.bfloat16)
+            model.save(folder)
+            shutil.copyfile(self.out / CONFIG, folder / "training.json")
+        self.accelerator.wait_for_everyone()
