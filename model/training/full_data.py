@@ -184,6 +184,11 @@ class Draws(TorchDataset[Drawn]):
         return replace(example, answer=answer), ""
 
 
+def positions(batch: int, steps: range, process: int, processes: int) -> list[int]:
+    """What one of ``processes`` draws in ``steps`` of ``batch`` objects, in its order."""
+    return [step * batch + k for step in steps for k in range(process, batch, processes)]
+
+
 @lru_cache(maxsize=2)
 def _order(seed: int, epoch: int, count: int) -> npt.NDArray[np.int64]:
     return np.random.default_rng([seed, epoch, 6]).permutation(count)

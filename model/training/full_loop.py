@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import pickle
 import shutil
 import time
 import zlib
@@ -25,7 +26,7 @@ from model.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
 from model.errors import ConfigurationError
 from model.progress import Progress, no_progress
 from model.training.full_config import FullConfig, check_size, require_extras
-from model.training.full_data import Drawn, Draws, ObjectSet
+from model.training.full_data import Drawn, Draws, ObjectSet, positions
 from model.training.loop import CONFIG, LOG, rate, same_config, to_board
 
 STATE = "state.json"
@@ -235,9 +236,10 @@ class _Trainer:
 
     def _batches(self, draws: Draws, steps: range) -> Iterator[list[Drawn]]:
         """Examples one by one, this process's share of every step."""
-        here, world = self.accelerator.process_index, self.accelerator.num_processes
-        batch = self.config.batch
-        order = [step * batch + turn * world + here for step in steps for turn in range(self.share)]
+        accelerator = self.accelerator
+        order = positions(
+            self.config.batch, steps, accelerator.process_index, accelerator.num_processes
+        )
         jobs = self.sources.jobs
         loader: DataLoader[Drawn] = DataLoader(
             draws,
@@ -333,17 +335,20 @@ class _Trainer:
         path = self.out / STATE
         if not path.exists():
             return 0
-        said = json.loads(path.read_text())
-        folder = self.out / str(said["folder"])
         try:
+            said = json.loads(path.read_text())
             options = {} if self.sharded else {"strict": False}
-            self.accelerator.load_state(str(folder), **options)
-        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            self.accelerator.load_state(str(self.out / said["folder"]), **options)
+            return int(said["step"])
+        except (
+            OSError, EOFError, pickle.UnpicklingError, RuntimeError, ValueError, KeyError,
+            TypeError,
+        ) as error:  # fmt: skip
+            first = str(error).strip().splitlines()[:1] or [type(error).__name__]
             raise ConfigurationError(
-                f"{folder} can't be read ({str(error).splitlines()[0][:200]}); "
-                f"delete {path} to begin anew"
+                f"the state that {path} names can't be read ({first[0][:200]}); delete that file "
+                "to begin anew"
             ) from error
-        return int(said["step"])
 
     def export(self, folder: Path) -> None:
         """Write what ``qwen3:FOLDER`` reads, with the configuration beside it."""

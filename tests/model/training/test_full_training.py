@@ -31,7 +31,7 @@ from model.training.full_config import (  # noqa: E402
     require_extras,
     with_settings,
 )
-from model.training.full_data import Draws, ObjectSet, varied  # noqa: E402
+from model.training.full_data import Draws, ObjectSet, positions, varied  # noqa: E402
 from model.training.full_loop import LEFT_OUT, Sources, train_full  # noqa: E402
 from model.training.samples import training_families, write_dataset  # noqa: E402
 from tests.app.run_cli import artiworld, assert_users_mistake  # noqa: E402
@@ -184,6 +184,20 @@ def motions(tree, link: str) -> list[tuple[object, ...]]:
     return out
 
 
+@pytest.mark.parametrize("processes", [1, 2, 4])
+def test_processes_and_slices_share_one_order(processes):
+    whole = positions(4, range(6), 0, 1)
+    assert whole == list(range(24))
+    shares = [
+        positions(4, range(2), k, processes) + positions(4, range(2, 6), k, processes)
+        for k in range(processes)
+    ]
+    turns = 4 // processes
+    for step in range(6):
+        here = [p for share in shares for p in share[step * turns : (step + 1) * turns]]
+        assert sorted(here) == whole[4 * step : 4 * step + 4]
+
+
 def test_names_are_hidden_in_some_samples_only():
     truth = ObjectSet(1, 5, ("Laptop",)).load(0).object
     found = [varied(truth, SMALL, np.random.default_rng(seed))[0].category for seed in range(40)]
@@ -282,7 +296,13 @@ def test_mistakes_are_named(weights, tmp_path, monkeypatch):
         require_extras(SMALL)
 
 
-def test_another_run_in_the_folder(weights, tmp_path):
+def test_a_state_that_is_damaged_and_another_run_in_the_folder(weights, tmp_path):
+    one = dataclasses.replace(SMALL, validation=0)
+    plan = dataclasses.replace(sources(weights), held=ObjectSet(0, 900, training_families()))
+    train_full(one, plan, tmp_path, seconds=0)
+    (tmp_path / "state-00000001" / "optimizer.bin").write_bytes(b"no")
+    with pytest.raises(ConfigurationError, match=r"can't be read .*delete that file"):
+        train_full(one, plan, tmp_path)
     (tmp_path / "config.json").write_text('{"batch": 3}')
     with pytest.raises(ConfigurationError, match=r"another run \(batch, "):
         train_full(SMALL, sources(weights), tmp_path)
