@@ -182,10 +182,17 @@ class FullModel(nn.Module):
     def forward(self, examples: Sequence[Example]) -> Tensor:
         """Mean cross-entropy of the answers' tokens (the paper's loss)."""
         embeds, mask, labels = self.embed(examples)
-        answer = self.language_model(inputs_embeds=embeds, attention_mask=mask, use_cache=False)
+        # Of the prompt no word is to be predicted, and a row of logits has 151,936 numbers.
+        first = int((labels != IGNORED).any(0).nonzero()[0])
+        answer = self.language_model(
+            inputs_embeds=embeds,
+            attention_mask=mask,
+            use_cache=False,
+            logits_to_keep=labels.shape[1] - first + 1,
+        )
         logits = answer.logits[:, :-1].float()
         return functional.cross_entropy(
-            logits.flatten(0, 1), labels[:, 1:].flatten(), ignore_index=IGNORED
+            logits.flatten(0, 1), labels[:, first:].flatten(), ignore_index=IGNORED
         )
 
     @torch.no_grad()
