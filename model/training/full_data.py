@@ -20,6 +20,7 @@ from torch.utils.data import Dataset as TorchDataset
 from model.arti4urdf.answer import rounded, write_answer
 from model.arti4urdf.full_model import Example
 from model.arti4urdf.text_prompt import make_example
+from model.arti4urdf.text_script import as_written
 from model.datasets.protocol import Dataset, GroundTruth
 from model.errors import ArtiworldError
 from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
@@ -174,7 +175,8 @@ class Draws(TorchDataset[Drawn]):
         example = make_example(
             segmented, config.points, structure=config.structure, seed=int(rng.integers(2**31))
         )
-        answer = rounded(write_answer(tree, segmented))
+        said = as_written(tree, {part.link for part in segmented.parts})
+        answer = rounded(write_answer(said, segmented))
         length = 1 + sum(
             len(self.tokenizer.encode(text, add_special_tokens=False).ids)
             for text in (example.prompt, answer)
