@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 TRIES = 20
 """Objects in a row that may be useless before a run gives up."""
 TOO_LONG = "too long"
+UNSAID = "a compound motion that answers can't say"
 
 
 @dataclass(frozen=True)
@@ -172,11 +173,12 @@ class Draws(TorchDataset[Drawn]):
             return None, f"{parts} parts, not 2 to {MOST_PARTS}"
         rng = np.random.default_rng([config.seed, position, 3])
         segmented, tree = varied(truth.object, config, rng)
+        if unsaid := [x for x in tree.links if not (x.startswith("link_") or _is_screw(tree, x))]:
+            return None, f"{UNSAID}: joints at {', '.join(unsaid)}"
         example = make_example(
             segmented, config.points, structure=config.structure, seed=int(rng.integers(2**31))
         )
-        said = as_written(tree, {part.link for part in segmented.parts})
-        answer = rounded(write_answer(said, segmented))
+        answer = rounded(write_answer(tree, segmented))
         length = 1 + sum(
             len(self.tokenizer.encode(text, add_special_tokens=False).ids)
             for text in (example.prompt, answer)
@@ -201,8 +203,8 @@ def varied(
 ) -> tuple[SegmentedObject, KinematicTree]:
     """The parts in a random order, numbered anew, some without their names; and their true tree.
 
-    Joints and helper links are called as :class:`model.arti4urdf.text_script.Author` calls them,
-    and children stand in the order of their numbers: no name is left to be guessed.
+    The motions are said as :func:`model.arti4urdf.text_script.as_written` says them, and children
+    stand in the order of their numbers: no name and no order is left to be guessed.
     """
     order = [int(k) for k in rng.permutation(len(obj.parts))]
     nameless = rng.random() < config.nameless
@@ -211,7 +213,8 @@ def varied(
         replace(obj.parts[k], link=f"link_{i}", name=None if hidden[i] else obj.parts[k].name)
         for i, k in enumerate(order)
     )
-    tree = renumbered(obj.tree, [obj.parts[k] for k in order])
+    said = as_written(obj.tree, {p.link for p in obj.parts})
+    tree = renumbered(said, [obj.parts[k] for k in order])
     category = None if hidden[-1] else obj.category
     return SegmentedObject("object", parts, category), tree
 
@@ -230,12 +233,23 @@ def renumbered(tree: KinematicTree, parts: Sequence[Part]) -> KinematicTree:
         taken.add(name)
     joints = tuple(
         replace(
-            j, name=f"joint_{called[j.child]}", parent=called[j.parent], child=called[j.child],
-            mimic=None,
+            j, name=f"joint_{called[j.child]}", parent=called[j.parent], child=called[j.child]
         )
         for j in sorted(tree.joints, key=lambda j: below[j.child])
     )  # fmt: skip
     return KinematicTree(tuple(called[link] for link in tree.links), joints)
+
+
+def _is_screw(tree: KinematicTree, helper: str) -> bool:
+    """Whether a helper slides and one part turns on it, as :func:`as_written` leaves a screw."""
+    first, below = tree.joint_of.get(helper), tree.children(helper)
+    return (
+        first is not None
+        and first.type == "prismatic"
+        and len(below) == 1
+        and below[0].startswith("link_")
+        and tree.joint_of[below[0]].type == "continuous"
+    )
 
 
 def _first_part(tree: KinematicTree, link: str, number: Mapping[str, int]) -> int:

@@ -26,7 +26,7 @@ from model.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
 from model.errors import ConfigurationError
 from model.progress import Progress, no_progress
 from model.training.full_config import FullConfig, check_size, require_extras
-from model.training.full_data import Drawn, Draws, ObjectSet, positions
+from model.training.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
 from model.training.loop import CONFIG, LOG, rate, same_config, to_board
 
 STATE = "state.json"
@@ -162,6 +162,7 @@ class _Trainer:
             for name, value in self.model.named_parameters(remove_duplicate=False)
             if not value.requires_grad
         }
+        self._told: set[str] = set()
         self.step = self._restored()
 
     def _record(self) -> dict[str, Any]:
@@ -253,10 +254,11 @@ class _Trainer:
 
     def _taken(self, batch: list[Drawn]) -> Drawn:
         (drawn,) = batch
-        if drawn.left_out:
+        new = [(name, why) for name, why in drawn.left_out if name not in self._told]
+        if new:
+            self._told |= {name for name, _ in new}
             with (self.out / LEFT_OUT).open("a") as stream:
-                for name, why in drawn.left_out:
-                    stream.write(json.dumps({"object": name, "why": why}) + "\n")
+                stream.writelines(json.dumps({"object": n, "why": w}) + "\n" for n, w in new)
         if drawn.example is None:
             name, why = drawn.left_out[-1]
             raise ConfigurationError(
@@ -300,8 +302,8 @@ class _Trainer:
         path = self.out / LEFT_OUT
         said = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
         reasons = {entry["object"]: entry["why"].partition(":")[0] for entry in said}
-        long = sum(why == "too long" for why in reasons.values())
-        return {"too long": long, "unusable": len(reasons) - long}
+        long = sum(why == TOO_LONG for why in reasons.values())
+        return {TOO_LONG: long, "unusable": len(reasons) - long}
 
     # --- state --------------------------------------------------------------------------------
 

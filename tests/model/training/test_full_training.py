@@ -15,10 +15,11 @@ for _name in ("transformers", "accelerate"):
     pytest.importorskip(_name, reason="needs the extra train")
 
 from app.cli import main  # noqa: E402
-from model.arti4urdf.answer import parse_answer  # noqa: E402
+from model.arti4urdf.answer import JSON_END, parse_answer, write_answer  # noqa: E402
 from model.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
 from model.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
+from model.arti4urdf.text_script import Author  # noqa: E402
 from model.datasets.procedural.generate import GenerateSettings, generate  # noqa: E402
 from model.datasets.registry import recognised  # noqa: E402
 from model.datasets.splits import training_ids  # noqa: E402
@@ -169,6 +170,7 @@ def test_an_object_and_its_answer_mean_the_same_whatever_the_order(tokenizer):
             for part in segmented.parts:
                 same = (p for p in truth.parts if p.mesh is part.mesh and p.cloud is part.cloud)
                 assert motions(said, part.link) == motions(truth.tree, next(same).link)
+            assert_sayable(said, segmented)
     assert len(orders) > 12, "parts come in many orders"
     prompts = {drawn.example.prompt for drawn in map(draws.__getitem__, range(16))}
     assert len(prompts) > 12, "the second epoch draws other variants"
@@ -181,7 +183,22 @@ def motions(tree, link: str) -> list[tuple[object, ...]]:
         joint = tree.joint_of[link]
         out.append((joint.type, joint.axis, joint.origin, joint.lower, joint.upper))
         link = joint.parent
-    return out
+    return sorted(out, key=str)  # the two of a screw may change places
+
+
+def assert_sayable(tree, segmented) -> None:
+    """Constrained decoding can write the answer's tree, word for word."""
+    target, said = write_answer(tree, segmented), ""
+    steps = Author(segmented).script()
+    step = next(steps)
+    while JSON_END not in said:
+        if isinstance(step, str):
+            said, step = said + step, steps.send("")
+        else:
+            rest = target[len(said) :]
+            chosen = next(t for t in step.texts if rest.startswith(t))
+            said, step = said + chosen, steps.send(chosen)
+    assert target.startswith(said)
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4])
@@ -224,6 +241,14 @@ def test_useless_objects_are_passed_over_and_counted(weights, partnet, tokenizer
     assert "too long" in (tmp_path / "run" / LEFT_OUT).read_text()
 
 
+def test_a_ball_joint_is_passed_over(tokenizer, tmp_path):
+    write_physxnet_box(tmp_path, lid=[[1], "0", [0, 0, 0, 0, 0.27, 0], "D"])
+    objects = ObjectSet(0, 0, (), ((recognised(tmp_path), "box"),))
+    drawn = Draws(objects, SMALL, tokenizer, 1)[0]
+    assert drawn.example is None
+    assert "compound motion" in drawn.left_out[-1][1]
+
+
 def test_a_damaged_cache_is_made_again(tmp_path):
     fresh = ObjectSet(1, 5, ("Laptop",)).load(0)
     kept = ObjectSet(1, 5, ("Laptop",), cache=tmp_path)
@@ -252,8 +277,8 @@ def test_physxnet_and_partnet_folders_feed_the_small_model(partnet, tmp_path):
         recognised(tmp_path / "shards")
 
 
-def write_physxnet_box(root: Path) -> None:
-    """A box with a lid in PhysXNet's form."""
+def write_physxnet_box(root: Path, lid: list[object] | None = None) -> None:
+    """A box with a lid in PhysXNet's form; ``lid`` is how it moves."""
     import trimesh
 
     (root / "finaljson").mkdir(parents=True)
@@ -263,7 +288,7 @@ def write_physxnet_box(root: Path) -> None:
         made = trimesh.creation.box(size)
         made.apply_translation((0, up, 0))
         made.export(meshes / f"{label}.obj")
-    lid = [[1], "0", [1, 0, 0, 0, 0.27, -0.5, 0, 0.5], "C"]
+    lid = lid or [[1], "0", [1, 0, 0, 0, 0.27, -0.5, 0, 0.5], "C"]
     said = {
         "object_name": "box", "category": "Box", "dimension": "40*20*40",
         "parts": [{"label": 0, "name": "body"}, {"label": 1, "name": "lid"}],
