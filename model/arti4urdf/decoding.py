@@ -14,7 +14,7 @@ import torch
 
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.grammar import Choice, Decision, Feed, Grammar, Lock
-from model.arti4urdf.network import ArtiModel, Encoded, Prompt, feeds_to_tensors
+from model.arti4urdf.network import ArtiModel, Prompt, feeds_to_tensors
 from model.arti4urdf.structure import CANDIDATE_SCALARS, SLOTS
 
 Array = npt.NDArray[np.float64]
@@ -133,7 +133,14 @@ def decode(
             tape.passes += 1
         assert hidden is not None
         tape.feeds += pending
-        values = _logits(model, encoded, hidden, asked)
+        node = asked.part if asked.kind == "child" else -1
+        logits = torch.cat(
+            [
+                model.word_logits(hidden)[0, 0],
+                model.point(encoded, hidden, torch.tensor([[node]], device=model.device))[0, 0],
+            ]
+        )
+        values = logits.double().cpu().numpy()
         if prior is not None and asked.kind in ("type", "slot", "lower"):
             values[: v.SIZE] += prior[asked.part]
         pending = [_make(tape, asked, values, rng)]
@@ -147,20 +154,6 @@ def decode(
         tape.passes,
         total,
     )
-
-
-def _logits(model: ArtiModel, encoded: Encoded, hidden: torch.Tensor, asked: Choice) -> Array:
-    """(SIZE + P,) logits of words and parts."""
-
-    def about(kind: str) -> torch.Tensor:
-        part = asked.part if asked.kind == kind else -1
-        return torch.tensor([[part]], device=model.device)
-
-    words = model.word_logits(hidden)[0, 0].double().cpu().numpy()
-    if asked.kind == "slot":
-        words[v.SLOT_IDS] += model.offer(encoded, hidden, about("slot"))[0, 0].cpu().numpy()
-    parts = model.point(encoded, hidden, about("child"))[0, 0].double().cpu().numpy()
-    return np.concatenate([words, parts])
 
 
 def _only(asked: Choice) -> tuple[int, int] | None:

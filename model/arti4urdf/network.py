@@ -35,9 +35,6 @@ from model.arti4urdf.structure import (
 CODE = 32
 """Width of the code that says which part is which; it stands for the file name link_i."""
 FREQUENCIES = 5
-OFFER_WIDTH = 64
-OFFER_KEY = 32
-"""Inner width of the candidates' network, and of what a candidate is met with."""
 MOST_BIAS = 8.0
 """What the relation of two parts can add to a pointer's logit."""
 
@@ -50,7 +47,6 @@ class ModelConfig:
         point_bert: encoder of clouds. decoder: the language model.
         structure_width: inner width of the structure prompt's MLP.
         global_token, structure_prompt, json_step: switched off in ablations.
-        dropout: of the parts' tokens, in training.
     """
 
     point_bert: PointBertConfig = NANO
@@ -61,7 +57,6 @@ class ModelConfig:
     global_token: bool = True
     structure_prompt: bool = True
     json_step: bool = True
-    dropout: float = 0.1
 
     def to_json(self) -> dict[str, Any]:
         """As nested dictionaries."""
@@ -100,7 +95,6 @@ class Encoded:
         parts: (B, P, D) what pointing at a part feeds in. keys: (B, P, K) what a pointer meets.
         bias: (B, P, P, 2) what the relation of row and column adds to the logit that the column is
             the row's child; on the diagonal, second channel: that it is the root.
-        offers: (B, P, SLOTS, K + 1) keys of the candidates and, last, their bias.
         shapes: (sum P, D) adapted shape features of all parts, for the auxiliary type head.
     """
 
@@ -109,7 +103,6 @@ class Encoded:
     parts: Tensor
     keys: Tensor
     bias: Tensor
-    offers: Tensor
     shapes: Tensor
 
 
@@ -159,8 +152,6 @@ class ArtiModel(nn.Module):
         self.key = nn.Sequential(nn.Linear(3 * width, 64), nn.RMSNorm(64, eps=1e-6))
         self.query = nn.Sequential(nn.Linear(width, 64), nn.RMSNorm(64, eps=1e-6))
         self.relation = _mlp(2 * RELATIONS, 64, 2)
-        self.offers = CandidateEncoder(width)
-        self.offer_query = nn.Linear(width, OFFER_KEY)
         self.type_head = nn.Linear(width, len(v.TYPES))
         self.register_buffer("codes", part_codes(), persistent=False)
 
@@ -180,15 +171,8 @@ class ArtiModel(nn.Module):
         part = shape + self.location(torch.cat([place, codes], -1))
         part = part + self._name_embeddings(prompts)
         structure = self.structure(self._structure_input(prompts, codes))
-        offered, pooled = self._offers(prompts)
-        structure = structure + pooled
-        offers = self.offers.keys(offered, structure)
         pad = _Padder(counts, self.device)
-        tokens = pad(
-            functional.dropout(
-                torch.stack([part, structure], 1), self.config.dropout, self.training
-            )
-        )
+        tokens = pad(torch.stack([part, structure], 1))
         words = [v.ID[w] for w in ("<bos>", "<g_start>", "<g_end>", "<p_start>", "<p_end>")]
         start = self.decoder.embed(torch.tensor(words, device=self.device))
         category = self.decoder.embed(
@@ -219,7 +203,6 @@ class ArtiModel(nn.Module):
             pad(parts),
             pad(self.key(keys_in)),
             bias,
-            pad(offers),
             shape,
         )
 
@@ -269,16 +252,6 @@ class ArtiModel(nn.Module):
         if not self.config.structure_prompt:
             out, parent = torch.zeros_like(out), torch.zeros_like(parent)
         return torch.cat([out, codes, parent], -1)
-
-    def _offers(self, prompts: Sequence[Prompt]) -> tuple[Tensor, Tensor]:
-        """Candidates of all parts (sum P, SLOTS, D') and what they add to the structure tokens."""
-        scalars = self._stacked(prompts, lambda p: p.arrays.candidate_scalars)
-        lines = self._stacked(prompts, lambda p: p.arrays.candidate_vectors)
-        vectors = self._stacked(prompts, lambda p: p.arrays.vectors)
-        if not self.config.structure_prompt:
-            scalars = scalars * scalars.new_tensor([1.0] + [0.0] * (CANDIDATE_SCALARS - 1))
-            lines, vectors = torch.zeros_like(lines), torch.zeros_like(vectors)
-        return self.offers(scalars, lines, vectors)
 
     def _relation_bias(self, prompts: Sequence[Prompt], most: int) -> Tensor:
         """(B, P, P, 2), see :class:`Encoded`."""
@@ -352,62 +325,6 @@ class ArtiModel(nn.Module):
         child = encoded.bias[..., 0].gather(1, index)
         root = encoded.bias[..., 1].diagonal(dim1=1, dim2=2)[:, None]
         return logits + torch.where((nodes >= 0)[..., None], child, root)
-
-    def offer(self, encoded: Encoded, hidden: Tensor, parts: Tensor) -> Tensor:
-        """What the candidates' own geometry adds to the logits of the slots.
-
-        Args:
-            encoded: one row an object. hidden: (B, T, D). parts: (B, T) the part whose candidate is
-                asked for, -1 for other choices.
-
-        Returns:
-            (B, T, SLOTS), 0 for other choices.
-        """
-        rows = torch.arange(len(parts), device=parts.device)[:, None]
-        offers = encoded.offers[rows, parts.clamp_min(0)]
-        query = self.offer_query(hidden)[..., None, :]
-        logits = (query * offers[..., :-1]).sum(-1) / OFFER_KEY**0.5 + offers[..., -1]
-        return logits * (parts >= 0)[..., None]
-
-
-class CandidateEncoder(nn.Module):
-    """Candidates as the part sees them: one network for all slots, blind to turns of the object.
-
-    What is read of a candidate are its numbers and how its axis, the way in which it first moves
-    the part, and its line lie to the part's own directions and to the vertical.
-    """
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.read = nn.Linear(CANDIDATE_SCALARS + 1 + 3 * (VECTORS + 1), OFFER_WIDTH)
-        self.slot = nn.Embedding(SLOTS, OFFER_WIDTH)
-        self.pool = nn.Linear(OFFER_WIDTH, width)
-        self.part = nn.Linear(width, OFFER_WIDTH)
-        self.candidate = nn.Linear(OFFER_WIDTH, OFFER_WIDTH)
-        self.out = nn.Linear(OFFER_WIDTH, OFFER_KEY + 1)
-
-    def forward(self, scalars: Tensor, lines: Tensor, vectors: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, SLOTS, C), (N, SLOTS, 2, 3), (N, VECTORS, 3) → (N, SLOTS, D'), (N, width)."""
-        axis, arm = lines.unbind(2)
-        turns = scalars[..., CANDIDATE_SCALARS - 1 :]
-        way = torch.where(turns > 0, torch.linalg.cross(arm, axis, dim=-1), axis)
-        up = vectors.new_tensor([0.0, 0.0, 1.0]).expand(len(vectors), 1, 3)
-        seen = torch.cat([vectors, up], 1).transpose(1, 2)
-        read = [
-            scalars,
-            way.norm(dim=-1, keepdim=True),
-            (axis @ seen).abs(),
-            way @ seen,
-            arm @ seen,
-        ]
-        inside = self.read(torch.cat(read, -1)) + self.slot.weight
-        there = scalars[..., :1] > 0
-        hidden = functional.gelu(inside) * there
-        return hidden, self.pool(hidden.amax(1))
-
-    def keys(self, candidates: Tensor, structure: Tensor) -> Tensor:
-        """(N, SLOTS, D'), (N, width) → (N, SLOTS, OFFER_KEY + 1)."""
-        return self.out(functional.gelu(self.candidate(candidates) + self.part(structure)[:, None]))
 
 
 def _whole(prompt: Prompt, count: int) -> np.ndarray:

@@ -33,7 +33,6 @@ class Augmentation:
         plain: share of samples without the judgements of the geometric rules, so that the network
             learns to read shapes.
         jitter: standard deviation of the numbers, as a share of their size.
-        hidden: most of the numbers that a sample may lack; the share is drawn between 0 and this.
     """
 
     turns: bool = True
@@ -41,10 +40,9 @@ class Augmentation:
     nameless: float = 0.25
     plain: float = 0.3
     jitter: float = 0.02
-    hidden: float = 0.3
 
 
-PLAIN = Augmentation(turns=False, shuffle=False, nameless=0.0, plain=0.0, jitter=0.0, hidden=0.0)
+PLAIN = Augmentation(turns=False, shuffle=False, nameless=0.0, plain=0.0, jitter=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +88,6 @@ def augmented(sample: Sample, how: Augmentation, rng: np.random.Generator) -> tu
         arrays = without_names(arrays)
     if how.jitter:
         arrays = _jittered(arrays, how.jitter, rng)
-    if how.hidden:
-        arrays = _with_gaps(arrays, float(rng.uniform(0, how.hidden)), rng)
     if rng.random() < how.plain:
         arrays = without_judgements(arrays)
     codes = rng.permutation(256)[: len(arrays)] if how.shuffle else np.arange(len(arrays))
@@ -124,24 +120,6 @@ def _jittered(arrays: StructureArrays, amount: float, rng: np.random.Generator) 
     points = arrays.points[:, rng.permutation(count)]
     return replace(
         arrays, points=points, scalars=noisy(arrays.scalars), vectors=noisy(arrays.vectors)
-    )
-
-
-def _with_gaps(arrays: StructureArrays, share: float, rng: np.random.Generator) -> StructureArrays:
-    """Without a random share of its numbers: no single cue may carry the answer."""
-
-    def gaps(values: npt.NDArray[np.float32], axis: int) -> npt.NDArray[np.float32]:
-        shape = [1] * values.ndim
-        shape[axis] = values.shape[axis]
-        return (rng.random(shape) >= share).astype(np.float32)
-
-    seen = gaps(arrays.candidate_scalars, 2)
-    seen[..., [0, -1]] = 1  # whether it is there and whether it turns is what the answer is about
-    return replace(
-        arrays,
-        scalars=arrays.scalars * gaps(arrays.scalars, 1),
-        vectors=arrays.vectors * gaps(arrays.vectors, 1),
-        candidate_scalars=arrays.candidate_scalars * seen,
     )
 
 
@@ -253,7 +231,7 @@ class Batch:
         examples: as they are.
         words, parts: (B, T) tokens, padded. lengths: of each row.
         rows, places: (C,) where each decision is predicted.
-        nodes: (C,) part whose child is asked for, -1 else. slots: (C,) the same for a candidate.
+        nodes: (C,) part whose child is asked for, -1 else.
         allowed, right: (C, SIZE + P) words, then parts.
         kinds: (C,).
     """
@@ -265,7 +243,6 @@ class Batch:
     rows: npt.NDArray[np.int64]
     places: npt.NDArray[np.int64]
     nodes: npt.NDArray[np.int64]
-    slots: npt.NDArray[np.int64]
     allowed: Bools
     right: Bools
     kinds: npt.NDArray[np.str_]
@@ -295,7 +272,6 @@ def collate(examples: Sequence[Example]) -> Batch:
         np.array([b for b, _ in every]),
         np.array([t.position - 1 for _, t in every]),
         np.array([t.asked.part if t.asked.kind == "child" else -1 for _, t in every]),
-        np.array([t.asked.part if t.asked.kind == "slot" else -1 for _, t in every]),
         allowed,
         right,
         np.array([t.asked.kind for _, t in every]),

@@ -37,7 +37,7 @@ class TrainingConfig:
     learning_rate: float = 1e-3
     warmup: int = 200
     steps: int = 3300
-    weight_decay: float = 0.05
+    weight_decay: float = 0.03
     seed: int = 0
     average: float = 0.995
     every: int = 250

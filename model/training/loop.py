@@ -258,7 +258,6 @@ def _begin(config: TrainingConfig, device: str) -> _Run:
 
 def _step(run: _Run, config: TrainingConfig, step: int, batch: Batch) -> dict[str, float]:
     run.model.train()
-    torch.manual_seed(config.seed * 1_000_003 + step)  # dropout; a resumed run draws the same
     for group in run.optimizer.param_groups:
         group["lr"] = rate(config, step)
     # The fused kernels are slower than plain products on sequences this short.

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from model.arti4urdf import vocabulary as v
 from model.arti4urdf.network import ArtiModel
 from model.training.batches import Batch
 
@@ -46,10 +45,6 @@ def batch_loss(model: ArtiModel, batch: Batch) -> Loss:
     nodes[rows, places] = here(batch.nodes)
     pointed = model.point(encoded, hidden, nodes)[rows, places]
     words = model.word_logits(hidden[rows, places])
-    slots = torch.full_like(nodes, -1)
-    slots[rows, places] = here(batch.slots)
-    offered = model.offer(encoded, hidden, slots)[rows, places]
-    words = words.index_add(1, here(v.SLOT_IDS), offered.to(words.dtype))
     logits = torch.cat([words, pointed], -1)
     allowed, right = here(batch.allowed), here(batch.right)
     logits = logits.float().masked_fill(~allowed, -1e9)
