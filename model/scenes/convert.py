@@ -21,7 +21,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ from model.scenes.jobs import (
     ConvertAsset,
     read_done,
 )
+from model.scenes.language_finder import LanguageFinder
 from model.scenes.neighbours import Standing, shortened
 from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
 from model.scenes.results import write_results
@@ -124,7 +125,7 @@ def convert_scene(
     start = time.perf_counter()
     with _alone(out):
         _sweep_up(out)
-        outcomes = _decide(scene, assets, finder)
+        outcomes = decide(scene, assets, finder)
         made = _make_jobs(outcomes, settings)
         reused = _run_jobs(made, outcomes, out, settings, progress)
         if not settings.keep_limits:
@@ -134,6 +135,7 @@ def convert_scene(
         )
         summary |= {
             "finder": finder.name,
+            "finder_usage": asdict(finder.usage) if isinstance(finder, LanguageFinder) else None,
             "predictor": settings.predictor,
             "assets_converted": len(made) - reused,
             "assets_done_before": reused,
@@ -170,13 +172,16 @@ def _sweep_up(out: Path) -> None:
             draft.unlink(missing_ok=True)
 
 
-def _decide(scene: Scene, assets: AssetIndex, finder: ArticulableFinder) -> list[Outcome]:
-    asked = [
-        ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects
-    ]  # fmt: skip
+def descriptions(scene: Scene) -> list[ObjectDescription]:
+    """What a finder is told of each object."""
+    return [ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects]
+
+
+def decide(scene: Scene, assets: AssetIndex, finder: ArticulableFinder) -> list[Outcome]:
+    """Each object with the finder's decision, its asset, and whether that is known to move."""
     truths: dict[Path, bool | None] = {}
     out: list[Outcome] = []
-    for obj, decision in zip(scene.objects, finder.find(asked), strict=True):
+    for obj, decision in zip(scene.objects, finder.find(descriptions(scene)), strict=True):
         outcome = Outcome(obj, decision)
         if obj.box is not None:
             outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
