@@ -40,8 +40,8 @@ from model.scenes.jobs import (
     DONE,
     FAILED,
     MISSING,
+    MOVING,
     PLAIN,
-    PREDICTED,
     AssetJob,
     ConvertAsset,
     read_done,
@@ -129,7 +129,7 @@ def convert_scene(
         made = _make_jobs(outcomes, settings)
         reused = _run_jobs(made, outcomes, out, settings, progress)
         if not settings.keep_limits:
-            _shorten(outcomes, out, progress)
+            shorten_limits(outcomes, out, progress)
         summary = write_results(
             scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous
         )
@@ -268,10 +268,10 @@ def _run_jobs(
     return reused
 
 
-def _shorten(outcomes: Sequence[Outcome], out: Path, progress: Progress) -> None:
+def shorten_limits(outcomes: Sequence[Outcome], out: Path, progress: Progress) -> None:
     """Shorten the limits of each articulated object, its neighbours at rest."""
     standing = {o.obj.id: s for o in outcomes if (s := _standing(o, out)) is not None}
-    moving = [o for o in outcomes if o.state == PREDICTED and o.obj.id in standing]
+    moving = [o for o in outcomes if o.state in MOVING and o.obj.id in standing]
     tell = _time_left(progress, 0.8, 0.97, len(moving))
     for i, o in enumerate(moving):
         tell(i, f"limits of {o.obj.id}")

@@ -25,6 +25,9 @@ ASSETS, DONE, MJCF = "assets", "work/assets", "mjcf"
 
 PREDICTED, STATIC, ANNOTATE, FAILED = "predicted", "static", "annotate", "failed"
 """What became of an asset; ``annotate`` stands there rigid until a person cuts it."""
+ACCEPTED = "accepted"
+"""As predicted, and a person said that it is right."""
+MOVING = (PREDICTED, ACCEPTED)
 MISSING, PLAIN = "missing", "plain"
 """States of objects whose asset isn't there, and of plain boxes without one."""
 

@@ -85,6 +85,16 @@ def load_reader(name: str) -> SceneReader:
     return made
 
 
+def recognised(path: Path) -> bool:
+    """Whether the file is a scene of a known format.
+
+    Raises:
+        InputFileError: where it can't be read.
+    """
+    head = _head(path)
+    return any(load_reader(name).recognises(path, head) for name in reader_names())
+
+
 def read_scene(path: str | Path, format: str | None = None) -> Scene:
     """Read a scene.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from model.exporters.saved import URDF
 from model.kinematics.urdf import number, xml_name
-from model.scenes.jobs import ASSETS, MISSING, PREDICTED, write_json
+from model.scenes.jobs import ASSETS, MISSING, MOVING, write_json
 from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
@@ -41,7 +41,7 @@ def write_results(
         free_bases: whether bases that may move do so in MJCF.
         ambiguous: ids that several assets have.
     """
-    urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state == PREDICTED}
+    urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state in MOVING}
     said = {o.obj.id: _said(o, urdfs.get(o.obj.id)) for o in outcomes}
     write_json(out / SCENE_JSON, scene_to_json(scene, said))
     write_scene_mjcf(scene.name, _stands(outcomes, free_bases), out, SCENE_MJCF)
