@@ -35,6 +35,7 @@ from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
+from model.scenes.embedded import Unpacked, unpack
 from model.scenes.jobs import (
     ASSETS,
     DONE,
@@ -52,7 +53,7 @@ from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
 from model.scenes.results import write_results
 from model.scenes.scene import Scene, SceneObject, SceneObjectError
 
-LIMITS, LOCK = "work/limits", "work/lock"
+LIMITS, LOCK, UNPACKED = "work/limits", "work/lock", "work/unpacked"
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def convert_scene(
     start = time.perf_counter()
     with _alone(out):
         _sweep_up(out)
-        outcomes = decide(scene, assets, finder)
+        outcomes = decide(scene, assets, finder, unpack(scene, out / UNPACKED))
         made = _make_jobs(outcomes, settings)
         reused = _run_jobs(made, outcomes, out, settings, progress)
         if not settings.keep_limits:
@@ -177,8 +178,18 @@ def descriptions(scene: Scene) -> list[ObjectDescription]:
     return [ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects]
 
 
-def decide(scene: Scene, assets: AssetIndex, finder: ArticulableFinder) -> list[Outcome]:
-    """Each object with the finder's decision, its asset, and whether that is known to move."""
+def decide(
+    scene: Scene,
+    assets: AssetIndex,
+    finder: ArticulableFinder,
+    inside: Unpacked | None = None,
+) -> list[Outcome]:
+    """Each object with the finder's decision, its asset, and whether that is known to move.
+
+    Args:
+        inside: what the scene's own file held; where it wasn't unpacked, its objects are missing.
+    """
+    inside = inside or Unpacked()
     truths: dict[Path, bool | None] = {}
     out: list[Outcome] = []
     for obj, decision in zip(scene.objects, finder.find(descriptions(scene)), strict=True):
@@ -187,8 +198,10 @@ def decide(scene: Scene, assets: AssetIndex, finder: ArticulableFinder) -> list[
             outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
         elif obj.asset is None:
             outcome.reason = "names no asset"
+        elif obj.asset in inside.problems:
+            outcome.state, outcome.reason = FAILED, inside.problems[obj.asset]
         else:
-            outcome.path = assets.find(obj.asset)
+            outcome.path = inside.files.get(obj.asset) or assets.find(obj.asset)
             if outcome.path is None:
                 outcome.reason = f"asset {obj.asset!r} is in none of the folders given"
             else:
@@ -222,13 +235,14 @@ def _make_jobs(outcomes: Sequence[Outcome], settings: ConvertSettings) -> dict[s
         except ArtiworldError as error:
             o.state, o.reason, o.path = FAILED, str(error), None
             continue
-        job = _job(o, digests[o.path], settings)
+        job = asset_job(o, digests[o.path], settings)
         o.key = job.key
         made.setdefault(job.key, job)
     return made
 
 
-def _job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
+def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
+    """The job for an object with an asset whose files have that digest."""
     assert o.path is not None
     x, y, z = (round(float(v), 9) for v in o.obj.scale)
     fit = None if o.obj.fit is None else tuple(round(float(v), 9) for v in o.obj.fit)
