@@ -46,12 +46,40 @@ def _internscenes() -> SceneReader:
     return InternScenesReader()
 
 
+def _optiscene() -> SceneReader:
+    from model.scenes.readers.optiscene import OptiSceneReader
+
+    return OptiSceneReader()
+
+
+def _gltf() -> SceneReader:
+    from model.scenes.readers.gltf_scene import GltfSceneReader
+
+    return GltfSceneReader()
+
+
+def _usd() -> SceneReader:
+    from model.scenes.readers.usd_stage import UsdStageReader
+
+    return UsdStageReader()
+
+
+def _scan() -> SceneReader:
+    from model.scenes.readers.scan_room import ScanRoomReader
+
+    return ScanRoomReader()
+
+
 BUILT_IN: dict[str, Callable[[], SceneReader]] = {
     "artiworld": _own,
     "lisdf": _lisdf,
     "holodeck": _holodeck,
     "mesatask": _mesatask,
     "internscenes": _internscenes,
+    "optiscene": _optiscene,
+    "gltf": _gltf,
+    "usd": _usd,
+    "scan": _scan,
 }
 
 

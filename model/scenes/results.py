@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -19,7 +20,7 @@ from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
-from model.scenes.values import read_json
+from model.scenes.values import read_json, read_text
 
 if TYPE_CHECKING:
     from model.scenes.convert import Outcome
@@ -134,20 +135,65 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
     if name in (SCENE_JSON, SCENE_MJCF, SUMMARY):
         name = f"source_{name}"
     urdf_of = {o.id: said[o.id]["urdf"] for o in scene.objects if said[o.id].get("urdf")}
+    entries = {
+        o.place: {"urdf": urdf_of[o.id], "base": said[o.id]["base"]}
+        for o in scene.objects if o.id in urdf_of
+    }  # fmt: skip
+    if scene.reader == "gltf":
+        from model.scenes.readers.gltf_scene import with_articulation
+
+        nodes = {int(place[1]): entry for place, entry in entries.items()}
+        _write_bytes(out / name, with_articulation(scene.path, nodes))
+        return name
+    if scene.reader == "usd":
+        from model.scenes.readers.usd_stage import articulation_layer
+
+        name = f"{scene.path.stem}_articulated.usda"
+        prims = {str(place[0]): entry for place, entry in entries.items()}
+        articulation_layer(scene.path, out / name, prims)
+        return name
+    if scene.reader == "optiscene":
+        return _write_optiscene(scene, entries, out / name)
     if scene.path.suffix.lower() == ".json":
         data = copy.deepcopy(read_json(scene.path))
-        for obj in scene.objects:
-            if obj.id in urdf_of:
-                entry: Any = data
-                for step in obj.place:
-                    entry = entry[step]
-                entry["articulation"] = {"urdf": urdf_of[obj.id], "base": said[obj.id]["base"]}
+        _add_articulation(data, entries)
         write_json(out / name, data)
         return name
     if scene.reader == "lisdf":
         _write_lisdf(scene, urdf_of, out / name)
         return name
     return None
+
+
+def _add_articulation(data: Any, entries: Mapping[tuple[str | int, ...], Any]) -> None:
+    for place, told in entries.items():
+        entry = data
+        for step in place:
+            entry = entry[step]
+        entry["articulation"] = told
+
+
+def _write_optiscene(
+    scene: Scene, entries: Mapping[tuple[str | int, ...], Any], path: Path
+) -> str | None:
+    """The text as it came, with the design's JSON written anew."""
+    from model.scenes.readers.optiscene import find_design
+
+    whole = read_text(scene.path)
+    found = find_design(whole)
+    if found is None:
+        return None
+    design, _, (begin, end) = found
+    _add_articulation(design, entries)
+    told = json.dumps(design, indent=1, ensure_ascii=False)
+    _write_bytes(path, (whole[:begin] + told + whole[end:]).encode())
+    return path.name
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    draft = path.with_name(f".{path.name}.draft")
+    draft.write_bytes(data)
+    draft.replace(path)
 
 
 def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
@@ -164,9 +210,7 @@ def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
         uri.text = urdf_of[obj.id]
         if scale is not None:  # the URDF is at its size in the scene
             scale.text = " ".join(["1.0"] * len((scale.text or "1").split()))
-    draft = path.with_name(f".{path.name}.draft")
-    draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-    draft.replace(path)
+    _write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
 def _summary(
