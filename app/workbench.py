@@ -12,7 +12,7 @@ import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from app.judging import Judging
 from app.review_order import ReviewOrder
 from model.errors import ArtiworldError, CommandError
 from model.gate.report import GateReport
+from model.geometry.asset import Source
 from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 from model.progress import Cancelled
@@ -33,8 +34,11 @@ from sessions import commands as cmd
 from sessions.live import LiveSession, SessionHub
 from sessions.provenance import provenance
 from sessions.state import Context, Document, SessionState, acceptance_problems, apply, needed_jobs
-from sessions.store import ObjectRecord, Store
+from sessions.store import Entry, ObjectRecord, Store
 from sessions.tool_commands import ToolRegion
+
+if TYPE_CHECKING:
+    from app.scene_desk import SceneDesk
 
 log = logging.getLogger(__name__)
 Listener = Callable[[], None]
@@ -58,6 +62,7 @@ class Workbench:
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
         self._queue_listeners: list[Listener] = []
         self._ids: list[int] = []
+        self.desk: SceneDesk | None = None
         self._records: dict[int, ObjectRecord] = {}
         self.add_paths(paths)
 
@@ -638,3 +643,22 @@ def stored_prompts(doc: Document) -> tuple[Click | tasks.StoredRegion, ...]:
         p if isinstance(p, Click) else tasks.StoredRegion(p.part, p.elements, p.positive)
         for p in doc.prompts
     )
+def acceptance_record(
+    after: SessionState,
+    history: list[Entry],
+    source: Source,
+    gate: GateReport | None,
+    override: str = "",
+) -> dict[str, Any]:
+    """What ``provenance.json`` of an accepted asset holds, the gate's answer included."""
+    record = provenance(after, history, source)
+    record["gate"] = None if gate is None else {**gate.to_json(), "override": override}
+    return record
+
+
+def asset_folder(workspace: Path, record: ObjectRecord) -> Path:
+    """Where the accepted asset of an object goes."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", record.name).strip("._") or "object"
+    return workspace / "assets" / f"{plain[:60]}-{record.id}"
+
+
