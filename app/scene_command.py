@@ -30,6 +30,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="processes (default: as many as processors)")  # fmt: skip
     add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts joints")
     add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
+    add("--formats", type=_formats, default=(), metavar="NAME,NAME",
+        help="write the scene as sdf and usd too, besides MJCF")  # fmt: skip
+    add("--clicks", type=_clicks, action="append", default=[], metavar="ID=FILE",
+        help="cut the object ID into parts by the clicks in FILE (as segment's --prompts, but in "
+             "the scene's metres, +z up) and articulate it; may be repeated")  # fmt: skip
+    add("--segmenter", default="default", metavar="NAME", help="who answers the clicks")
+    add("--ray", metavar="ADDRESS",
+        help="let a Ray cluster do the work (host:port, auto, or local)")  # fmt: skip
     add("--keep-limits", action="store_true",
         help="leave joint limits as predicted where the motion hits neighbours")  # fmt: skip
     add("--collision", action="store_true",
@@ -54,6 +62,26 @@ def _add_finder(parser: argparse.ArgumentParser) -> None:
         help="where answers are kept (default: ~/.cache/artiworld/finder)")  # fmt: skip
     add("--price", type=_prices, metavar="IN,OUT", help="of a million tokens, for the cost")
     add("--dry-run", action="store_true", help="say what asking would cost, and do nothing")
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    if not set(names) <= {"mjcf", "sdf", "usd"}:
+        raise ValueError
+    return tuple(n for n in names if n != "mjcf")
+
+
+_formats.__name__ = "list of sdf and usd"
+
+
+def _clicks(text: str) -> tuple[str, Path]:
+    id, equals, file = text.rpartition("=")
+    if not (equals and id and file):
+        raise ValueError
+    return id, Path(file)
+
+
+_clicks.__name__ = "ID=FILE"
 
 
 def _prices(text: str) -> tuple[float, float]:
@@ -112,12 +140,32 @@ def _convert(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     show.progress(0.0, f"reading {args.scene.name}")
     scene = read_scene(args.scene, args.format)
     settings = ConvertSettings(
-        args.jobs, args.predictor, args.seed, args.keep_limits, args.collision, args.time_limit
-    )
+        args.jobs, args.predictor, args.seed, args.keep_limits, args.collision, args.time_limit,
+        args.formats, _clicked(args), args.ray,
+    )  # fmt: skip
     summary = convert_scene(
         scene, index_assets(args.assets), args.out, finder, settings, show.progress
     )
     return summary | _usage(args, finder)
+
+
+def _clicked(args: argparse.Namespace) -> dict[str, Any]:
+    """Object → its clicks."""
+    if not args.clicks:
+        return {}
+    from app.prompt_file import read_prompts
+    from model.errors import ConfigurationError
+    from model.scenes.clicked import ObjectClicks
+    from model.segmentation.registry import check_segmenter
+
+    check_segmenter(args.segmenter)
+    out: dict[str, Any] = {}
+    for id, path in args.clicks:
+        if id in out:
+            raise ConfigurationError(f"--clicks names {id!r} twice; put all clicks into one file")
+        file = read_prompts(path)
+        out[id] = ObjectClicks(file.prompts, file.names, file.category, args.segmenter)
+    return out
 
 
 def _finder(args: argparse.Namespace, show: Any) -> Any:
@@ -171,18 +219,24 @@ def _print_dry_run(report: dict[str, Any]) -> None:
 
 def _inspect(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     from dataclasses import asdict
+    from tempfile import TemporaryDirectory
 
     from model.scenes.assets import index_assets
     from model.scenes.convert import decide
+    from model.scenes.embedded import unpack
     from model.scenes.registry import read_scene
     from model.scenes.results import sim_id
 
     finder = _finder(args, show)
     scene = read_scene(args.scene, args.format)
-    outcomes = decide(scene, index_assets(args.assets), finder)
+    with TemporaryDirectory() as folder:
+        inside = unpack(scene, Path(folder))
+        outcomes = decide(scene, index_assets(args.assets), finder, inside)
+    held = set(inside.files.values())
     objects = [
         {"id": o.obj.id, "description": o.obj.description, "category": o.obj.category,
-         "room": o.obj.room, "asset": o.obj.asset, "file": None if o.path is None else str(o.path),
+         "room": o.obj.room, "asset": o.obj.asset,
+         "file": None if o.path is None else str(args.scene if o.path in held else o.path),
          "position": o.obj.world_from_object[:3, 3].tolist(), **asdict(o.decision)}
         for o in outcomes
     ]  # fmt: skip
@@ -212,17 +266,21 @@ def _print_inspection(report: dict[str, Any]) -> None:
         )  # fmt: skip
     printing.console().print(table)
     _print_problems(report)
-    _print_sim_id(report["sim_id"])
+    _print_figures(report["sim_id"])
 
 
-def _print_sim_id(found: dict[str, Any]) -> None:
+def _print_figures(found: dict[str, Any], works: dict[str, Any] | None = None) -> None:
     from rich.text import Text
 
     from app import printing
 
-    if found["articulable"]:
-        text = f"Sim-Id {found['found']}/{found['articulable']}"
-        printing.console().print(Text(f"{text}, wrongly found {found['wrongly_found']}"))
+    if not found["articulable"]:
+        return
+    text = f"Sim-Id {found['found']}/{found['articulable']}"
+    text += f", wrongly found {found['wrongly_found']}"
+    if works is not None:
+        text += f"; Sim-Us {works['usable']}/{works['articulable']}"
+    printing.console().print(Text(text))
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
@@ -244,7 +302,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         )  # fmt: skip
     printing.console().print(table)
     _print_problems(summary)
-    _print_sim_id(summary["sim_id"])
+    _print_figures(summary["sim_id"], summary["sim_us"])
     printing.console().print(Text(f"written to {out}"))
 
 

@@ -13,13 +13,14 @@
 
 from __future__ import annotations
 
+import difflib
 import fcntl
 import hashlib
 import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -35,6 +36,7 @@ from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
+from model.scenes.clicked import ClickedObject, ObjectClicks
 from model.scenes.embedded import Unpacked, unpack
 from model.scenes.jobs import (
     ASSETS,
@@ -50,6 +52,7 @@ from model.scenes.jobs import (
 from model.scenes.language_finder import LanguageFinder
 from model.scenes.neighbours import Standing, shortened
 from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
+from model.scenes.ray_map import ray_map
 from model.scenes.results import write_results
 from model.scenes.scene import Scene, SceneObject, SceneObjectError
 
@@ -67,6 +70,10 @@ class ConvertSettings:
         collision: make collision shapes; bases that are free are free in MJCF only with them, as
             they would fall through the floor without.
         seconds: time limit an asset.
+        formats: what the scene is written as besides MJCF.
+        clicks: object's id → clicks that cut it into parts; such an object is articulated.
+        ray: address of a Ray cluster that does the work, whose machines all see ``out`` and the
+            assets under the same paths; None for processes of this machine.
     """
 
     jobs: int = 1
@@ -75,6 +82,9 @@ class ConvertSettings:
     keep_limits: bool = False
     collision: bool = False
     seconds: float = 1800.0
+    formats: tuple[str, ...] = ()
+    clicks: Mapping[str, ObjectClicks] = field(default_factory=dict)
+    ray: str | None = None
 
 
 @dataclass(eq=False)
@@ -123,6 +133,7 @@ def convert_scene(
         InputFileError: where ``out`` can't be written.
     """
     settings = settings or ConvertSettings()
+    _check_clicks(scene, settings)
     start = time.perf_counter()
     with _alone(out):
         _sweep_up(out)
@@ -132,8 +143,9 @@ def convert_scene(
         if not settings.keep_limits:
             shorten_limits(outcomes, out, progress)
         summary = write_results(
-            scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous
-        )
+            scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous,
+            formats=settings.formats,
+        )  # fmt: skip
         summary |= {
             "finder": finder.name,
             "finder_usage": asdict(finder.usage) if isinstance(finder, LanguageFinder) else None,
@@ -145,6 +157,17 @@ def convert_scene(
         job_module.write_json(out / "summary.json", summary)
     progress(1.0, "done")
     return summary
+
+
+def _check_clicks(scene: Scene, settings: ConvertSettings) -> None:
+    ids = [o.id for o in scene.objects]
+    for id in settings.clicks:
+        if id not in ids:
+            near = difflib.get_close_matches(id, ids, 5, 0.3) or ids[:5]
+            raise ConfigurationError(
+                f"there are clicks for {id!r}, which {scene.path.name} doesn't hold; it holds "
+                f"{', '.join(near)}, …"
+            )
 
 
 @contextmanager
@@ -246,15 +269,22 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
     assert o.path is not None
     x, y, z = (round(float(v), 9) for v in o.obj.scale)
     fit = None if o.obj.fit is None else tuple(round(float(v), 9) for v in o.obj.fit)
-    articulate = o.decision.articulable
+    clicks = settings.clicks.get(o.obj.id)
+    articulate = o.decision.articulable or clicks is not None
     category = (o.decision.kind or o.obj.category) if articulate else None
-    told = [digest, x, y, z, fit, articulate, category, settings.collision]
+    clicked = None
+    if clicks is not None:
+        category = clicks.category or category
+        clicked = ClickedObject(clicks, o.obj.world_from_object, o.obj.anchor)
+    told = [digest, x, y, z, fit, articulate, category, settings.collision, settings.formats]
+    if clicks is not None:
+        told += [clicks.key(), o.obj.world_from_object.tolist(), o.obj.anchor]
     told += [settings.predictor, settings.seed] if articulate else []
     short = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:12]
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]
     return AssetJob(
         f"{stem}-{short}", o.path, (x, y, z), fit, articulate, category, settings.predictor,  # type: ignore[arg-type]
-        settings.seed, settings.collision, settings.seconds,
+        settings.seed, settings.collision, settings.seconds, settings.formats, clicked,
     )  # fmt: skip
 
 
@@ -271,8 +301,12 @@ def _run_jobs(
     waiting = [k for k in made if k not in reports]
     tell = _time_left(progress, 0.0, 0.8, len(waiting))
     tell(0, "converting")
-    run = ConvertAsset(out, {k: made[k] for k in waiting}, os.getpid())
-    for i, (key, report) in enumerate(robust_map(run, waiting, settings.jobs), 1):
+    todo = {k: made[k] for k in waiting}
+    if settings.ray is None:
+        answers = robust_map(ConvertAsset(out, todo, os.getpid()), waiting, settings.jobs)
+    else:
+        answers = ray_map(ConvertAsset(out.absolute(), todo, None), waiting, settings.ray)
+    for i, (key, report) in enumerate(answers, 1):
         reports[key] = report if report is not None else job_module.died(made[key])
         tell(i, key)
     for o in outcomes:
