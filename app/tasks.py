@@ -541,36 +541,6 @@ def checks_of(report: GateReport) -> list[JointCheck]:
     ]
 
 
-def save_asset_folder(
-    source: PartSource,
-    tree: KinematicTree,
-    folder: Path,
-    provenance: dict[str, Any],
-    progress: Progress = no_progress,
-) -> str:
-    """Write the accepted asset and read it back. Returns the folder.
-
-    Raises:
-        ArtiworldError: where what was written doesn't load as it should.
-    """
-    from model.exporters.asset_folder import write_asset
-    from model.exporters.physics import physics_of
-    from model.exporters.reload import reload_check
-
-    progress(0.1, "Cutting out the parts")
-    asset = asset_of(source.folder)
-    obj = ArticulatedObject(source.title, parts_of(source), tree, source.category)
-    progress(0.2, "Collision shapes and masses")
-    physics = physics_of(obj, store=source.workspace / "collision")
-    progress(0.5, "Writing meshes and URDF")
-    write_asset(obj, folder, provenance=provenance, original=asset, physics=physics)
-    progress(0.85, "Reading it back")
-    problems = reload_check(folder)
-    if problems:
-        raise ArtiworldError(f"{folder}: written, but doesn't load as it should: {problems[0]}")
-    return str(folder)
-
-
 def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> Joint:
     """The joint of ``child`` snapped to a feature of its part.
 
