@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--gate", action=argparse.BooleanOptionalAction, default=True,
         help="sweep every joint, and drive it in MuJoCo")  # fmt: skip
     add("--compare-coacd", type=float, default=0.0, metavar="SECONDS",
-        help="also run coacd with its defaults, this long a part at most")  # fmt: skip
+        help="also run coacd with its defaults, this long an asset at most")  # fmt: skip
     add_physics(parser)
     add("--jobs", type=int, default=None, metavar="N",
         help="processes (default: as many as processors)")  # fmt: skip
@@ -156,6 +156,7 @@ def _collision(
         "free_kept_by_one_hull": round(free.kept_by_hull, 4),
         "free_kept_by_coacd": None if free.kept_by_coacd is None else round(free.kept_by_coacd, 4),
         "coacd_hulls": free.coacd_hulls,
+        "coacd_seconds": None if free.coacd_seconds is None else round(free.coacd_seconds, 1),
         "processor_seconds": round(seconds, 3),
     }
 

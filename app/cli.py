@@ -185,7 +185,12 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
 
     add = parser.add_argument
     add("paths", nargs="*", type=Path, metavar="PATH",
-        help="files or folders to open (default: the bundled examples)")  # fmt: skip
+        help="files or folders to open, or one scene (default: the bundled examples)")  # fmt: skip
+    add("--assets", type=Path, action="append", default=[], metavar="DIR",
+        help="open PATH as a scene with the assets in this folder; may be repeated "
+             "(a scene description without it: those beside it)")  # fmt: skip
+    add("--finder", default="lexicon", metavar="NAME",
+        help="who says what in a scene can be articulated (default: lexicon)")  # fmt: skip
     add("--workspace", type=Path, default=Path("workspace"), metavar="DIR",
         help="where sessions and accepted assets are kept (default: ./workspace)")  # fmt: skip
     add("--database", metavar="URL", help="SQLAlchemy URL (default: SQLite in the workspace)")

@@ -38,6 +38,9 @@ class ServeConfig:
         segmenter: who answers clicks.
         predictor: who predicts joints.
         allowed_origins: addresses under which a proxy shows the server, besides its own.
+        scene: a scene to open instead of single objects.
+        assets: folders of its assets.
+        finder: who says what in it can be articulated.
     """
 
     paths: tuple[Path, ...] = ()
@@ -53,3 +56,6 @@ class ServeConfig:
     segmenter: str = "default"
     predictor: str = DEFAULT_PREDICTOR
     allowed_origins: tuple[str, ...] = ()
+    scene: Path | None = None
+    assets: tuple[Path, ...] = ()
+    finder: str = "lexicon"

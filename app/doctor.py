@@ -21,6 +21,15 @@ from model.resources import static_assets
 Status = Literal["fine", "note", "wrong"]
 MIN_MEMORY_GB = 4.0
 MIN_DISK_GB = 2.0
+OPTIONAL = (
+    ("mujoco", "drives joints, reads URDF and MJCF back", "physics"),
+    ("coacd", "another way to make collision shapes", "collision"),
+    ("usd-core", "writes USD and reads it back", "usd"),
+    ("pygltflib", "reads GLB back", "readers"),
+    ("pybullet", "reads URDF and SDF back", "readers"),
+    ("playwright", "drives browser tests", "test"),
+)
+"""Packages of the extras: name, what for, which extra."""
 WEIGHT_SUFFIXES = (".npz", ".safetensors", ".pt")
 
 
@@ -97,11 +106,12 @@ def _packages() -> Iterator[Check]:
 
 def _optional() -> Iterator[Check]:
     yield _torch()
-    for name, use in (("mujoco", "proves exported assets"), ("playwright", "drives browser tests")):
+    for name, use, extra in OPTIONAL:
         try:
             yield Check(name, "fine", version(name))
         except PackageNotFoundError:
-            yield Check(name, "note", f"not installed ({use})", f"run: pip install {name}")
+            remedy = f"run: pip install 'artiworld[{extra}]'"
+            yield Check(name, "note", f"not installed ({use})", remedy)
     browser = next(
         filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
     )

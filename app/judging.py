@@ -73,8 +73,10 @@ class Judging:
             return
         self._asked = revision
         obj.cancel("check")
+        obj.bench.stop_preparing()
         if revision in self._answers:
             self._answers.move_to_end(revision)
+            self._prepare(revision)
             return
         obj.start_gate(revision[0], lambda report: self._keep(revision, report))
 
@@ -92,8 +94,19 @@ class Judging:
         self._answers[revision] = report
         while len(self._answers) > KEPT:
             self._answers.popitem(last=False)
-        if revision == self._revision(self._obj.document):
-            self._accept_waiting()
+        if revision != self._revision(self._obj.document):
+            return
+        if self._waiting is None:
+            self._prepare(revision)
+        self._accept_waiting()
+
+    def _prepare(self, revision: Revision) -> None:
+        """Write what will be accepted while the person still looks at it."""
+        obj = self._obj
+        decided = obj.document.review.state == "accepted"
+        if decided or obj.asset is None or self._answers[revision].verdict == "broken":
+            return  # what is broken will be edited
+        obj.bench.prepare_asset(obj.source(), revision[0])
 
     @staticmethod
     def _revision(document: Document) -> Revision | None:

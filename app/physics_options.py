@@ -18,8 +18,9 @@ def add_physics(parser: argparse.ArgumentParser) -> None:
     """The options."""
     add = parser.add_argument
     add("--no-collision", action="store_true", help="leave collision shapes out")
-    add("--method", default="auto", metavar="NAME",
-        help="of collision shapes: auto, hollow, coacd or hull (default: auto)")  # fmt: skip
+    add("--method", default="hollow", metavar="NAME",
+        help="of collision shapes: hollow, coacd, hull, or auto: hollow, and coacd where that is "
+             "better (default: hollow)")  # fmt: skip
     add("--max-hulls", type=int, default=24, metavar="N",
         help="most collision shapes a part (default: 24)")  # fmt: skip
     add("--density", type=float, metavar="KG", help="kg/m³ of every part, instead of the table's")

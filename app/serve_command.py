@@ -10,6 +10,7 @@ import time
 import urllib.error
 import urllib.request
 import webbrowser
+from pathlib import Path
 from urllib.parse import quote
 
 from app.backend_command import chosen_predictor, greet
@@ -65,9 +66,10 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
         port = free_port(args.host)
     else:
         check_address(args.host, port)
+    scene = _scene_of(args)
     settings = {} if args.user is None else {"user": args.user}
     return ServeConfig(
-        paths=tuple(args.paths),
+        paths=() if scene else tuple(args.paths),
         workspace=args.workspace,
         database=args.database,
         host=args.host,
@@ -79,8 +81,33 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
         segmenter=args.segmenter,
         predictor=predictor,
         allowed_origins=tuple(args.allow_origin),
+        scene=scene,
+        assets=tuple(args.assets) or (() if scene is None else (scene.parent,)),
+        finder=args.finder,
         **settings,
     )
+
+
+def _scene_of(args: argparse.Namespace) -> Path | None:
+    """The scene to open; None for single objects.
+
+    Raises:
+        ConfigurationError, InputFileError: where ``--assets`` can't belong to what is named.
+    """
+    from model.geometry.readers import SUFFIXES
+    from model.scenes.registry import recognised
+
+    first: Path | None = args.paths[0] if args.paths else None
+    if not args.assets and (
+        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or not recognised(first)
+    ):
+        return None
+    if first is None or len(args.paths) > 1 or first.is_dir():
+        raise ConfigurationError("a scene is opened alone: give one scene file, and its --assets")
+    for folder in args.assets:
+        if not folder.is_dir():
+            raise InputFileError(folder, "no such folder", "give --assets a folder of assets")
+    return first
 
 
 def _check_names(args: argparse.Namespace) -> None:
@@ -88,6 +115,10 @@ def _check_names(args: argparse.Namespace) -> None:
     from model.segmentation.registry import check_segmenter
 
     check_segmenter(args.segmenter)
+    if args.finder != "lexicon":
+        from model.scenes.finder_registry import load_finder
+
+        load_finder(args.finder)
     check_predictor(args.predictor)
 
 

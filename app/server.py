@@ -11,6 +11,7 @@ import viser
 
 from app.config import ServeConfig
 from app.guard import guarded_server
+from app.scene_desk import SceneDesk
 from app.viewer.client_app import ClientApp
 from app.workbench import Workbench
 from model.errors import InputFileError
@@ -28,6 +29,8 @@ class Server:
         self.bench = Workbench(
             config, Store(Path(config.workspace), config.database), paths_to_open(config)
         )
+        if config.scene is not None:
+            self.bench.desk = SceneDesk(self.bench, config.scene, config.assets)
         self.viser: viser.ViserServer = guarded_server(
             config.host,
             config.port,
@@ -66,6 +69,8 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     """The objects of this run: what was named, else the bundled examples."""
     from model.geometry.readers import find_assets
 
+    if config.scene is not None:
+        return []
     named = [Path(p) for p in config.paths]
     for path in named:
         if not path.exists():

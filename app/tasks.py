@@ -181,11 +181,20 @@ def open_asset(
     path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
 ) -> OpenedAsset:
     """Read ``path``, lay its arrays down for the other workers, and prepare what is shown."""
+    progress(0.02, "Reading")
+    asset, folder = working_copy(path, workspace, options, progress)
+    progress(0.8, "Preparing the picture")
+    return _opened(asset, folder, path)
+
+
+def working_copy(
+    path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
+) -> tuple[Asset, Path]:
+    """The asset of ``path`` and the folder of its arrays, which is made where it isn't there."""
     from model.geometry.cache import load_asset, save_asset
     from model.geometry.readers import read_asset
 
-    progress(0.02, "Reading")
-    identity = (str(path.resolve()), _stamp(path), options.up_axis, options.unit_scale)
+    identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
         identity = (*identity, options.left_out)
     key = hashlib.sha256(repr(identity).encode()).hexdigest()[:24]
@@ -204,8 +213,7 @@ def open_asset(
             asset = _without(asset, arrays_of(workspace).get(options.left_out))
         progress(0.6, "Keeping a working copy")
         save_asset(asset, folder)
-    progress(0.8, "Preparing the picture")
-    return _opened(asset, folder, path)
+    return asset, folder
 
 
 def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
@@ -218,7 +226,7 @@ def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
     return crop(asset, keep)
 
 
-def _stamp(path: Path) -> tuple[tuple[str, int, int], ...]:
+def stamp(path: Path) -> tuple[tuple[str, int, int], ...]:
     """Names, sizes and times of what a path holds: tells whether a working copy is still true."""
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())[:5000]
     return tuple((f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files)
@@ -377,7 +385,12 @@ def segment(
 
 def source_regions(folder: Path, workspace: Path) -> dict[int, tuple[str, int]]:
     """The parts that the source was already cut into: part → stored elements and their number."""
-    part = asset_of(folder).element_part
+    return source_regions_of(asset_of(folder), workspace)
+
+
+def source_regions_of(asset: Asset, workspace: Path) -> dict[int, tuple[str, int]]:
+    """As :func:`source_regions`, of an asset at hand."""
+    part = asset.element_part
     if part is None:
         return {}
     arrays = arrays_of(workspace)
@@ -432,7 +445,7 @@ def display_labels(
 _cut: Recent[Any, tuple[Part, ...]] = Recent(2)
 
 
-def _parts(source: PartSource) -> tuple[Part, ...]:
+def parts_of(source: PartSource) -> tuple[Part, ...]:
     """The parts; the last ones are kept, with what others computed for them."""
     from model.geometry.parts import split
 
@@ -444,7 +457,7 @@ def _parts(source: PartSource) -> tuple[Part, ...]:
     return _cut.get((source.folder, source.labels, names), cut)
 
 
-def _named(part: Part) -> Part:
+def named(part: Part) -> Part:
     """In the app part 0 is the base by definition: the predictor need not guess it."""
     if part.link == "link_0" and part.name is None:
         return replace(part, name="base")
@@ -486,7 +499,12 @@ def part_payloads(
 
 def segmented_object(source: PartSource) -> SegmentedObject:
     """The parts of an asset as a predictor reads them."""
-    return SegmentedObject(source.title, tuple(map(_named, _parts(source))), source.category)
+    return SegmentedObject(source.title, tuple(map(named, parts_of(source))), source.category)
+
+
+def articulated_object(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
+    """The parts of an asset with the joints that were decided."""
+    return ArticulatedObject(source.title, parts_of(source), tree, source.category)
 
 
 def predict(
@@ -510,8 +528,7 @@ def judge_joints(
     """Ask the gate about every joint."""
     from model.gate.gate import run_gate
 
-    obj = ArticulatedObject(source.title, _parts(source), tree, source.category)
-    return run_gate(obj, progress=progress)
+    return run_gate(articulated_object(source, tree), progress=progress)
 
 
 def checks_of(report: GateReport) -> list[JointCheck]:
@@ -522,36 +539,6 @@ def checks_of(report: GateReport) -> list[JointCheck]:
         for f in j.findings
         if f.kind in ("collision", "jammed") and f.verdict != "fine" and f.where is not None
     ]
-
-
-def save_asset_folder(
-    source: PartSource,
-    tree: KinematicTree,
-    folder: Path,
-    provenance: dict[str, Any],
-    progress: Progress = no_progress,
-) -> str:
-    """Write the accepted asset and read it back. Returns the folder.
-
-    Raises:
-        ArtiworldError: where what was written doesn't load as it should.
-    """
-    from model.exporters.asset_folder import write_asset
-    from model.exporters.physics import physics_of
-    from model.exporters.reload import reload_check
-
-    progress(0.1, "Cutting out the parts")
-    asset = asset_of(source.folder)
-    obj = ArticulatedObject(source.title, _parts(source), tree, source.category)
-    progress(0.2, "Collision shapes and masses")
-    physics = physics_of(obj, store=source.workspace / "collision")
-    progress(0.5, "Writing meshes and URDF")
-    write_asset(obj, folder, provenance=provenance, original=asset, physics=physics)
-    progress(0.85, "Reading it back")
-    problems = reload_check(folder)
-    if problems:
-        raise ArtiworldError(f"{folder}: written, but doesn't load as it should: {problems[0]}")
-    return str(folder)
 
 
 def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> Joint:
@@ -568,7 +555,7 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
         origin_on_contact,
     )
 
-    parts = {p.link: p for p in _parts(source)}
+    parts = {p.link: p for p in parts_of(source)}
     joint = tree.joint_of[child]
     if child not in parts:
         raise CommandError(f"{child} has no part to snap to; it is a helper link")

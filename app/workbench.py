@@ -12,18 +12,19 @@ import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from app import room_tasks, tasks, tool_tasks
+from app import room_tasks, saving_tasks, tasks, tool_tasks
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
 from app.judging import Judging
 from app.review_order import ReviewOrder
 from model.errors import ArtiworldError, CommandError
 from model.gate.report import GateReport
+from model.geometry.asset import Source
 from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 from model.progress import Cancelled
@@ -33,8 +34,11 @@ from sessions import commands as cmd
 from sessions.live import LiveSession, SessionHub
 from sessions.provenance import provenance
 from sessions.state import Context, Document, SessionState, acceptance_problems, apply, needed_jobs
-from sessions.store import ObjectRecord, Store
+from sessions.store import Entry, ObjectRecord, Store
 from sessions.tool_commands import ToolRegion
+
+if TYPE_CHECKING:
+    from app.scene_desk import SceneDesk
 
 log = logging.getLogger(__name__)
 Listener = Callable[[], None]
@@ -53,9 +57,12 @@ class Workbench:
         self.geometry = WorkerProcess("geometry")
         self.segmentation = WorkerProcess("segmentation")
         self.prediction = WorkerProcess("prediction")
+        self.saving = WorkerProcess("saving")
+        self._preparing: tuple[tasks.PartSource, KinematicTree, Job[Path]] | None = None
         self._lock = threading.RLock()
         self._open: dict[int, OpenObject] = {}
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
+        self.desk: SceneDesk | None = None
         self._queue_listeners: list[Listener] = []
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
@@ -120,9 +127,38 @@ class Workbench:
         for listener in list(self._queue_listeners):
             listener()
 
+    def prepare_asset(self, source: tasks.PartSource, tree: KinematicTree) -> None:
+        """Write the asset that will probably be accepted next; what fails is told on accepting."""
+        self.stop_preparing()
+        job = self.saving.submit(saving_tasks.prepare_asset, source, tree)
+        self._preparing = (source, tree, job)
+
+    def stop_preparing(self) -> None:
+        """The joints changed, or something else is saved."""
+        preparing, self._preparing = self._preparing, None
+        if preparing is not None:
+            preparing[2].cancel()
+
+    def save_asset(
+        self,
+        source: tasks.PartSource,
+        tree: KinematicTree,
+        folder: Path,
+        record: dict[str, Any],
+        on_progress: Callable[[float, str], None],
+    ) -> Job[str]:
+        """Write an accepted asset, after its draft where that is being written."""
+        if self._preparing is not None and self._preparing[:2] != (source, tree):
+            self.stop_preparing()
+        return self.saving.submit(
+            saving_tasks.save_asset_folder, source, tree, folder, record, on_progress=on_progress
+        )
+
     def close(self) -> None:
         """End the workers."""
-        for worker in (self.geometry, self.segmentation, self.prediction):
+        if self.desk is not None:
+            self.desk.close()
+        for worker in (self.geometry, self.segmentation, self.prediction, self.saving):
             worker.close()
 
 
@@ -539,18 +575,12 @@ class OpenObject:
         gate = self.judging.report
         command = cmd.Accept(comment, self.judging.doubts(), override)
         after = apply(state, command, Context(who, at))
-        history = self.bench.store.history(self.record.id)
-        record = provenance(after, history, self._source_record())
-        record["gate"] = None if gate is None else {**gate.to_json(), "override": override}
-        folder = self.bench.workspace / "assets" / self._folder_name()
-        job = self.bench.prediction.submit(
-            tasks.save_asset_folder,
-            self.source(doc),
-            doc.tree,
-            folder,
-            record,
-            on_progress=self._progress("save"),
-            priority=8,
+        record = acceptance_record(
+            after, self.bench.store.history(self.record.id), self._source_record(), gate, override
+        )
+        folder = asset_folder(self.bench.workspace, self.record)
+        job = self.bench.save_asset(
+            self.source(doc), doc.tree, folder, record, self._progress("save")
         )
 
         def keep(written: str) -> None:
@@ -565,16 +595,10 @@ class OpenObject:
         self._start("save", job, keep)
         self.changed()
 
-    def _source_record(self) -> Any:
-        from model.geometry.asset import Source
-
+    def _source_record(self) -> Source:
         asset = self.asset
         assert asset is not None
         return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale)
-
-    def _folder_name(self) -> str:
-        plain = re.sub(r"[^A-Za-z0-9._-]+", "_", self.record.name).strip("._") or "object"
-        return f"{plain[:60]}-{self.record.id}"
 
     # --- the life of a job
 
@@ -620,6 +644,25 @@ class OpenObject:
         if what == "open":
             self.problem = message
         self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
+
+
+def acceptance_record(
+    after: SessionState,
+    history: list[Entry],
+    source: Source,
+    gate: GateReport | None,
+    override: str = "",
+) -> dict[str, Any]:
+    """What ``provenance.json`` of an accepted asset holds, the gate's answer included."""
+    record = provenance(after, history, source)
+    record["gate"] = None if gate is None else {**gate.to_json(), "override": override}
+    return record
+
+
+def asset_folder(workspace: Path, record: ObjectRecord) -> Path:
+    """Where the accepted asset of an object goes."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", record.name).strip("._") or "object"
+    return workspace / "assets" / f"{plain[:60]}-{record.id}"
 
 
 def _last_of(doc: Document, tool: str, part: int) -> int:

@@ -20,6 +20,7 @@ from model.kinematics.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clean_name, put_field
 from sessions.review import REJECT_REASONS, RejectReason
+from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.text import clean_text
 from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 
@@ -283,6 +284,8 @@ Command = (
     | LeaveOut
     | CropOut
     | Placed
+    | SetArticulable
+    | DecideObjects
     | RemovePrompt
     | ClearPrompts
     | AddPart
@@ -311,6 +314,8 @@ KINDS: Mapping[str, type[Command]] = {
     "leave_out": LeaveOut,
     "crop_out": CropOut,
     "placed": Placed,
+    "set_articulable": SetArticulable,
+    "decide_objects": DecideObjects,
     "remove_prompt": RemovePrompt,
     "clear_prompts": ClearPrompts,
     "add_part": AddPart,

@@ -27,6 +27,7 @@ from sessions.commands import (
     Undo,
     kind_of,
 )
+from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 
 
@@ -46,6 +47,12 @@ def describe(command: Command) -> str:
             return f"cut out {name}"
         case Placed(scene=scene):
             return f"placed in {scene.rpartition('/')[2]}"
+        case SetArticulable(object=name, articulable=articulable):
+            words = {True: "is", False: "is not", None: "may be"}[articulable]
+            return f"{name} {words} articulable"
+        case DecideObjects(decision=decision, objects=objects, above=above):
+            what = f"{len(objects)} object{'s'[: len(objects) != 1]}"
+            return f"{decision} {what}" + ("" if above is None else f" above {100 * above:.0f} %")
         case AddPart(part=part) | DeletePart(part=part):
             return f"{'add' if isinstance(command, AddPart) else 'delete'} part {part}"
         case NamePart(part=part, name=name):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from model.geometry.asset import UpAxis
@@ -13,6 +13,7 @@ from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.review import RejectReason, ReviewState
+from sessions.scene_commands import Decided
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,18 @@ class Placement:
 
 
 @dataclass(frozen=True)
+class DecisionRecord:
+    """What was decided for several objects; see :class:`~sessions.scene_commands.DecideObjects`."""
+
+    decision: Decided
+    objects: tuple[int, ...]
+    above: float | None
+    reason: RejectReason
+    by: str
+    at: str
+
+
+@dataclass(frozen=True)
 class Document:
     """Everything decided about one object.
 
@@ -158,6 +171,8 @@ class Document:
         left_out: elements of the source that are not looked at, or None.
         crops: objects that were cut out of this scan.
         placement: where the object stood in the scan it was cut out of, or None.
+        articulable: of a scene: object id → whether it is articulated, where a person said so.
+        decided: of a scene: what was decided for its objects, in order.
     """
 
     prompts: tuple[Click | RegionRef, ...] = ()
@@ -179,6 +194,8 @@ class Document:
     left_out: LeftOut | None = None
     crops: tuple[CropRecord, ...] = ()
     placement: Placement | None = None
+    articulable: Mapping[str, bool] = field(default_factory=dict)
+    decided: tuple[DecisionRecord, ...] = ()
 
     @cached_property
     def key(self) -> str:

@@ -35,6 +35,7 @@ from sessions.commands import (
 from sessions.describe import describe
 from sessions.document import (
     CropRecord,
+    DecisionRecord,
     Document,
     LeftOut,
     PartInfo,
@@ -46,6 +47,7 @@ from sessions.document import (
     acceptance_problems,
 )
 from sessions.review import Action, Role, transition
+from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
 
@@ -72,7 +74,7 @@ def edit(document: Document, command: Command, context: Context) -> Document:
         CommandError: where the document doesn't allow it; the message says why.
     """
     try:
-        changed, action = _changed(document, command)
+        changed, action = _changed(document, command, context)
     except CommandError:
         raise
     except ArtiworldError as error:
@@ -103,7 +105,7 @@ def amend(
     return document if record == document.segmentation else replace(document, segmentation=record)
 
 
-def _changed(document: Document, command: Command) -> tuple[Document, Action]:
+def _changed(document: Document, command: Command, context: Context) -> tuple[Document, Action]:
     match command:
         case AddClick(click=click):
             return _add_prompt(document, click), "annotate"
@@ -118,6 +120,10 @@ def _changed(document: Document, command: Command) -> tuple[Document, Action]:
             return _leave_out(document, command), "annotate"
         case CropOut():
             return _crop_out(document, command), "annotate"
+        case SetArticulable():
+            return _set_articulable(document, command), "adjust"
+        case DecideObjects():
+            return _decide_objects(document, command, context), "adjust"
         case RemovePrompt(index=index):
             return _remove_prompt(document, index), "annotate"
         case ClearPrompts(part=part):
@@ -365,3 +371,21 @@ def _predicted(document: Document, command: ResetJoint) -> Joint:
     if joint is None:
         raise CommandError(f"no joint was predicted for {command.child!r}")
     return joint
+
+
+def _set_articulable(document: Document, command: SetArticulable) -> Document:
+    if document.articulable.get(command.object) is command.articulable:
+        return document
+    said = {k: v for k, v in document.articulable.items() if k != command.object}
+    if command.articulable is not None:
+        said[command.object] = command.articulable
+    return replace(document, articulable=said)
+
+
+def _decide_objects(document: Document, command: DecideObjects, context: Context) -> Document:
+    if context.role == "annotator":
+        raise CommandError("only a reviewer may accept and reject objects")
+    record = DecisionRecord(
+        command.decision, command.objects, command.above, command.reason, context.who, context.at
+    )
+    return replace(document, decided=(*document.decided, record))

@@ -19,6 +19,7 @@ import numpy as np
 import viser
 
 from app.viewer.annotate_panel import AnnotatePanel
+from app.viewer.in_scene import InScene
 from app.viewer.joints_panel import JointsPanel
 from app.viewer.keys import KEYS, add_keys
 from app.viewer.motion import Motion
@@ -26,6 +27,7 @@ from app.viewer.pointing import Pointing
 from app.viewer.queue_panel import QueuePanel
 from app.viewer.redraw import STAGES, Redraw
 from app.viewer.review_panel import ReviewPanel
+from app.viewer.scene_list import SceneList
 from app.viewer.scene_view import SceneView
 from app.viewer.source_panel import SourcePanel
 from app.viewer.text import plain
@@ -57,7 +59,8 @@ class ClientApp:
         self._dirty = threading.Event()
         self._closed = False
         self._unwatch: Callable[[], None] = lambda: None
-        self.scene = SceneView(client)
+        self.scene = SceneView(client, in_scene=bench.desk is not None)
+        self._in_scene: InScene | None = None
         self.motion = Motion(self)
         self.pointing = Pointing(self)
         self.redraw = Redraw(self)
@@ -73,7 +76,29 @@ class ClientApp:
         gui = self.client.gui
         gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
         gui.set_panel_label("ArtiWorld")
-        self.queue_panel = QueuePanel(self)
+        if self.bench.desk is None:
+            self.queue_panel: QueuePanel | SceneList = QueuePanel(self)
+        else:
+            self._in_scene = InScene(self, self.bench.desk)
+            self.queue_panel = self._in_scene.list
+            self._in_scene.build_card()
+        self.object_folder = gui.add_folder(None, visible=self._in_scene is None)
+        with self.object_folder:
+            self._build_object()
+        keys = gui.add_button("Keys and mouse (?)", icon=viser.Icon.KEYBOARD, color="gray")
+        keys.on_click(lambda _: self.act(self.show_keys))
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(380)
+        add_keys(self)
+        self.pointing.listen()
+
+    def _build_object(self) -> None:
+        gui = self.client.gui
+        if self._in_scene is not None:
+            back = gui.add_button(
+                "Back to the scene (Backspace)", icon=viser.Icon.ARROW_LEFT, color="dark"
+            )
+            back.on_click(lambda _: self.act(self.in_scene.leave))
         self.status = gui.add_markdown("")
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self.cancel_button = gui.add_button(
@@ -92,24 +117,22 @@ class ClientApp:
             self.joints_panel = JointsPanel(self)
         with self.folders["Review"]:
             self.review_panel = ReviewPanel(self)
-        keys = gui.add_button("Keys and mouse (?)", icon=viser.Icon.KEYBOARD, color="gray")
-        keys.on_click(lambda _: self.act(self.show_keys))
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(380)
-        add_keys(self)
-        self.pointing.listen()
 
     def _start(self) -> None:
         """Go back to where this browser was, else to the first object that is not done."""
-        wanted = None
+        wanted, inside = None, ""
         try:
             stored = self.client.local_storage.get_item("artiworld", timeout=3.0)
-            name, _, number = (stored or "").partition("\n")
+            name, number, inside = [*(stored or "").split("\n", 2), "", ""][:3]
             self.who = cmd.clean_text(name, 60, "your name") or self.who
             wanted = int(number) if number.isdigit() else None
         except (RuntimeError, TimeoutError, ArtiworldError):
             log.info("tab %s has no memory of its own", self.client.client_id)
         self.queue_panel.show_user(self.who)
+        if self._in_scene is not None:
+            if inside:
+                self._in_scene.come_back(inside)
+            return
         records = self.bench.records()
         if not records:
             self.notify("The queue is empty", "Start with: artiworld serve PATH", "yellow")
@@ -127,6 +150,8 @@ class ClientApp:
         self._closed = True
         self.pointing.close()
         self.motion.stop()
+        if self._in_scene is not None:
+            self._in_scene.close()
         self._unwatch()
         self._unqueue()
         self._actions.put(None)
@@ -205,13 +230,42 @@ class ClientApp:
         if self.object.problem:
             self.notify("Can't open this file", self.object.problem, "red")
 
+    def close_object(self) -> None:
+        """Show no object: the scene is all there is."""
+        self._unwatch()
+        self._unwatch = lambda: None
+        self.motion.begin()
+        self.pointing.begin()
+        self.object, self.child = None, None
+        self.invalidate()
+
     def remember(self) -> None:
         """Keep the person's name and place in the browser."""
         number = "" if self.object is None else str(self.object.record.id)
-        self.client.local_storage.set_item("artiworld", f"{self.who}\n{number}")
+        inside = "" if self._in_scene is None else self._in_scene.inside or ""
+        self.client.local_storage.set_item("artiworld", f"{self.who}\n{number}\n{inside}")
+
+    @property
+    def in_scene(self) -> InScene:
+        """The scene as this tab sees it.
+
+        Raises:
+            ArtiworldError: where single objects are open.
+        """
+        if self._in_scene is None:
+            raise ArtiworldError("no scene is open: start with artiworld serve SCENE --assets DIR")
+        return self._in_scene
+
+    @property
+    def overview(self) -> InScene | None:
+        """The scene while none of its objects is worked on, else None."""
+        return self._in_scene if self.object is None else None
 
     def step(self, by: int) -> None:
-        """Next or previous object of the queue."""
+        """Next or previous object of the queue, or of the scene."""
+        if self._in_scene is not None:
+            self._in_scene.step(by)
+            return
         ids = [r.id for r in self.bench.records()]
         if self.object is not None and ids:
             self.open(ids[(ids.index(self.object.record.id) + by) % len(ids)])
@@ -227,19 +281,24 @@ class ClientApp:
             ArtiworldError: where none is open.
         """
         if self.object is None:
-            raise ArtiworldError("no object is open: choose one in the queue")
+            where = "the queue" if self._in_scene is None else "the scene and press Enter"
+            raise ArtiworldError(f"no object is open: choose one in {where}")
         return self.object
 
     def undo(self) -> None:
         """Take back the last decision."""
-        if self.need_object().state.can_undo:
+        if self.overview is not None:
+            self.overview.undo()
+        elif self.need_object().state.can_undo:
             self.do(cmd.Undo())
         else:
             self.notify("Nothing to undo", "", "gray")
 
     def redo(self) -> None:
         """Do again what was taken back."""
-        if self.need_object().state.can_redo:
+        if self.overview is not None:
+            self.overview.redo()
+        elif self.need_object().state.can_redo:
             self.do(cmd.Redo())
         else:
             self.notify("Nothing to redo", "", "gray")
@@ -296,6 +355,9 @@ class ClientApp:
 
     def accept(self) -> None:
         """Accept the object; its asset is written first."""
+        if self.overview is not None:
+            self.overview.accept()
+            return
         self.set_stage("Review")  # where a reason is asked for, and the next object follows
         panel = self.review_panel
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -304,6 +366,9 @@ class ClientApp:
 
     def reject(self) -> None:
         """Send the object back to its annotator."""
+        if self.overview is not None:
+            self.overview.reject()
+            return
         self.set_stage("Review")
         panel = self.review_panel
         self.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
@@ -313,6 +378,10 @@ class ClientApp:
 
     def go_on(self) -> None:
         """To the object that wants a decision most, after one was made."""
+        if self._in_scene is not None:
+            self._in_scene.leave()
+            self._in_scene.step(1)
+            return
         bench, current = self.bench, self.need_object().record
         following = bench.review_order.next(bench.records(), current.id)
         if following is None:
@@ -390,7 +459,18 @@ class ClientApp:
 
     def play(self, name: str | None = None) -> None:
         """Start or stop moving one joint, or all of them."""
-        self.motion.play(name)
+        if self.overview is not None:
+            self.overview.play()
+        else:
+            self.motion.play(name)
+
+    def frame(self) -> None:
+        """Aim at the open object, at the chosen one of the scene, or at all of it."""
+        if self.overview is None:
+            self.scene.frame_camera()
+        else:
+            chosen = self.overview.selected
+            self.overview.picture.frame(None if chosen is None else [chosen])
 
     def toggle_gizmo(self) -> None:
         """Show or hide the handles for the chosen joint's axis."""

@@ -34,6 +34,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("X", "reject"),
     ("N, B", "next, previous object"),
     ("C", "frame the object"),
+    ("Enter, Backspace", "in a scene: work on the chosen object, back to the scene"),
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
     ("Ctrl+K", "all commands by name"),
     ("?", "this sheet"),
@@ -87,6 +88,9 @@ def add_keys(app: ClientApp) -> None:
     add("Reject", "X", app.reject)
     add("Next object", "N", lambda: app.step(1))
     add("Previous object", "B", lambda: app.step(-1))
-    add("Frame the object", "C", app.scene.frame_camera)
+    add("Frame the object", "C", app.frame)
+    if app.bench.desk is not None:
+        add("Work on the chosen object", "enter", app.in_scene.enter)
+        add("Back to the scene", "backspace", app.in_scene.leave)
     for stage in ("Annotate", "Joints", "Review"):
         add(f"Step: {stage}", None, lambda stage=stage: app.set_stage(stage))

@@ -115,6 +115,30 @@ STATE_COLORS: Final[dict[str, Rgb]] = {
     "rejected": (224, 49, 49),
 }
 
+SCENE_COLORS: Final[dict[str, Rgb]] = {
+    "predicted": (128, 90, 213),
+    "todo": (237, 160, 40),
+    "rejected": (224, 49, 49),
+    "accepted": (47, 158, 68),
+    "static": (196, 200, 206),
+    "missing": (90, 96, 104),
+}
+"""Objects of a scene by where they stand; what is to do must not look like what stands still."""
+SCENE_ALBEDO: Final[dict[str, Rgb]] = {
+    state: (int(255 * (r / 255) ** 1.9), int(255 * (g / 255) ** 1.9), int(255 * (b / 255) ** 1.9))
+    for state, (r, g, b) in SCENE_COLORS.items()
+}
+"""The same for surfaces: under the lights of the picture they come out as the legend has them."""
+SCENE_GHOST: Final[Rgb] = (120, 130, 145)
+SCENE_WORDS: Final[dict[str, str]] = {
+    "predicted": "predicted",
+    "todo": "to do",
+    "rejected": "rejected",
+    "accepted": "accepted",
+    "static": "static",
+    "missing": "missing",
+}
+
 VERDICT_COLORS: Final[dict[str, Rgb]] = {
     "fine": (47, 158, 68),
     "look": (201, 118, 0),

@@ -168,6 +168,9 @@ class Pointing:
     def click(self, origin: Point, direction: Point, positive: bool) -> None:
         """A click in the picture: a prompt while annotating, else the choice of a joint."""
         app = self._app
+        if app.overview is not None:
+            app.overview.click(origin, direction)
+            return
         obj = app.need_object()
         if obj.asset is None:
             return

@@ -44,7 +44,12 @@ class Redraw:
     def draw(self) -> None:
         """Send what changed since the last time."""
         app = self._app
-        app.queue_panel.draw()
+        if app.bench.desk is None:
+            app.queue_panel.draw()
+        else:
+            app.in_scene.draw()
+            put(app.in_scene.folder, "visible", app.object is None)
+            put(app.object_folder, "visible", app.object is not None)
         for stage, folder in app.folders.items():
             if folder.visible != (stage == app.stage):
                 folder.visible = stage == app.stage
@@ -53,6 +58,11 @@ class Redraw:
             app.stage_buttons.options = labels
         obj = app.object
         if obj is None:
+            if self.asset is not None:
+                app.scene.clear()
+                self.asset = None
+                app.motion.forget_scene()
+                app.pointing.tell_page()
             return
         self._draw_status(obj)
         self._follow_prediction(obj)

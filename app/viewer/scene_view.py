@@ -25,6 +25,8 @@ FIELD_OF_VIEW = 0.7
 TINT_OPACITY = 0.5
 CLOUD_TINT = 0.55
 PROMPT_RADIUS = 0.0075
+SCENE_ROOT = "/world"
+"""Node above all that belongs to a scene around the object."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,10 @@ class AxisMark:
 class SceneView:
     """The 3D scene of one client."""
 
-    def __init__(self, client: viser.ClientHandle) -> None:
+    def __init__(self, client: viser.ClientHandle, in_scene: bool = False) -> None:
         self._client = client
         self._scene = client.scene
+        self._in_scene = in_scene
         self._asset: OpenedAsset | None = None
         self._scan: Any = None
         self._labels: npt.NDArray[np.int16] | None = None
@@ -66,32 +69,20 @@ class SceneView:
     # --- the object
 
     def clear(self) -> None:
-        """Take everything off the scene."""
-        self._scene.reset()
-        self.__init__(self._client)
+        """Take the object off the picture; a scene around it stays."""
+        for name in list(self._scene._handle_from_node_name):
+            if not name.startswith(SCENE_ROOT):
+                self._scene.remove_by_name(name)
+        self.__init__(self._client, self._in_scene)
 
     def show_asset(self, asset: OpenedAsset) -> None:
         """Draw a newly opened object and aim the camera at it."""
         self.clear()
         self._asset = asset
         scene, diagonal = self._scene, asset.diagonal
-        scene.configure_default_lights(cast_shadow=False)
-        scene.set_background_image(_backdrop(), format="png")
-        low, high = asset.bounds
-        span = float(max(high[0] - low[0], high[1] - low[1], 0.2 * diagonal))
-        cell = 10.0 ** np.floor(np.log10(span)) / 2
-        scene.add_grid(
-            "/ground",
-            width=4 * span,
-            height=4 * span,
-            position=(*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal),
-            cell_size=float(cell),
-            section_size=float(2 * cell),
-            cell_color=(205, 210, 216),
-            section_color=(184, 190, 198),
-            infinite_grid=True,
-            fade_distance=8 * span,
-        )
+        set_stage(scene)
+        if not self._in_scene:  # which has a floor of its own
+            self._show_ground(asset)
         if asset.glb is not None:
             self._scan = scene.add_glb("/scan", asset.glb, cast_shadow=False)
             self._offset = _pushed_out(asset, 4e-4 * diagonal)
@@ -106,6 +97,24 @@ class SceneView:
                 precision="float32",
             )
         self.frame_camera()
+
+    def _show_ground(self, asset: OpenedAsset) -> None:
+        diagonal = asset.diagonal
+        low, high = asset.bounds
+        span = float(max(high[0] - low[0], high[1] - low[1], 0.2 * diagonal))
+        cell = 10.0 ** np.floor(np.log10(span)) / 2
+        self._scene.add_grid(
+            "/ground",
+            width=4 * span,
+            height=4 * span,
+            position=(*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal),
+            cell_size=float(cell),
+            section_size=float(2 * cell),
+            cell_color=(205, 210, 216),
+            section_color=(184, 190, 198),
+            infinite_grid=True,
+            fade_distance=8 * span,
+        )
 
     def frame_camera(self) -> None:
         """Aim from the front, the side and above, with the whole object in the picture."""
@@ -422,6 +431,12 @@ class SceneView:
             self.touch.remove()
             self.touch = None
         return self.touch
+
+
+def set_stage(scene: viser.SceneApi) -> None:
+    """Light and backdrop."""
+    scene.configure_default_lights(cast_shadow=False)
+    scene.set_background_image(_backdrop(), format="png")
 
 
 def _backdrop() -> npt.NDArray[np.uint8]:

@@ -16,9 +16,8 @@ from model.collision.dops import Surface
 from model.collision.fitting import primitive_of
 from model.collision.hulls import Hull, hull_of, simplified, thick_hull
 from model.collision.merging import merge
-from model.collision.overlap import overlap
 from model.collision.pieces import cut_into_pieces
-from model.collision.relief import Bodies, moving_pairs, relieve
+from model.collision.relief import Bodies, in_the_way, relieve
 from model.collision.shapes import Shape, hull_of_shape
 from model.collision.store import fingerprint, load_shapes, save_shapes
 from model.collision.voxels import Occupancy, occupancy
@@ -27,7 +26,7 @@ from model.geometry.mesh import Mesh
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.progress import Progress, no_progress
 
-Method = Literal["auto", "hollow", "coacd", "hull"]
+Method = Literal["hollow", "auto", "coacd", "hull"]
 
 PIECE = 3e-4
 """Free voxels that a piece may cover, as a share of all."""
@@ -37,7 +36,7 @@ LEAST = 5e-4
 """Metres; no body is thinner."""
 COVERED = 0.05
 """Share of the free space that may be covered before coacd is asked for a better answer."""
-MOST_FACES = 60_000
+MOST_FACES = 20_000
 """Larger meshes are thinned first."""
 
 
@@ -46,9 +45,10 @@ class CollisionSettings:
     """How collision shapes are made.
 
     Attributes:
-        method: "hollow" cuts walls into slabs, "coacd" asks coacd alone, "hull" takes one convex
-            hull a part; "auto" is "hollow", and coacd where that covers more than
-            :data:`COVERED` of the free space, coacd is installed and its answer covers less.
+        method: "hollow" cuts walls into slabs, "coacd" asks coacd, "hull" takes one convex hull a
+            part; "auto" is "hollow", and coacd where that covers more than :data:`COVERED` of the
+            free space, coacd is installed and its answer covers less. What coacd answers within
+            its time depends on the machine, and it is slow: who waits takes "hollow".
         max_hulls: budget of a part.
         max_vertices: of a hull; PhysX takes no more than 64.
         primitives: put boxes, cylinders, spheres and capsules in place of hulls like them.
@@ -57,7 +57,7 @@ class CollisionSettings:
         seed: the only source of randomness.
     """
 
-    method: Method = "auto"
+    method: Method = "hollow"
     max_hulls: int = 24
     max_vertices: int = 32
     primitives: bool = True
@@ -107,18 +107,24 @@ def collision_of(
         _remember(key, kept)
         progress(1.0, "collision shapes were there already")
         return kept
-    for part in obj.parts:
+    for i, part in enumerate(obj.parts):
+        progress(0.4 * i / len(obj.parts), f"surface of {part.link}")
         part_mesh(part)  # one without geometry is named here
     diagonal = _diagonal(obj)
     bodies: Bodies = {}
     for i, part in enumerate(obj.parts):
-        progress(0.9 * i / len(obj.parts), f"collision shapes of {part.link}")
+        progress(0.4 + 0.5 * i / len(obj.parts), f"collision shapes of {part.link}")
         bodies[part.link] = _kept_bodies(part, diagonal, settings, store)
     progress(0.9, "making room between the parts")
     slim = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in bodies.items()}
-    free = relieve(slim, obj.tree, diagonal) if settings.relief else slim
-    fine = {id(s): f for k in slim for s, f in zip(slim[k], bodies[k], strict=True)}
-    shapes = _shapes(obj, free, fine if settings.primitives else {})
+    free = slim
+    if settings.relief:
+        cut = relieve(slim, obj.tree, diagonal)
+        free = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in cut.items()}
+    shapes: dict[str, tuple[Shape, ...]] = {k: tuple(v) for k, v in free.items()}
+    if settings.primitives:
+        fine = {id(s): f for k in slim for s, f in zip(slim[k], bodies[k], strict=True)}
+        shapes = _shapes(obj, free, fine, diagonal)
     save_shapes(store, key, shapes)
     _remember(key, shapes)
     progress(1.0, "collision shapes are there")
@@ -251,29 +257,20 @@ def _distinct(faces: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def _shapes(
-    obj: ArticulatedObject, free: Bodies, fine: Mapping[int, Hull]
+    obj: ArticulatedObject, free: Bodies, fine: Mapping[int, Hull], diagonal: float
 ) -> dict[str, tuple[Shape, ...]]:
     """Primitives where a body is like one and nothing else is in the primitive's way.
 
     Args:
         fine: id of a body that was not cut → the one with more corners that it was made from.
     """
-    others: dict[str, list[Hull]] = {link: [] for link in free}
-    for a, b in moving_pairs(obj.tree):
-        if a in free and b in free:
-            others[a] += free[b]
-            others[b] += free[a]
-    out: dict[str, tuple[Shape, ...]] = {}
-    for link, bodies in free.items():
-        held: list[Shape] = []
-        for body in bodies:
-            shape = primitive_of(fine.get(id(body), body)) if fine else None
-            blocked = shape is not None and any(
-                overlap(shape.hull, other) is not None for other in others[link]
-            )
-            held.append(body if shape is None or blocked else shape)
-        out[link] = tuple(held)
-    return out
+    shapes: dict[str, list[Shape]] = {
+        k: [primitive_of(fine.get(id(h), h)) or h for h in hulls] for k, hulls in free.items()
+    }
+    tried = {k: [hull_of_shape(s) for s in held] for k, held in shapes.items()}
+    for link, i in in_the_way(tried, obj.tree, diagonal):
+        shapes[link][i] = free[link][i]
+    return {k: tuple(held) for k, held in shapes.items()}
 
 
 __all__ = [

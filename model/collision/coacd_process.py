@@ -7,7 +7,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -36,7 +38,8 @@ def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None
     root = str(Path(__file__).resolve().parents[2])
     with tempfile.TemporaryDirectory(prefix="artiworld-") as folder:
         source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
-        np.savez(source, vertices=mesh.vertices, faces=mesh.faces, options=json.dumps(options))
+        np.savez(source, vertices=mesh.vertices, faces=mesh.faces, options=json.dumps(options),
+                 seconds=math.ceil(seconds))  # fmt: skip
         paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         try:
             subprocess.run(
@@ -58,6 +61,7 @@ def main(source: str, target: str) -> None:
 
     coacd.set_log_level("off")
     with np.load(source, allow_pickle=False) as data:
+        signal.alarm(int(data["seconds"]) + 1)  # ends it too where the parent was killed meanwhile
         mesh = coacd.Mesh(data["vertices"], data["faces"])
         found = coacd.run_coacd(mesh, **json.loads(str(data["options"])))
     corners = {str(i): np.asarray(vertices) for i, (vertices, _) in enumerate(found)}

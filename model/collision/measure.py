@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -33,8 +34,9 @@ class FreeVolume:
         kept: share of it that the shapes leave free.
         kept_by_hull: share that one convex hull a part leaves.
         kept_by_coacd: share that coacd with its defaults leaves; None where it wasn't asked, isn't
-            installed, or failed or timed out on a part.
+            installed, failed on a part or ran out of time.
         coacd_hulls: how many hulls it took.
+        coacd_seconds: and how long.
     """
 
     volume: float
@@ -42,6 +44,7 @@ class FreeVolume:
     kept_by_hull: float
     kept_by_coacd: float | None = None
     coacd_hulls: int | None = None
+    coacd_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -83,12 +86,12 @@ def free_volume(
     """How much free space shapes leave, against one hull a part and coacd's defaults.
 
     Args:
-        coacd_seconds: time limit of coacd on one part; 0 leaves it out.
+        coacd_seconds: time limit of coacd on all parts together; 0 leaves it out.
     """
     from model.exporters.part_files import part_mesh
 
     total = kept = by_hull = by_coacd = 0.0
-    hulls, asked = 0, coacd_seconds > 0
+    hulls, asked, spent = 0, coacd_seconds > 0, 0.0
     for part in obj.parts:
         mesh = thinned(part_mesh(part))
         alive = mesh.face_areas > 0
@@ -102,7 +105,9 @@ def free_volume(
         kept += free * (1 - covered(space, shapes))
         by_hull += free * (1 - covered(space, [whole]))
         if asked:
-            found: Sequence[Hull] | None = coacd_hulls(mesh, coacd_seconds)
+            start = time.perf_counter()
+            found: Sequence[Hull] | None = coacd_hulls(mesh, coacd_seconds - spent)
+            spent += time.perf_counter() - start
             asked = found is not None
             by_coacd += free * (1 - covered(space, list(found or ())))
             hulls += len(found or ())
@@ -110,4 +115,5 @@ def free_volume(
     return FreeVolume(
         total, kept * share if total else 1.0, by_hull * share if total else 1.0,
         by_coacd * share if asked and total else None, hulls if asked else None,
+        spent if asked else None,
     )  # fmt: skip

@@ -4,7 +4,7 @@ A drawer sits in its cabinet without a gap, a hinge's pin in its hole: bodies th
 push each other away in a simulator and jam the joint. Where two overlap, a plane between them cuts
 one or both; of the ways to cut, the one that loses least. The same is done on the way from rest to
 the joint's limits, in steps that begin small, since corners near a hinge graze their frame as soon
-as the door moves. What overlaps by more than that from one step to the next stays: it is a
+as the door moves. What goes deeper than a graze before it comes free again stays: it is a
 collision, and for people to mend.
 """
 
@@ -21,15 +21,16 @@ from model.collision.hulls import Hull, clipped
 from model.collision.overlap import Overlap, overlap
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.kinematics.ways import joint_poses
 
 GAP = 2e-4
 """Between bodies afterwards, in the object's diagonal."""
 GRAZE = 0.01
 """Overlap along the range that is cut away, in the diagonal."""
-STEPS = (0.004, 0.012, 0.03, 0.07, 0.15, 0.3, 0.6, 1.0)
-"""Of the way from rest to a limit, where a hinge's grazing is looked for."""
-SLIDES = (0.02, 0.25, 0.5, 1.0)
-"""The same of sliding joints, which graze as much at every step."""
+FIRST_STEP, WIDENING, LONGEST_STEP = 2e-4, 1.1, 2e-3
+"""How far what moves fastest goes between two poses in which grazing is looked for, in the
+diagonal: handles pass each other within a few millimetres."""
+MOST_STEPS = 500
 ROUNDS = 4
 LEAST = 0.3
 """Share of a body that must be left where it is cut."""
@@ -84,15 +85,62 @@ def poses_over_range(
                 yield joint, float(q), tree.pose({joint.name: float(q)})
 
 
-def _poses_from_rest(tree: KinematicTree) -> Iterator[tuple[Joint, Mapping[str, FloatArray]]]:
-    """Each leading joint alone, from rest to either limit, in widening steps."""
+def _steps(travel: float) -> FloatArray:
+    """Shares of a way of ``travel`` diagonals, widening, the last one 1."""
+    step = FIRST_STEP * WIDENING ** np.arange(MOST_STEPS)
+    way = np.cumsum(np.minimum(step, max(LONGEST_STEP, travel / MOST_STEPS)))
+    return np.append(way[way < travel], travel) / travel
+
+
+def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:
+    """Metres that the outermost corner goes per unit of the joint."""
+    at = [h.vertices for link in moved for h in bodies.get(link, ())]
+    if not joint.rotates or not at:
+        return 1.0
+    arm = np.concatenate(at) - joint.origin
+    return float(np.linalg.norm(np.cross(arm, joint.axis), axis=1).max())
+
+
+def _grazes(
+    bodies: Bodies, tree: KinematicTree, pairs: list[tuple[str, str]], diagonal: float
+) -> Iterator[list[Touching]]:
+    """Pose by pose, each leading joint alone from rest to either limit: what touches but goes no
+    deeper than :data:`GRAZE` until it is free again."""
     for joint in tree.joints:
         if not joint.moves or joint.mimic is not None:
             continue
+        moved = frozenset(tree.descendants(joint.child))
+        crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
         for end in limits_of(joint):
-            for step in STEPS if joint.rotates else SLIDES:
-                if abs(end * step) > 1e-9:
-                    yield joint, tree.pose({joint.name: end * step})
+            travel = abs(end) * _travel(bodies, joint, moved) / diagonal
+            if travel < FIRST_STEP:
+                continue
+            poses = joint_poses(tree, joint, end * _steps(travel))
+            count = len(next(iter(poses.values())))
+            found = (overlaps(bodies, crossing, {k: p[i] for k, p in poses.items()})
+                     for i in range(count))  # fmt: skip
+            yield from _shallow(list(found), GRAZE * diagonal)
+
+
+def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
+    """Without the bodies that go deeper than ``most`` in the run of poses they touch in."""
+    out: list[list[Touching]] = [[] for _ in found]
+    runs: dict[tuple[str, str, int, int], list[tuple[int, Touching]]] = {}
+
+    def end(run: list[tuple[int, Touching]]) -> None:
+        if max(t.found.depth for _, t in run) <= most:
+            for k, touch in run:
+                out[k].append(touch)
+
+    for k, touches in enumerate(found):
+        now = {(t.a, t.b, t.i, t.j): t for t in touches}
+        for key in runs.keys() - now.keys():
+            end(runs.pop(key))
+        for key, touch in now.items():
+            runs.setdefault(key, []).append((k, touch))
+    for run in runs.values():
+        end(run)
+    return out
 
 
 def overlaps(
@@ -101,8 +149,16 @@ def overlaps(
     poses: Mapping[str, FloatArray],
     least: float = 0.0,
 ) -> list[Touching]:
-    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose."""
-    boxes = {link: _boxes(hulls, poses[link]) for link, hulls in bodies.items() if hulls}
+    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose.
+
+    Args:
+        poses: link → (4, 4) ``posed_from_rest``; links that aren't there rest.
+    """
+    asked = {link for pair in pairs for link in pair}
+    rest = np.eye(4)
+    boxes = {
+        k: _boxes(hulls, poses.get(k, rest)) for k, hulls in bodies.items() if hulls and k in asked
+    }
     out: list[Touching] = []
     for a, b in pairs:
         if a not in boxes or b not in boxes:
@@ -111,7 +167,7 @@ def overlaps(
         apart |= (boxes[b][None, :, 0] >= boxes[a][:, None, 1]).any(axis=2)
         if apart.all():
             continue
-        a_from_b = np.linalg.inv(poses[a]) @ poses[b]
+        a_from_b = np.linalg.inv(poses.get(a, rest)) @ poses.get(b, rest)
         seen: dict[int, Hull] = {}
         for i, j in np.argwhere(~apart).tolist():
             if j not in seen:
@@ -124,8 +180,9 @@ def overlaps(
 
 def _boxes(hulls: list[Hull], pose: FloatArray) -> FloatArray:
     """(N, 2, 3) boxes of moved bodies."""
-    each = [h.vertices @ pose[:3, :3].T + pose[:3, 3] for h in hulls]
-    return np.stack([np.stack([v.min(axis=0), v.max(axis=0)]) for v in each])
+    at = np.concatenate([h.vertices for h in hulls]) @ pose[:3, :3].T + pose[:3, 3]
+    start = np.cumsum([0, *(len(h.vertices) for h in hulls[:-1])])
+    return np.stack([np.minimum.reduceat(at, start), np.maximum.reduceat(at, start)], axis=1)
 
 
 def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float) -> Bodies:
@@ -140,11 +197,18 @@ def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float) -> Bodies:
     for _ in range(ROUNDS):
         if not _cut_all(bodies, overlaps(bodies, pairs, rest), gap, np.inf):
             break
-    for joint, poses in _poses_from_rest(tree):
-        moved = tree.descendants(joint.child)
-        crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
-        _cut_all(bodies, overlaps(bodies, crossing, poses), gap, GRAZE * diagonal)
+    for found in _grazes(bodies, tree, pairs, diagonal):
+        _cut_all(bodies, found, gap, GRAZE * diagonal)
     return bodies
+
+
+def in_the_way(bodies: Bodies, tree: KinematicTree, diagonal: float) -> set[tuple[str, int]]:
+    """Bodies (link, number) that touch others at rest, or graze them over the range."""
+    pairs = moving_pairs(tree)
+    found = overlaps(bodies, pairs, tree.pose({}))
+    for touches in _grazes(bodies, tree, pairs, diagonal):
+        found += touches
+    return {one for t in found for one in ((t.a, t.i), (t.b, t.j))}
 
 
 def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> bool:

@@ -54,7 +54,15 @@ from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.tree_json import tree_to_json
 from model.progress import Progress, no_progress
 
-__all__ = ["AssetFiles", "load_object", "read_provenance", "reload_check", "write_asset"]
+__all__ = [
+    "AssetFiles",
+    "load_object",
+    "publish",
+    "read_provenance",
+    "reload_check",
+    "write_asset",
+    "write_draft",
+]
 
 
 @dataclass(frozen=True)
@@ -98,32 +106,84 @@ def write_asset(
         InputFileError: where the folder holds something else, or can't be written.
     """
     folder = Path(folder).absolute()
+    json.dumps(dict(provenance), allow_nan=False)  # fails before anything is written
     recover(folder)
-    _check_sums(obj, original)
-    text = json.dumps(dict(provenance), allow_nan=False)  # fails before anything is written
     _check_target(folder)
+    draft = _beside(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        fresh = folder.with_name(f".{folder.name}.{secrets.token_hex(6)}")
-        fresh.mkdir()
+        write_draft(obj, draft, original=original, physics=physics, progress=progress)
     except OSError as error:
+        shutil.rmtree(draft, ignore_errors=True)
         raise _unwritable(folder, error) from error
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+    return publish(draft, folder, provenance)
+
+
+def write_draft(
+    obj: ArticulatedObject,
+    draft: Path,
+    *,
+    original: Asset | None = None,
+    physics: Physics | None = None,
+    progress: Progress = no_progress,
+) -> None:
+    """Everything of an asset but where it comes from, into the new folder ``draft``.
+
+    It reads as an asset does; :func:`publish` makes it one.
+
+    Raises:
+        GeometryError: for a part without geometry, or parts that don't add up.
+        OSError: where the folder is there already, or can't be written.
+    """
+    _check_sums(obj, original)
+    draft.mkdir()
+    parts = write_parts(obj, draft, progress=progress)
+    _write_texts(obj, draft, parts, original, physics)
+
+
+def publish(draft: Path, folder: Path, provenance: Mapping[str, Any]) -> AssetFiles:
+    """Say where the asset in ``draft`` comes from, and let it take its place; the draft is gone.
+
+    Raises:
+        InputFileError: where the folder holds something else, or can't be written.
+    """
+    folder = folder.absolute()
+    text = json.dumps(dict(provenance), allow_nan=False)
+    recover(folder)
+    _check_target(folder)
+    entry: dict[str, Any] = read_provenance(draft)["asset"]
+    entry["written"] = _now()
+    fresh = _beside(folder)
     try:
-        parts = write_parts(obj, fresh, progress=progress)
-        _write_texts(obj, fresh, parts, json.loads(text), original, physics)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        _write_json(draft / PROVENANCE, {**json.loads(text), "asset": entry})
+        shutil.move(draft, fresh)
         _take_place(fresh, folder)
     except OSError as error:
         raise _unwritable(folder, error) from error
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
+    clouds = {p["link"]: folder / p["cloud"] for p in entry["parts"] if p["cloud"]}
     return AssetFiles(
         folder,
         folder / URDF,
         folder / TREE,
         folder / PROVENANCE,
-        {p.link: folder / p.mesh for p in parts},
-        {p.link: folder / p.cloud for p in parts if p.cloud},
+        {p["link"]: folder / p["mesh"] for p in entry["parts"]},
+        clouds,
     )
+
+
+def _beside(folder: Path) -> Path:
+    """A new name on the same disk, which :func:`~model.exporters.saved.recover` knows."""
+    return folder.with_name(f".{folder.name}.{secrets.token_hex(6)}")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _unwritable(folder: Path, error: OSError) -> InputFileError:
@@ -165,24 +225,23 @@ def _write_texts(
     obj: ArticulatedObject,
     folder: Path,
     parts: tuple[PartFile, ...],
-    provenance: dict[str, Any],
     original: Asset | None,
     physics: Physics | None,
 ) -> None:
     write_urdf_of(obj, parts, folder / URDF, physics)
     _write_json(folder / TREE, tree_to_json(obj.tree))
     files = sorted(p for p in folder.rglob("*") if p.is_file())
-    provenance["asset"] = {
+    entry = {
         "format": FORMAT,
         "name": obj.name,
         "category": obj.category,
-        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "written": _now(),
         "parts": [_entry(p) for p in parts],
         "original": None if original is None else _sums(original),
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }
-    _write_json(folder / PROVENANCE, provenance)
+    _write_json(folder / PROVENANCE, {"asset": entry})
 
 
 def _entry(part: PartFile) -> dict[str, Any]:

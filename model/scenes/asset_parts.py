@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from model.datasets.partnet_mobility import read_partnet_mobility
+from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
 from model.errors import ArtiworldError
 from model.geometry.asset import Asset
@@ -17,6 +18,7 @@ from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import FOLDER_SUFFIXES, MOBILITY, read_asset, read_part_files
 from model.geometry.topology import connected_shells
 from model.kinematics.articulated_object import Part, SegmentedObject
+from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.scenes.scene import FloatArray
 
@@ -34,10 +36,12 @@ class AssetParts:
 
     Attributes:
         how: where the cut comes from, for people.
+        truth: the joints of the asset's own URDF, where it has one.
     """
 
     parts: tuple[Part, ...]
     how: str
+    truth: KinematicTree | None = None
 
 
 def known_parts(path: Path) -> AssetParts:
@@ -49,13 +53,17 @@ def known_parts(path: Path) -> AssetParts:
     """
     if path.is_dir():
         if (path / MOBILITY).is_file():
-            return _at_least_two(read_partnet_mobility(path).object.parts, "links of its URDF")
+            return _of_urdf(read_partnet_mobility(path))
         if (path / "object.urdf").is_file():
-            truth = UrdfFolders(path.parent).load(path.name)
-            return _at_least_two(truth.object.parts, "links of its URDF")
+            return _of_urdf(UrdfFolders(path.parent).load(path.name))
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
-    return _pieces(read_asset(path))
+    return _pieces(read_unshifted(path))
+
+
+def read_unshifted(path: Path) -> Asset:
+    """The asset in its file's own frame, where scenes count from, even far from its origin."""
+    return _unshifted(read_asset(path))
 
 
 def whole(path: Path) -> Part:
@@ -73,7 +81,7 @@ def whole(path: Path) -> Part:
             merged(meshes) if meshes else None,
             merged_clouds(clouds) if clouds and not meshes else None,
         )
-    asset = _unshifted(read_asset(path))
+    asset = read_unshifted(path)
     return Part("link_0", asset.mesh, None if asset.mesh is not None else asset.cloud)
 
 
@@ -88,6 +96,26 @@ def scaled(parts: tuple[Part, ...], factors: FloatArray) -> tuple[Part, ...]:
         )
         for p in parts
     )
+
+
+def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
+    """Joints stretched as :func:`scaled` does the parts.
+
+    A turn about an axis is none any more where the factors differ; its axis goes along.
+    """
+    joints = []
+    for joint in tree.joints:
+        along = np.asarray(joint.axis) * factors
+        length = float(np.linalg.norm(along))
+        slide = length if joint.type == "prismatic" else 1.0
+        x, y, z = (along / length).tolist() if length > 0 else joint.axis
+        ox, oy, oz = (np.asarray(joint.origin) * factors).tolist()
+        joints.append(replace(
+            joint, axis=(x, y, z), origin=(ox, oy, oz),
+            lower=None if joint.lower is None else joint.lower * slide,
+            upper=None if joint.upper is None else joint.upper * slide,
+        ))  # fmt: skip
+    return KinematicTree(tree.links, tuple(joints))
 
 
 def bounds_of(parts: tuple[Part, ...]) -> FloatArray:
@@ -111,8 +139,12 @@ def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
     return AssetParts(parts, how)
 
 
+def _of_urdf(truth: GroundTruth) -> AssetParts:
+    found = _at_least_two(truth.object.parts, "links of its URDF")
+    return replace(found, truth=truth.object.tree)
+
+
 def _pieces(asset: Asset) -> AssetParts:
-    asset = _unshifted(asset)
     if asset.mesh is None:
         raise LeftForAnnotator("it is a point cloud without parts; cut it by clicks")
     shells = connected_shells(asset.mesh)

@@ -13,15 +13,16 @@
 
 from __future__ import annotations
 
+import difflib
 import fcntl
 import hashlib
 import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,23 +36,27 @@ from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
+from model.scenes.clicked import ClickedObject, ObjectClicks
+from model.scenes.embedded import Unpacked, unpack
 from model.scenes.jobs import (
     ASSETS,
     DONE,
     FAILED,
     MISSING,
+    MOVING,
     PLAIN,
-    PREDICTED,
     AssetJob,
     ConvertAsset,
     read_done,
 )
+from model.scenes.language_finder import LanguageFinder
 from model.scenes.neighbours import Standing, shortened
 from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
+from model.scenes.ray_map import ray_map
 from model.scenes.results import write_results
 from model.scenes.scene import Scene, SceneObject, SceneObjectError
 
-LIMITS, LOCK = "work/limits", "work/lock"
+LIMITS, LOCK, UNPACKED = "work/limits", "work/lock", "work/unpacked"
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,10 @@ class ConvertSettings:
         collision: make collision shapes; bases that are free are free in MJCF only with them, as
             they would fall through the floor without.
         seconds: time limit an asset.
+        formats: what the scene is written as besides MJCF.
+        clicks: object's id → clicks that cut it into parts; such an object is articulated.
+        ray: address of a Ray cluster that does the work, whose machines all see ``out`` and the
+            assets under the same paths; None for processes of this machine.
     """
 
     jobs: int = 1
@@ -73,6 +82,9 @@ class ConvertSettings:
     keep_limits: bool = False
     collision: bool = False
     seconds: float = 1800.0
+    formats: tuple[str, ...] = ()
+    clicks: Mapping[str, ObjectClicks] = field(default_factory=dict)
+    ray: str | None = None
 
 
 @dataclass(eq=False)
@@ -121,19 +133,22 @@ def convert_scene(
         InputFileError: where ``out`` can't be written.
     """
     settings = settings or ConvertSettings()
+    _check_clicks(scene, settings)
     start = time.perf_counter()
     with _alone(out):
         _sweep_up(out)
-        outcomes = _decide(scene, assets, finder)
+        outcomes = decide(scene, assets, finder, unpack(scene, out / UNPACKED))
         made = _make_jobs(outcomes, settings)
         reused = _run_jobs(made, outcomes, out, settings, progress)
         if not settings.keep_limits:
-            _shorten(outcomes, out, progress)
+            shorten_limits(outcomes, out, progress)
         summary = write_results(
-            scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous
-        )
+            scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous,
+            formats=settings.formats,
+        )  # fmt: skip
         summary |= {
             "finder": finder.name,
+            "finder_usage": asdict(finder.usage) if isinstance(finder, LanguageFinder) else None,
             "predictor": settings.predictor,
             "assets_converted": len(made) - reused,
             "assets_done_before": reused,
@@ -142,6 +157,17 @@ def convert_scene(
         job_module.write_json(out / "summary.json", summary)
     progress(1.0, "done")
     return summary
+
+
+def _check_clicks(scene: Scene, settings: ConvertSettings) -> None:
+    ids = [o.id for o in scene.objects]
+    for id in settings.clicks:
+        if id not in ids:
+            near = difflib.get_close_matches(id, ids, 5, 0.3) or ids[:5]
+            raise ConfigurationError(
+                f"there are clicks for {id!r}, which {scene.path.name} doesn't hold; it holds "
+                f"{', '.join(near)}, …"
+            )
 
 
 @contextmanager
@@ -170,20 +196,35 @@ def _sweep_up(out: Path) -> None:
             draft.unlink(missing_ok=True)
 
 
-def _decide(scene: Scene, assets: AssetIndex, finder: ArticulableFinder) -> list[Outcome]:
-    asked = [
-        ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects
-    ]  # fmt: skip
+def descriptions(scene: Scene) -> list[ObjectDescription]:
+    """What a finder is told of each object."""
+    return [ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects]
+
+
+def decide(
+    scene: Scene,
+    assets: AssetIndex,
+    finder: ArticulableFinder,
+    inside: Unpacked | None = None,
+) -> list[Outcome]:
+    """Each object with the finder's decision, its asset, and whether that is known to move.
+
+    Args:
+        inside: what the scene's own file held; where it wasn't unpacked, its objects are missing.
+    """
+    inside = inside or Unpacked()
     truths: dict[Path, bool | None] = {}
     out: list[Outcome] = []
-    for obj, decision in zip(scene.objects, finder.find(asked), strict=True):
+    for obj, decision in zip(scene.objects, finder.find(descriptions(scene)), strict=True):
         outcome = Outcome(obj, decision)
         if obj.box is not None:
             outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
         elif obj.asset is None:
             outcome.reason = "names no asset"
+        elif obj.asset in inside.problems:
+            outcome.state, outcome.reason = FAILED, inside.problems[obj.asset]
         else:
-            outcome.path = assets.find(obj.asset)
+            outcome.path = inside.files.get(obj.asset) or assets.find(obj.asset)
             if outcome.path is None:
                 outcome.reason = f"asset {obj.asset!r} is in none of the folders given"
             else:
@@ -217,25 +258,33 @@ def _make_jobs(outcomes: Sequence[Outcome], settings: ConvertSettings) -> dict[s
         except ArtiworldError as error:
             o.state, o.reason, o.path = FAILED, str(error), None
             continue
-        job = _job(o, digests[o.path], settings)
+        job = asset_job(o, digests[o.path], settings)
         o.key = job.key
         made.setdefault(job.key, job)
     return made
 
 
-def _job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
+def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
+    """The job for an object with an asset whose files have that digest."""
     assert o.path is not None
     x, y, z = (round(float(v), 9) for v in o.obj.scale)
     fit = None if o.obj.fit is None else tuple(round(float(v), 9) for v in o.obj.fit)
-    articulate = o.decision.articulable
+    clicks = settings.clicks.get(o.obj.id)
+    articulate = o.decision.articulable or clicks is not None
     category = (o.decision.kind or o.obj.category) if articulate else None
-    told = [digest, x, y, z, fit, articulate, category, settings.collision]
+    clicked = None
+    if clicks is not None:
+        category = clicks.category or category
+        clicked = ClickedObject(clicks, o.obj.world_from_object, o.obj.anchor)
+    told = [digest, x, y, z, fit, articulate, category, settings.collision, settings.formats]
+    if clicks is not None:
+        told += [clicks.key(), o.obj.world_from_object.tolist(), o.obj.anchor]
     told += [settings.predictor, settings.seed] if articulate else []
     short = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:12]
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]
     return AssetJob(
         f"{stem}-{short}", o.path, (x, y, z), fit, articulate, category, settings.predictor,  # type: ignore[arg-type]
-        settings.seed, settings.collision, settings.seconds,
+        settings.seed, settings.collision, settings.seconds, settings.formats, clicked,
     )  # fmt: skip
 
 
@@ -252,8 +301,12 @@ def _run_jobs(
     waiting = [k for k in made if k not in reports]
     tell = _time_left(progress, 0.0, 0.8, len(waiting))
     tell(0, "converting")
-    run = ConvertAsset(out, {k: made[k] for k in waiting}, os.getpid())
-    for i, (key, report) in enumerate(robust_map(run, waiting, settings.jobs), 1):
+    todo = {k: made[k] for k in waiting}
+    if settings.ray is None:
+        answers = robust_map(ConvertAsset(out, todo, os.getpid()), waiting, settings.jobs)
+    else:
+        answers = ray_map(ConvertAsset(out.absolute(), todo, None), waiting, settings.ray)
+    for i, (key, report) in enumerate(answers, 1):
         reports[key] = report if report is not None else job_module.died(made[key])
         tell(i, key)
     for o in outcomes:
@@ -263,10 +316,10 @@ def _run_jobs(
     return reused
 
 
-def _shorten(outcomes: Sequence[Outcome], out: Path, progress: Progress) -> None:
+def shorten_limits(outcomes: Sequence[Outcome], out: Path, progress: Progress) -> None:
     """Shorten the limits of each articulated object, its neighbours at rest."""
     standing = {o.obj.id: s for o in outcomes if (s := _standing(o, out)) is not None}
-    moving = [o for o in outcomes if o.state == PREDICTED and o.obj.id in standing]
+    moving = [o for o in outcomes if o.state in MOVING and o.obj.id in standing]
     tell = _time_left(progress, 0.8, 0.97, len(moving))
     for i, o in enumerate(moving):
         tell(i, f"limits of {o.obj.id}")

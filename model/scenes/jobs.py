@@ -11,20 +11,37 @@ from pathlib import Path
 from typing import Any
 
 from model.errors import ArtiworldError, InputFileError
+from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import OutOfTimeError, time_limit
 from model.exporters.asset_folder import write_asset
 from model.exporters.mjcf import MjcfExporter
 from model.exporters.physics import Physics, PhysicsSettings, physics_of, plain_physics
+from model.exporters.sdf import SdfExporter
+from model.exporters.usd import UsdExporter
 from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
 from model.kinematics.tree import KinematicTree
 from model.predictors import load_predictor
-from model.scenes.asset_parts import LeftForAnnotator, bounds_of, known_parts, scaled, whole
-from model.scenes.scene import SceneObject
+from model.scenes.asset_parts import (
+    AssetParts,
+    LeftForAnnotator,
+    bounds_of,
+    known_parts,
+    scaled,
+    scaled_tree,
+    whole,
+)
+from model.scenes.clicked import ClickedObject, clicked_parts
+from model.scenes.scene import FloatArray, SceneObject
 
 ASSETS, DONE, MJCF = "assets", "work/assets", "mjcf"
+FORMATS = ("sdf", "usd")
+"""What scenes can be written as besides MJCF."""
 
 PREDICTED, STATIC, ANNOTATE, FAILED = "predicted", "static", "annotate", "failed"
 """What became of an asset; ``annotate`` stands there rigid until a person cuts it."""
+ACCEPTED = "accepted"
+"""As predicted, and a person said that it is right."""
+MOVING = (PREDICTED, ACCEPTED)
 MISSING, PLAIN = "missing", "plain"
 """States of objects whose asset isn't there, and of plain boxes without one."""
 
@@ -42,6 +59,8 @@ class AssetJob:
         predictor, seed: as :func:`model.predictors.load_predictor` and ``predict`` take them.
         collision: whether collision shapes are made, which takes most of the time.
         seconds: time limit.
+        formats: further ones that the asset is written in, of :data:`FORMATS`.
+        clicked: clicks that cut it into parts, or None.
     """
 
     key: str
@@ -54,15 +73,21 @@ class AssetJob:
     seed: int
     collision: bool
     seconds: float
+    formats: tuple[str, ...] = ()
+    clicked: ClickedObject | None = None
 
 
 @dataclass(frozen=True)
 class ConvertAsset:
-    """Runs jobs into ``out``; picklable. Never raises: what went wrong is in the answer."""
+    """Runs jobs into ``out``; picklable. Never raises: what went wrong is in the answer.
+
+    Attributes:
+        parent: process without which it ends; None where another program ends it.
+    """
 
     out: Path
     jobs: dict[str, AssetJob]
-    parent: int
+    parent: int | None
 
     def __call__(self, key: str) -> dict[str, Any]:
         """Convert one asset and record it; the record is written last, so a kill loses only it."""
@@ -91,18 +116,19 @@ def _record(job: AssetJob, state: str, reason: str) -> dict[str, Any]:
 
 
 def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
-    state, reason, how = STATIC, "", None
-    parts = None
+    state, reason, found = STATIC, "", None
+    holder = _holder(job)
     if job.articulate:
         try:
-            found = known_parts(job.path)
-            parts, how = found.parts, found.how
+            found = (
+                known_parts(job.path) if job.clicked is None
+                else clicked_parts(job.path, holder, job.clicked.clicks)
+            )  # fmt: skip
         except LeftForAnnotator as left:
             state, reason = ANNOTATE, str(left)
-    if parts is None:
-        parts = (whole(job.path),)
+    parts = (whole(job.path),) if found is None else found.parts
+    how = None if found is None else found.how
     asset_bounds = bounds_of(parts)
-    holder = _holder(job)
     placement = holder.placed(asset_bounds)
     parts = scaled(parts, placement.scale)
     name = job.path.stem if job.path.is_file() else job.path.name
@@ -127,8 +153,10 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         obj, folder, provenance={"source": name, "predictor": backend, "parts": how},
         physics=physics if job.collision else None,
     )  # fmt: skip
-    (folder / MJCF).mkdir(exist_ok=True)
-    MjcfExporter().export(obj, folder / MJCF, physics=physics)
+    for name_, exporter in (("usd", UsdExporter()), ("sdf", SdfExporter()), (MJCF, MjcfExporter())):
+        if name_ == MJCF or name_ in job.formats:
+            (folder / name_).mkdir(exist_ok=True)
+            exporter.export(obj, folder / name_, physics=physics)
     joints = [{**asdict(j), "confidence": confidence.get(j.child)} for j in tree.joints if j.moves]
     return {
         **_record(job, state, reason),
@@ -137,13 +165,31 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         "parts": len(parts),
         "how": how,
         "problems": list(problems),
+        "usable": _usable(obj, found, placement.scale, state),
     }
+
+
+def _usable(
+    obj: ArticulatedObject, found: AssetParts | None, factors: FloatArray, state: str
+) -> bool | None:
+    """Whether every joint is right (ArtiWorld, usability); None where no URDF tells the truth."""
+    if found is None or found.truth is None:
+        return None
+    if state != PREDICTED:
+        return False
+    truth = ArticulatedObject(obj.name, obj.parts, scaled_tree(found.truth, factors))
+    return score_object(truth, obj.tree).usable
 
 
 def _holder(job: AssetJob) -> SceneObject:
     import numpy as np
 
-    return SceneObject(job.key, job.key, np.eye(4), np.asarray(job.scale), fit=job.fit)
+    if job.clicked is None:
+        return SceneObject(job.key, job.key, np.eye(4), np.asarray(job.scale), fit=job.fit)
+    return SceneObject(
+        job.key, job.key, job.clicked.world_from_object, np.asarray(job.scale), fit=job.fit,
+        anchor=job.clicked.anchor,
+    )  # fmt: skip
 
 
 def read_done(out: Path, key: str) -> dict[str, Any] | None:
@@ -176,9 +222,10 @@ def write_json(path: Path, value: Any) -> None:
         raise InputFileError(path, f"can't be written: {error.strerror}") from error
 
 
-def _end_with(parent: int) -> None:
+def _end_with(parent: int | None) -> None:
     """A worker whose run was killed ends too, instead of writing beside the next run."""
-    if os.getpid() == parent or any(t.name == "end-with-parent" for t in threading.enumerate()):
+    watched = any(t.name == "end-with-parent" for t in threading.enumerate())
+    if parent is None or os.getpid() == parent or watched:
         return
 
     def watch() -> None:

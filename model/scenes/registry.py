@@ -46,12 +46,40 @@ def _internscenes() -> SceneReader:
     return InternScenesReader()
 
 
+def _optiscene() -> SceneReader:
+    from model.scenes.readers.optiscene import OptiSceneReader
+
+    return OptiSceneReader()
+
+
+def _gltf() -> SceneReader:
+    from model.scenes.readers.gltf_scene import GltfSceneReader
+
+    return GltfSceneReader()
+
+
+def _usd() -> SceneReader:
+    from model.scenes.readers.usd_stage import UsdStageReader
+
+    return UsdStageReader()
+
+
+def _scan() -> SceneReader:
+    from model.scenes.readers.scan_room import ScanRoomReader
+
+    return ScanRoomReader()
+
+
 BUILT_IN: dict[str, Callable[[], SceneReader]] = {
     "artiworld": _own,
     "lisdf": _lisdf,
     "holodeck": _holodeck,
     "mesatask": _mesatask,
     "internscenes": _internscenes,
+    "optiscene": _optiscene,
+    "gltf": _gltf,
+    "usd": _usd,
+    "scan": _scan,
 }
 
 
@@ -83,6 +111,16 @@ def load_reader(name: str) -> SceneReader:
             f"the plug-in {name!r} is no scene reader: it needs name, description, recognises, read"
         )
     return made
+
+
+def recognised(path: Path) -> bool:
+    """Whether the file is a scene of a known format.
+
+    Raises:
+        InputFileError: where it can't be read.
+    """
+    head = _head(path)
+    return any(load_reader(name).recognises(path, head) for name in reader_names())
 
 
 def read_scene(path: str | Path, format: str | None = None) -> Scene:

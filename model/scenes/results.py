@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -14,17 +15,20 @@ import numpy as np
 
 from model.exporters.saved import URDF
 from model.kinematics.urdf import number, xml_name
-from model.scenes.jobs import ASSETS, MISSING, PREDICTED, write_json
+from model.scenes.jobs import ASSETS, MISSING, MOVING, write_json
 from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
-from model.scenes.values import read_json
+from model.scenes.scene_sdf import write_scene_sdf
+from model.scenes.scene_usd import write_scene_usd
+from model.scenes.values import read_json, read_text
 
 if TYPE_CHECKING:
     from model.scenes.convert import Outcome
 
 SCENE_JSON, SCENE_MJCF, SUMMARY = "scene.json", "scene.xml", "summary.json"
+SCENE_SDF, SCENE_USD = "scene.sdf", "scene.usda"
 
 
 def write_results(
@@ -34,18 +38,27 @@ def write_results(
     *,
     free_bases: bool,
     ambiguous: Collection[str] = (),
+    formats: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Write everything but the assets into ``out`` and return the summary.
 
     Args:
         free_bases: whether bases that may move do so in MJCF.
         ambiguous: ids that several assets have.
+        formats: what the scene is written as besides MJCF; the assets are there in them already.
     """
-    urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state == PREDICTED}
+    urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state in MOVING}
     said = {o.obj.id: _said(o, urdfs.get(o.obj.id)) for o in outcomes}
     write_json(out / SCENE_JSON, scene_to_json(scene, said))
-    write_scene_mjcf(scene.name, _stands(outcomes, free_bases), out, SCENE_MJCF)
+    stands = _stands(outcomes, free_bases)
+    write_scene_mjcf(scene.name, stands, out, SCENE_MJCF)
     files = [SCENE_JSON, SCENE_MJCF]
+    for name, write, file in (
+        ("sdf", write_scene_sdf, SCENE_SDF), ("usd", write_scene_usd, SCENE_USD),
+    ):  # fmt: skip
+        if name in formats:
+            write(scene.name, stands, out, file)
+            files.append(file)
     back = _write_back(scene, said, out)
     files += [back] if back is not None else []
     return _summary(scene, outcomes, files, ambiguous)
@@ -131,23 +144,68 @@ def _stands(outcomes: Sequence[Outcome], free_bases: bool) -> list[Stand]:
 def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str | None:
     """The source as it came, with the URDFs' paths in it; None for a kind that can't hold them."""
     name = scene.path.name
-    if name in (SCENE_JSON, SCENE_MJCF, SUMMARY):
+    if name in (SCENE_JSON, SCENE_MJCF, SUMMARY, SCENE_SDF, SCENE_USD):
         name = f"source_{name}"
     urdf_of = {o.id: said[o.id]["urdf"] for o in scene.objects if said[o.id].get("urdf")}
+    entries = {
+        o.place: {"urdf": urdf_of[o.id], "base": said[o.id]["base"]}
+        for o in scene.objects if o.id in urdf_of
+    }  # fmt: skip
+    if scene.reader == "gltf":
+        from model.scenes.readers.gltf_scene import with_articulation
+
+        nodes = {int(place[1]): entry for place, entry in entries.items()}
+        _write_bytes(out / name, with_articulation(scene.path, nodes))
+        return name
+    if scene.reader == "usd":
+        from model.scenes.readers.usd_stage import articulation_layer
+
+        name = f"{scene.path.stem}_articulated.usda"
+        prims = {str(place[0]): entry for place, entry in entries.items()}
+        articulation_layer(scene.path, out / name, prims)
+        return name
+    if scene.reader == "optiscene":
+        return _write_optiscene(scene, entries, out / name)
     if scene.path.suffix.lower() == ".json":
         data = copy.deepcopy(read_json(scene.path))
-        for obj in scene.objects:
-            if obj.id in urdf_of:
-                entry: Any = data
-                for step in obj.place:
-                    entry = entry[step]
-                entry["articulation"] = {"urdf": urdf_of[obj.id], "base": said[obj.id]["base"]}
+        _add_articulation(data, entries)
         write_json(out / name, data)
         return name
     if scene.reader == "lisdf":
         _write_lisdf(scene, urdf_of, out / name)
         return name
     return None
+
+
+def _add_articulation(data: Any, entries: Mapping[tuple[str | int, ...], Any]) -> None:
+    for place, told in entries.items():
+        entry = data
+        for step in place:
+            entry = entry[step]
+        entry["articulation"] = told
+
+
+def _write_optiscene(
+    scene: Scene, entries: Mapping[tuple[str | int, ...], Any], path: Path
+) -> str | None:
+    """The text as it came, with the design's JSON written anew."""
+    from model.scenes.readers.optiscene import find_design
+
+    whole = read_text(scene.path)
+    found = find_design(whole)
+    if found is None:
+        return None
+    design, _, (begin, end) = found
+    _add_articulation(design, entries)
+    told = json.dumps(design, indent=1, ensure_ascii=False)
+    _write_bytes(path, (whole[:begin] + told + whole[end:]).encode())
+    return path.name
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    draft = path.with_name(f".{path.name}.draft")
+    draft.write_bytes(data)
+    draft.replace(path)
 
 
 def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
@@ -164,9 +222,7 @@ def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
         uri.text = urdf_of[obj.id]
         if scale is not None:  # the URDF is at its size in the scene
             scale.text = " ".join(["1.0"] * len((scale.text or "1").split()))
-    draft = path.with_name(f".{path.name}.draft")
-    draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-    draft.replace(path)
+    _write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
 def _summary(
@@ -182,6 +238,7 @@ def _summary(
         "states": dict(Counter(o.state for o in outcomes)),
         "articulable": sum(o.decision.articulable for o in outcomes),
         "sim_id": dict(sim_id(outcomes)),
+        "sim_us": dict(sim_us(outcomes)),
         "missing_assets": sorted({o.obj.asset or "" for o in outcomes if o.state == MISSING}),
         "ambiguous_assets": sorted(set(ambiguous) & used),
         "shortened_joints": sum(len(o.changes) for o in outcomes),
@@ -211,4 +268,22 @@ def sim_id(outcomes: Sequence[Outcome]) -> Mapping[str, int | float | None]:
         "wrongly_found": sum(o.decision.articulable for o in known if not o.truth),
         "unknown": len(outcomes) - len(known),
         "share": found / len(there) if there else None,
+    }
+
+
+def sim_us(outcomes: Sequence[Outcome]) -> Mapping[str, int | float | None]:
+    """Sim-Us (ArtiWorld, metrics): objects that work, of the articulable ones whose asset says.
+
+    One works where every joint is right in type, axis, origin and range (usability), compared with
+    the asset's own URDF, before neighbours shorten its limits. One that wasn't found doesn't work.
+
+    Returns:
+        ``articulable``, ``usable`` and ``share``.
+    """
+    there = [o for o in outcomes if o.truth]
+    usable = sum(o.report.get("usable") is True for o in there)
+    return {
+        "articulable": len(there),
+        "usable": usable,
+        "share": usable / len(there) if there else None,
     }

@@ -26,7 +26,8 @@ def test_the_program_answers_in_json_and_as_a_table(tmp_path):
     assert done.returncode == 0 and report["ok"]
     found = {check["name"]: check for check in report["checks"]}
     for name in ("python", "viser", "gpu", "predictor geometric", "segmenter default",
-                 "workspace", "database", "port", "processors", "memory"):  # fmt: skip
+                 "workspace", "database", "port", "processors", "memory",
+                 "mujoco", "coacd", "usd-core", "pygltflib", "pybullet"):  # fmt: skip
         assert name in found
     assert found["viser"]["found"] == "1.1.1"
     assert not (tmp_path / "w").exists()  # looking makes nothing

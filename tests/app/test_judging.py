@@ -117,8 +117,12 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     obj.do(cmd.Reopen(), "tester")
     obj.do(cmd.SetJoint(DOOR), "tester")
     judged(obj)
+    # What is fine is written while the person still looks; accepting moves it.
+    drafts = obj.bench.workspace / "drafts"
+    wait(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
     obj.accept("", "tester", NOW)
     wait(lambda: obj.document.review.state == "accepted", "accepted again")
+    assert list(drafts.iterdir()) == []
     wait(lambda: "save" not in obj.busy, "saved again")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["override"]) == ("fine", "")

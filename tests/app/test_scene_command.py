@@ -171,6 +171,7 @@ def test_the_own_scene_reads_back(converted: tuple[Path, dict]) -> None:
         ("house.json", made.holodeck()),
         ("layout.json", made.internscenes()),
         ("scene.json", made.own()),
+        ("cab.txt", made.optiscene()),
     ],
 )
 def test_other_formats_end_to_end(file: str, value: object, assets: Path, tmp_path: Path) -> None:

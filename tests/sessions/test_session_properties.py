@@ -48,6 +48,7 @@ from sessions.commands import (
 )
 from sessions.live import LiveSession
 from sessions.provenance import effective, provenance
+from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, needed_jobs, replay
 from sessions.store import Store
@@ -56,6 +57,7 @@ from sessions.tool_commands import ToolRegion
 parts = st.integers(0, 4)
 links = st.integers(0, 4).map("link_{}".format)
 refs = st.sampled_from(["ab" * 32, "cd" * 32])
+shares = st.floats(0, 1)
 coordinate = st.floats(-2, 2, allow_nan=False)
 point = st.tuples(coordinate, coordinate, coordinate)
 texts = st.sampled_from([None, "door", "Türe 門", 'a "quoted" \\ name'])
@@ -120,6 +122,10 @@ commands: st.SearchStrategy[Command] = st.one_of(
     st.builds(LeaveOut, st.none() | refs, parts),
     st.builds(CropOut, st.just("oven"), st.just("/w/oven.ply"), refs, parts, point),
     st.builds(Placed, st.just("/w/room.ply"), st.just(""), refs, point),
+    st.builds(SetArticulable, texts.filter(bool), st.none() | st.booleans()),
+    st.builds(
+        DecideObjects, st.sampled_from(["accept", "reject"]), st.tuples(parts), st.none() | shares
+    ),
     st.builds(RemovePrompt, parts),
     st.builds(ClearPrompts, st.none() | parts),
     st.builds(AddPart, parts, texts),

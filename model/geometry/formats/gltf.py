@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +49,17 @@ def read_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     Raises:
         InputFileError: where it is not glTF 2.0, cut off, or names files outside its folder.
     """
+    gltf = open_gltf(path, max_bytes)
+    with consistent(path):
+        return gltf.scene()
+
+
+def open_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Gltf:
+    """The tree of a GLB or GLTF file; meshes are read when they are asked for.
+
+    Raises:
+        InputFileError: where it is not glTF 2.0 or cut off.
+    """
     data = read_bytes(path, max_bytes)
     tree, binary = _glb(path, data) if data[:4] == b"glTF" else (_json(path, data), None)
     version = str(_dict(tree.get("asset")).get("version", ""))
@@ -59,9 +72,14 @@ def read_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             raise InputFileError(
                 path, f"uses {_UNREADABLE[extension]}", "export it without compression"
             )
+    return Gltf(path, tree, binary, max_bytes)
+
+
+@contextmanager
+def consistent(path: Path) -> Iterator[None]:
+    """Say in words what a tree that may hold anything anywhere makes fail."""
     try:
-        return _Gltf(path, tree, binary, max_bytes).scene()
-    # The tree may hold anything anywhere.
+        yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputFileError(
             path, f"the glTF inside is inconsistent ({type(error).__name__}: {error})",
@@ -110,7 +128,9 @@ def _dict(value: Any) -> Json:
     return value if isinstance(value, dict) else {}
 
 
-class _Gltf:
+class Gltf:
+    """An open file; a call may raise anything that :func:`consistent` puts into words."""
+
     def __init__(self, path: Path, tree: Json, binary: bytes | None, max_bytes: int) -> None:
         self.path, self.tree, self.binary, self.max_bytes = path, tree, binary, max_bytes
         self.warnings: list[str] = []
@@ -124,7 +144,7 @@ class _Gltf:
         """All meshes of the scene in the root's frame."""
         pieces: list[Loaded] = []
         corners = visited = 0
-        stack: list[tuple[int, Array, int]] = [(n, np.eye(4), 0) for n in self._roots()]
+        stack: list[tuple[int, Array, int]] = [(n, np.eye(4), 0) for n in self.roots()]
         nodes = self.tree.get("nodes") or []
         while stack:
             index, parent, depth = stack.pop()
@@ -132,9 +152,9 @@ class _Gltf:
             visited += 1
             if depth > len(nodes) or visited > _MAX_NODES:
                 raise InputFileError(self.path, "its nodes form a cycle", "export it again")
-            world = parent @ _matrix(node)
+            world = parent @ node_matrix(node)
             if "mesh" in node:
-                for piece in self._mesh(node["mesh"]):
+                for piece in self.mesh(node["mesh"]):
                     pieces.append(piece.moved(world))
                     corners += piece.faces.size + len(piece.vertices)
             if corners > _MAX_CORNERS:
@@ -142,10 +162,11 @@ class _Gltf:
             stack.extend((c, world, depth + 1) for c in reversed(node.get("children") or []))
         if not pieces:
             raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
-        out = _joined(pieces)
+        out = joined(pieces)
         return replace(out, warnings=(*dict.fromkeys(self.warnings),))
 
-    def _roots(self) -> list[int]:
+    def roots(self) -> list[int]:
+        """Nodes of the default scene, the last one first."""
         scenes = self.tree.get("scenes") or []
         if scenes:
             return list(reversed(scenes[self.tree.get("scene") or 0].get("nodes") or []))
@@ -153,7 +174,8 @@ class _Gltf:
         children = {c for n in nodes for c in n.get("children") or []}
         return [i for i in reversed(range(len(nodes))) if i not in children]
 
-    def _mesh(self, index: int) -> list[Loaded]:
+    def mesh(self, index: int) -> list[Loaded]:
+        """Its primitives in its own frame."""
         if index not in self._meshes:
             found = []
             for primitive in self.tree["meshes"][index]["primitives"]:
@@ -364,7 +386,7 @@ class _Gltf:
         return self._images[source]
 
 
-def _joined(pieces: list[Loaded]) -> Loaded:
+def joined(pieces: list[Loaded]) -> Loaded:
     """Triangles and points of a scene; points are left out where there are triangles."""
     solid = [p for p in pieces if len(p.faces)]
     return join(solid or pieces)
@@ -382,7 +404,8 @@ def _faces(order: Array, mode: int) -> Array:
     return np.zeros((0, 3), np.int64)
 
 
-def _matrix(node: Json) -> Array:
+def node_matrix(node: Json) -> Array:
+    """(4, 4) parent_from_node, which may scale and shear."""
     if "matrix" in node:
         out = np.asarray(node["matrix"], np.float64).reshape(4, 4).T
     else:

@@ -55,6 +55,24 @@ def read_ply(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     Raises:
         InputFileError: where it is no PLY, truncated, or inconsistent.
     """
+    return read_ply_columns(path, (), max_bytes)[0]
+
+
+def read_ply_columns(
+    path: Path, extra: tuple[str, ...], max_bytes: int = DEFAULT_MAX_BYTES
+) -> tuple[Loaded, dict[str, Array]]:
+    """As :func:`read_ply`, with further properties of the vertices.
+
+    Args:
+        extra: names in lower case.
+
+    Returns:
+        What was read, and (V,) values by name of those that are there. Where the file's texture
+        coordinates or face colours made new vertices, there are none.
+
+    Raises:
+        InputFileError: where it is no PLY, truncated, or inconsistent.
+    """
     data = read_bytes(path, max_bytes)
     style, elements, comments, start = _header(path, data)
     if style == "ascii":
@@ -65,7 +83,13 @@ def read_ply(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         )
     if "vertex" not in tables:
         raise InputFileError(path, "no vertices in it", "a mesh or a point cloud has vertices")
-    return _assemble(path, tables, comments)
+    loaded = _assemble(path, tables, comments)
+    columns = {k.lower(): v for k, v in tables["vertex"].items() if k.lower() in extra}
+    fits = {
+        k: v for k, v in columns.items()
+        if isinstance(v, np.ndarray) and len(v) == len(loaded.vertices)
+    }  # fmt: skip
+    return loaded, fits
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[Element], list[str], int]:

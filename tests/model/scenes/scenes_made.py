@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +26,8 @@ def boxes(*spans: tuple[tuple[float, float, float], tuple[float, float, float]])
     return Mesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))
 
 
-def make_cabinet(folder: Path) -> Path:
+def cabinet_parts() -> dict[str, Mesh]:
     """0.6 x 0.5 x 0.8 m about its own middle, open to +x, one door and one drawer."""
-    folder.mkdir(parents=True)
     walls = (
         ((-0.3, -0.25, -0.4), (0.28, -0.23, 0.4)), ((-0.3, 0.23, -0.4), (0.28, 0.25, 0.4)),
         ((-0.3, -0.23, -0.4), (0.28, 0.23, -0.38)), ((-0.3, -0.23, 0.38), (0.28, 0.23, 0.4)),
@@ -38,12 +38,18 @@ def make_cabinet(folder: Path) -> Path:
         ((0.281, -0.25, 0.105), (0.3, 0.25, 0.4)), ((-0.2, -0.2, 0.13), (0.281, 0.2, 0.15)),
         ((-0.2, -0.2, 0.15), (0.281, -0.19, 0.3)), ((-0.2, 0.19, 0.15), (0.281, 0.2, 0.3)),
     )  # fmt: skip
-    for i, spans in enumerate((walls, door, drawer)):
-        write_mesh(boxes(*spans), folder / f"link_{i}.obj")
-    names = ("body", "door", "drawer")
+    return {"body": boxes(*walls), "door": boxes(*door), "drawer": boxes(*drawer)}
+
+
+def make_cabinet(folder: Path) -> Path:
+    """:func:`cabinet_parts` as a folder of part meshes."""
+    folder.mkdir(parents=True)
+    parts = cabinet_parts()
+    for i, mesh in enumerate(parts.values()):
+        write_mesh(mesh, folder / f"link_{i}.obj")
     described = {
         "format": 1, "name": folder.name, "category": "cabinet",
-        "parts": [{"file": f"link_{i}.obj", "name": n} for i, n in enumerate(names)],
+        "parts": [{"file": f"link_{i}.obj", "name": n} for i, n in enumerate(parts)],
     }  # fmt: skip
     (folder / "object.json").write_text(json.dumps(described))
     return folder
@@ -112,6 +118,134 @@ def own(objects: list[dict] | None = None) -> dict:
     return {"artiworld_scene": 1, "name": "w", "objects": [cabinet] if objects is None else objects}
 
 
-def write_scene(path: Path, value: object) -> Path:
+def optiscene(objects: list[dict] | None = None) -> str:
+    asked = {"object": "cabinet", "bounding box": [{"h": 0.8, "w": 0.62, "d": 0.5}]}
+    x, y, z = POSITION
+    cabinet = {
+        "object": "cabinet", "asset": "cab", "rotate": [{"angle": YAW}],
+        "coordinates": [{"x": x, "y": y, "z": z - 0.4}],
+    }  # fmt: skip
+    answer = {"room type": "kitchen", "objects": [cabinet] if objects is None else objects}
+    design = "[Design] It stands {by} the wall."
+    return f"Place {json.dumps([asked])}.\n{design}\n{json.dumps(answer)}\nDone."
+
+
+def world_pose(scale: float = 1.0) -> np.ndarray:
+    """(4, 4) of the cabinet in every scene."""
+    out = np.eye(4)
+    c, s = math.cos(YAW), math.sin(YAW)
+    out[:2, :2] = [[c, -s], [s, c]]
+    out[:3, :3] *= scale
+    out[:3, 3] = POSITION
+    return out
+
+
+TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+def write_gltf(path: Path) -> Path:
+    """One wrapper with the cabinet of three meshes and two equal rocks, by trimesh."""
+    import trimesh
+
+    scene = trimesh.Scene(base_frame="world")
+    rock = boxes(((0.0, 0.0, 0.0), (0.2, 0.3, 0.4)))
+
+    def add(name: str, mesh: Mesh | None, parent: str, matrix: np.ndarray) -> None:
+        turned = TO_Y_UP @ matrix @ TO_Y_UP.T
+        if mesh is None:
+            scene.graph.update(frame_to=name, frame_from=parent, matrix=turned)
+            return
+        made = trimesh.Trimesh(mesh.vertices @ TO_Y_UP[:3, :3].T, mesh.faces, process=False)
+        geometry = "rock" if name.startswith("rock") else name
+        scene.add_geometry(
+            made, node_name=name, geom_name=geometry, parent_node_name=parent, transform=turned
+        )
+
+    add("room", None, "world", np.eye(4))
+    add("cabinet", None, "room", world_pose())
+    for name, mesh in cabinet_parts().items():
+        add(name, mesh, "cabinet", np.eye(4))
+    for i in range(2):
+        at = np.eye(4)
+        at[:3, 3] = [10 + i, 0, 0]
+        add(f"rock_{i}", rock, "room", at)
+    scene.export(path)
+    return path
+
+
+def write_usd(path: Path, up: str = "Y", unit: float = 0.01) -> Path:
+    """The same in units of ``unit`` metres, by usd-core."""
+    from pxr import Gf, Usd, UsdGeom  # type: ignore[import-not-found]
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, unit)
+    turn = TO_Y_UP if up == "Y" else np.eye(4)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+
+    def place(at: str, world: np.ndarray) -> None:
+        xform = UsdGeom.Xform.Define(stage, at)
+        matrix = turn @ world @ turn.T
+        matrix[:3, 3] /= unit
+        xform.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
+
+    def shape(at: str, mesh: Mesh) -> None:
+        made = UsdGeom.Mesh.Define(stage, at)
+        made.CreatePointsAttr((mesh.vertices @ turn[:3, :3].T / unit).tolist())
+        made.CreateFaceVertexCountsAttr([3] * len(mesh.faces))
+        made.CreateFaceVertexIndicesAttr(mesh.faces.reshape(-1).tolist())
+        made.CreateDisplayColorAttr([(1.0, 0.0, 0.0)])
+
+    place("/World/cabinet", world_pose())
+    for name, mesh in cabinet_parts().items():
+        shape(f"/World/cabinet/{name}", mesh)
+    place("/World/rock", np.eye(4))
+    shape("/World/rock/mesh", boxes(((0.0, 0.0, 0.0), (0.2, 0.3, 0.4))))
+    stage.GetRootLayer().Save()
+    return path
+
+
+def write_scan(path: Path, labels: bool = True, seed: int = 0) -> Path:
+    """A room of points: floor, the cabinet and a rock; with instances beside it, or boxes."""
+    from model.geometry.point_cloud import PointCloud
+    from model.geometry.writers import write_cloud
+
+    rng = np.random.default_rng(seed)
+    pose = world_pose()
+    clouds, instance, classes = [], [], []
+
+    def add(mesh: Mesh, world: np.ndarray, count: int, label: int, kind: int) -> None:
+        areas = mesh.face_areas / mesh.face_areas.sum()
+        corners = mesh.triangles[rng.choice(len(mesh.faces), count, p=areas)]
+        weights = rng.dirichlet([1, 1, 1], count)
+        points = (corners * weights[..., None]).sum(1)
+        clouds.append(points @ world[:3, :3].T + world[:3, 3])
+        instance.append(np.full(count, label))
+        classes.append(np.full(count, kind))
+
+    add(boxes(((-1.0, -1.0, -0.02), (3.0, 4.0, 0.0))), np.eye(4), 4000, 0, 1)
+    for mesh in cabinet_parts().values():
+        add(mesh, pose, 3000, 4, 2)
+    add(boxes(((2.5, 0.0, 0.0), (2.7, 0.3, 0.4))), np.eye(4), 800, 5, 19)
+    add(boxes(((2.5, 3.0, 0.0), (2.7, 3.3, 0.4))), np.eye(4), 20, 6, 19)
+    points = np.concatenate(clouds).astype(np.float32)
+    colors = np.full((len(points), 3), 150, np.uint8)
+    write_cloud(PointCloud(points, colors=colors), path)
+    if labels:
+        np.savez(
+            path.with_name(f"{path.stem}_labels.npz"),
+            instance=np.concatenate(instance), segment20=np.concatenate(classes),
+        )  # fmt: skip
+    else:
+        box = {"id": "my cabinet", "category": "cabinet", "center": list(POSITION), "yaw": YAW,
+               "size": [0.7, 0.6, 0.9]}  # fmt: skip
+        path.with_name(f"{path.stem}_boxes.json").write_text(json.dumps({"objects": [box]}))
+    return path
+
+
+def write_scene(path: Path, value: Any) -> Path:
+    """A text, JSON values, or a function that writes the file."""
+    if callable(value):
+        return value(path)
     path.write_text(value if isinstance(value, str) else json.dumps(value))
     return path

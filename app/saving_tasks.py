@@ -1,0 +1,102 @@
+"""Saving accepted assets: what the worker for it does. See :mod:`app.tasks`.
+
+All but the record of an asset is written as a draft while the person still looks at the joints;
+accepting adds the record and moves it in place.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from app import tasks
+from app.tasks import PartSource
+from model.errors import ArtiworldError, InputFileError
+from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.tree import KinematicTree
+from model.progress import Progress, no_progress
+
+DRAFTS_KEPT = 4
+
+
+def prepare_asset(
+    source: PartSource, tree: KinematicTree, progress: Progress = no_progress
+) -> Path:
+    """Write all of an asset but its record and read it back, so that accepting only moves it.
+
+    Returns:
+        The draft, the same one for the same parts and joints; it is there once it was read back.
+
+    Raises:
+        ArtiworldError: where what was written doesn't load as it should.
+    """
+    from app.headless import part_of
+    from model.exporters.asset_folder import write_draft
+    from model.exporters.physics import physics_of
+    from model.exporters.reload import reload_check
+
+    target = _draft_name(source, tree)
+    if target.exists():
+        return target
+    progress(0.02, "Cutting out the parts")
+    asset = tasks.asset_of(source.folder)
+    obj = ArticulatedObject(source.title, tasks.parts_of(source), tree, source.category)
+    physics = physics_of(
+        obj, store=source.workspace / "collision", progress=part_of(progress, 0.05, 0.7)
+    )
+    fresh = target.with_name(f".{target.name}.{secrets.token_hex(6)}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_draft(
+            obj, fresh, original=asset, physics=physics, progress=part_of(progress, 0.7, 0.85)
+        )
+        progress(0.85, "Reading it back")
+        problems = reload_check(fresh)
+        if problems:
+            raise ArtiworldError(f"{obj.name} doesn't load as it should: {problems[0]}")
+        fresh.rename(target)
+    except OSError as error:
+        raise InputFileError(
+            target, f"can't be written ({error.strerror or error})", "check space and permissions"
+        ) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+    _drop_drafts(target.parent)
+    return target
+
+
+def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
+    from model.collision.store import fingerprint
+
+    key = fingerprint(
+        "draft", version("artiworld"), source.folder.name, source.labels,
+        sorted(source.names.items()), source.category, source.title, tree.links, tree.joints,
+    )  # fmt: skip
+    return source.workspace / "drafts" / key
+
+
+def _drop_drafts(folder: Path) -> None:
+    """The oldest, and what a killed process left."""
+    found = sorted(folder.iterdir(), key=lambda p: p.stat().st_mtime)
+    for old in found[:-DRAFTS_KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def save_asset_folder(
+    source: PartSource,
+    tree: KinematicTree,
+    folder: Path,
+    provenance: dict[str, Any],
+    progress: Progress = no_progress,
+) -> str:
+    """Write the accepted asset, or move its draft in place. Returns the folder.
+
+    Raises:
+        ArtiworldError: where what was written doesn't load as it should.
+    """
+    from model.exporters.asset_folder import publish
+
+    return str(publish(prepare_asset(source, tree, progress), folder, provenance).folder)

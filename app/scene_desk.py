@@ -1,0 +1,449 @@
+"""A whole scene that is open: what its objects are, where each one stands, the jobs they need.
+
+One :class:`SceneDesk` a server. Decisions live in sessions: the scene's own (what is articulated,
+decisions for several objects) and one for each working copy (:mod:`app.scene_tasks`), which is an
+object like any other and may be opened, annotated and accepted as such.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from app import scene_tasks
+from app.review_order import confidence
+from app.scene_accepting import Accepting
+from app.scene_saving import Saving
+from app.scene_tasks import DrawnParts, OpenedScene, Prepared, SceneItem, Shape
+from model.errors import ArtiworldError, CommandError
+from model.progress import Cancelled
+from sessions import commands as cmd
+from sessions.document import Document
+from sessions.live import LiveSession
+from sessions.scene_commands import SetArticulable
+
+if TYPE_CHECKING:
+    from app.workbench import Workbench
+
+log = logging.getLogger(__name__)
+
+Status = Literal["static", "todo", "predicted", "accepted", "rejected", "missing"]
+STATUSES: tuple[Status, ...] = ("predicted", "todo", "rejected", "accepted", "static", "missing")
+"""In the order in which a reviewer wants to see them."""
+WHO = "scene"
+"""Who is written beside what was found out without a person."""
+FACES = 900_000
+"""Triangles of a whole scene that a browser draws smoothly."""
+
+
+@dataclass(eq=False)
+class Work:
+    """One working copy and all the objects that it stands for.
+
+    Attributes:
+        id: of its session.
+        item: the first object with it.
+        ids: of the objects in the scene.
+        live: its session.
+        reason: why it is left for the annotator, or what failed, else "".
+        prepared: whether it was looked at.
+        drawn: its parts as the browser shows them, or None.
+        undrawn: reference of labels whose parts couldn't be drawn, else "".
+    """
+
+    id: int
+    item: SceneItem
+    live: LiveSession
+    ids: list[str] = field(default_factory=list)
+    reason: str = ""
+    prepared: bool = False
+    drawn: DrawnParts | None = None
+    undrawn: str = ""
+
+    @property
+    def document(self) -> Document:
+        """What is decided now."""
+        return self.live.state.present
+
+
+@dataclass(frozen=True)
+class Row:
+    """One object as lists show it.
+
+    Attributes:
+        confidence: of the prediction's least sure joint; of the finder where there is none.
+    """
+
+    id: str
+    status: Status
+    confidence: float
+    work: int | None
+
+
+def drawn_by(work: Work) -> str | None:
+    """The labels that the drawn parts were cut by, or None."""
+    return None if work.drawn is None else work.drawn.labels
+
+
+class SceneDesk:
+    """The scene of a server, shared by all its tabs."""
+
+    def __init__(
+        self, bench: Workbench, path: Path, folders: tuple[Path, ...], format: str | None = None
+    ) -> None:
+        self.bench = bench
+        self.record = bench.store.open_object(path, None, path.stem)
+        self.live = bench.hub.session(self.record.id)
+        self.scene: OpenedScene | None = None
+        self.problem: str | None = None
+        self.items: dict[str, SceneItem] = {}
+        self.shapes: dict[Path, Shape | str] = {}
+        self.works: dict[int, Work] = {}
+        self.busy: dict[str, tuple[float, str]] = {}
+        self.paused = False
+        self._work_of: dict[Path, Work] = {}
+        self._max_faces = FACES
+        self._lock = threading.RLock()
+        self._running: dict[str, Any] = {}
+        self._listeners: list[Callable[[], None]] = []
+        self._notices: list[Callable[[str, str, str], None]] = []
+        self.accepting = Accepting(self)
+        self.saving = Saving(self)
+        self.live.subscribe(lambda state, command: self._decided(command))
+        job = bench.geometry.submit(
+            scene_tasks.read, path, folders, format, bench.config.finder, bench.workspace,
+            on_progress=self.progress("read"), priority=9,
+        )  # fmt: skip
+        self.start("read", job, self._opened)
+
+    # --- who looks
+
+    def watch(
+        self, listener: Callable[[], None], notice: Callable[[str, str, str], None]
+    ) -> Callable[[], None]:
+        """Call ``listener`` on every change, ``notice(title, body, colour)`` with news."""
+        self._listeners.append(listener)
+        self._notices.append(notice)
+
+        def stop() -> None:
+            if listener in self._listeners:
+                self._listeners.remove(listener)
+                self._notices.remove(notice)
+
+        return stop
+
+    def changed(self) -> None:
+        """Redraw in all the tabs."""
+        for listener in list(self._listeners):
+            listener()
+
+    def tell(self, title: str, body: str, color: str = "blue") -> None:
+        """Show a note in all the tabs."""
+        for notice in list(self._notices):
+            notice(title, body, color)
+
+    # --- where each object stands
+
+    @property
+    def document(self) -> Document:
+        """What is decided about the scene."""
+        return self.live.state.present
+
+    def articulable(self, item: SceneItem) -> bool:
+        """Whether the object is to be articulated: as a person says, else as the finder does."""
+        said = self.document.articulable.get(item.obj.id)
+        return item.decision.articulable if said is None else said
+
+    def work(self, id: str) -> Work | None:
+        """The working copy of an object; None where it isn't articulated."""
+        item = self.items.get(id)
+        if item is None or item.copy is None or not self.articulable(item):
+            return None
+        return self._work_of.get(item.copy)
+
+    def status(self, item: SceneItem) -> Status:
+        """Where an object stands."""
+        if item.obj.box is None and (
+            item.path is None or isinstance(self.shapes.get(item.path), str)
+        ):
+            return "missing"
+        work = self.work(item.obj.id)
+        if work is None:
+            return "static"
+        state = work.document.review.state
+        return "todo" if state in ("todo", "in_progress") else state
+
+    def row(self, item: SceneItem) -> Row:
+        """One object as lists show it."""
+        status, work = self.status(item), self.work(item.obj.id)
+        known = work is not None and work.document.tree is not None
+        sure = confidence(work.document) if work and known else item.decision.confidence
+        return Row(item.obj.id, status, sure, None if work is None else work.id)
+
+    def rows(self) -> list[Row]:
+        """All objects: those that want a decision first, the least sure of them before others."""
+        rows = [self.row(item) for item in self.items.values()]
+        return sorted(rows, key=lambda r: (STATUSES.index(r.status), r.confidence))
+
+    def missing_reason(self, item: SceneItem) -> str:
+        """Why an object isn't shown, or ""."""
+        if item.obj.box is not None:
+            return ""
+        if item.path is None:
+            named = item.obj.asset
+            return f"asset {named!r} is in none of the folders" if named else "it names no asset"
+        shape = self.shapes.get(item.path)
+        return shape if isinstance(shape, str) else ""
+
+    def world_from_copy(self, item: SceneItem) -> npt.NDArray[np.float64] | None:
+        """(4, 4) where the working copy, at its size, stands; None where nobody knows yet."""
+        shape = None if item.path is None else self.shapes.get(item.path)
+        if not isinstance(shape, Shape):
+            return None
+        return item.obj.placed(shape.bounds).world_from_asset
+
+    def twins(self, id: str) -> list[str]:
+        """The objects that one decision is for: same asset, same size, ``id`` among them."""
+        work = self.work(id)
+        if work is None:
+            return [id]
+        return [i for i in work.ids if self.articulable(self.items[i])]
+
+    # --- what a person does
+
+    def do(self, command: cmd.Command, who: str) -> None:
+        """Carry out one decision about the scene; it is on disk when this returns."""
+        self.live.do(command, who)
+
+    def set_articulable(self, id: str, articulable: bool, who: str) -> None:
+        """Say whether an object is articulated, whatever the finder says."""
+        item = self.items[id]
+        if item.path is None:
+            raise CommandError(self.missing_reason(item) or "a plain box has no asset to work on")
+        same = articulable == item.decision.articulable
+        self.do(SetArticulable(id, None if same else articulable), who)
+
+    def open_work(self, id: str, done: Callable[[Work], None]) -> None:
+        """Call ``done`` once the working copy of an object is there to be opened."""
+        work = self.work(id)
+        if work is None:
+            raise CommandError("it counts as static: say first that it is articulable")
+        if work.item.copy is not None and (work.item.copy / "object.json").is_file():
+            done(work)
+            return
+        job = self.bench.geometry.submit(scene_tasks.lay_down, work.item, priority=8)
+        self.start("copy", job, lambda _: done(work))
+        self.changed()
+
+    # --- opening
+
+    def _opened(self, scene: OpenedScene) -> None:
+        with self._lock:
+            self.scene = scene
+            self.items = {item.obj.id: item for item in scene.items}
+            paths = {item.path for item in scene.items if item.path is not None}
+            self._max_faces = int(np.clip(FACES / max(1, len(paths)), 1500, 20_000))
+        self._find_works()
+        self.accepting.take_up()
+        self.go_on()
+
+    def _find_works(self) -> None:
+        """A session for each working copy that is wanted and has none yet."""
+        with self._lock:
+            wanted: dict[Path, SceneItem] = {}
+            for item in self.items.values():
+                if item.copy is not None and self.articulable(item):
+                    wanted.setdefault(item.copy, item)
+            fresh = [item for copy, item in wanted.items() if copy not in self._work_of]
+            records = self.bench.store.open_objects(
+                (item.copy, None, item.copy.name.rpartition("-")[0]) for item in fresh if item.copy
+            )
+            for item, record in zip(fresh, records, strict=True):
+                assert item.copy is not None
+                live = self.bench.hub.session(record.id)
+                work = Work(record.id, item, live)
+                work.ids = [i.obj.id for i in self.items.values() if i.copy == item.copy]
+                self.works[work.id] = self._work_of[item.copy] = work
+                live.subscribe(lambda state, command: self.go_on())
+
+    def _decided(self, command: cmd.Command) -> None:
+        if self.scene is None:
+            return
+        if isinstance(command, (SetArticulable, cmd.Undo, cmd.Redo)):
+            self._find_works()
+        self.accepting.follow()
+        self.go_on()
+
+    # --- jobs
+
+    def go_on(self) -> None:
+        """Start what is to be done next, one job of a kind at a time, and redraw."""
+        if self.scene is not None:
+            with self._lock:
+                self._draw_shapes()
+                self._draw_parts()
+                self._prepare()
+            self.accepting.go_on()
+        self.changed()
+
+    def wanted(self) -> Iterable[Work]:
+        """The working copies of objects that are articulated now, in the scene's order."""
+        return [w for w in self.works.values() if any(self.work(i) is w for i in w.ids)]
+
+    def _draw_shapes(self) -> None:
+        if "shapes" in self._running:
+            return
+        paths = [i.path for i in self.items.values() if i.path and i.path not in self.shapes]
+        paths = list(dict.fromkeys(paths))
+        if not paths:
+            return
+        job = self.bench.geometry.submit(
+            scene_tasks.shapes, paths, self.bench.workspace, self._max_faces, priority=7
+        )
+
+        def keep(made: Mapping[Path, Shape | str]) -> None:
+            self.shapes = {**self.shapes, **made}
+
+        total = len({i.path for i in self.items.values() if i.path})
+        self.start("shapes", job, keep, (len(self.shapes) / total, ""))
+
+    def _draw_parts(self) -> None:
+        if "parts" in self._running:
+            return
+        for work in self.wanted():
+            doc = work.document
+            ref = None if doc.segmentation is None else doc.segmentation.labels
+            if doc.tree is None or ref in (None, work.undrawn, drawn_by(work)):
+                continue
+            assert work.item.copy is not None
+            job = self.bench.geometry.submit(
+                scene_tasks.drawn_parts, work.item.copy, self.bench.workspace, ref,
+                self._max_faces, priority=4,
+            )  # fmt: skip
+
+            def keep(drawn: DrawnParts, work: Work = work) -> None:
+                work.drawn = drawn
+
+            self.start("parts", job, keep, work=work)
+            return
+
+    def _prepare(self) -> None:
+        if "prepare" in self._running or self.paused:
+            return
+        works = list(self.wanted())
+        waiting = [w for w in works if not w.prepared and w.document.tree is None]
+        if not waiting:
+            return
+        work = waiting[0]
+        job = self.bench.prediction.submit(
+            scene_tasks.prepare, work.item, self.bench.workspace, self.bench.config.segmenter,
+            self.bench.config.predictor, priority=-5,
+        )  # fmt: skip
+
+        def keep(prepared: Prepared) -> None:
+            work.prepared, work.reason = True, prepared.reason
+            self._record(work, prepared)
+
+        done = len(works) - len(waiting)
+        told = f"{work.item.obj.id} ({done + 1} of {len(works)})"
+        self.start("prepare", job, keep, (done / len(works), told), work)
+
+    def _record(self, work: Work, prepared: Prepared) -> None:
+        """What was found out becomes commands, unless a person was first."""
+        if prepared.labels is None or work.live.state.seq:
+            return
+        do = work.live.do
+        for part, name in prepared.names:
+            do(cmd.AddPart(part, name) if part else cmd.NamePart(0, name), WHO)
+        for click in prepared.clicks:
+            do(cmd.AddClick(click), WHO)
+        for part, ref, count in prepared.regions:
+            do(cmd.AddRegion(part, ref, True, count, "source"), WHO)
+        if work.item.category:
+            do(cmd.SetCategory(work.item.category[:80]), WHO)
+        do(
+            cmd.RecordSegmentation(
+                work.document.key, prepared.labels, prepared.segmenter, prepared.seconds,
+                dict(prepared.counts),
+            ),
+            WHO,
+        )  # fmt: skip
+        if prepared.prediction is not None:
+            do(cmd.RecordPrediction(prepared.prediction, prepared.labels), WHO)
+
+    def pause(self, paused: bool) -> None:
+        """Stop looking at more objects, or go on."""
+        self.paused = paused
+        if paused and "prepare" in self._running:
+            self._running["prepare"].cancel()
+        self.go_on()
+
+    def start(
+        self,
+        what: str,
+        job: Any,
+        keep: Callable[[Any], None],
+        told: tuple[float, str] = (0.0, ""),
+        work: Work | None = None,
+    ) -> None:
+        """Follow a job; ``keep`` gets its answer. What fails is told, and written into ``work``."""
+        self._running[what] = job
+        self.busy[what] = told
+        job.add_done_callback(lambda ended: self._ended(what, ended, keep, work))
+
+    def running(self, what: str) -> bool:
+        """Whether a job of that kind is under way."""
+        return what in self._running
+
+    def cancel(self, what: str) -> None:
+        """Stop a running job."""
+        job = self._running.get(what)
+        if job is not None:
+            job.cancel()
+
+    def progress(self, what: str) -> Callable[[float, str], None]:
+        """Takes in what a job of that kind reports."""
+
+        def tell(fraction: float, message: str) -> None:
+            if what in self._running:
+                self.busy[what] = (fraction, message)
+                self.changed()
+
+        return tell
+
+    def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
+        if self._running.get(what) is job:
+            del self._running[what]
+            self.busy.pop(what, None)
+        try:
+            keep(job.result(0))
+        except Cancelled:
+            pass
+        except ArtiworldError as error:
+            self._failed(what, str(error), work)
+        except Exception as error:  # a job's boundary: say it and go on
+            log.exception("job %s of the scene failed", what)
+            self._failed(what, f"{error} (our fault; the details are in the server's log)", work)
+        self.go_on()
+
+    def _failed(self, what: str, message: str, work: Work | None) -> None:
+        if what == "read":
+            self.problem = message
+        elif what == "prepare" and work is not None:
+            work.prepared, work.reason = True, message
+        elif what == "accept" and work is not None:
+            self.accepting.failed(work, message)
+        else:
+            if what == "parts" and work is not None and work.document.segmentation is not None:
+                work.undrawn = work.document.segmentation.labels
+            if what == "shapes":
+                left = {i.path for i in self.items.values() if i.path} - set(self.shapes)
+                self.shapes = {**self.shapes, **dict.fromkeys(left, message)}
+            self.tell("That didn't work", message, "red")

@@ -1,0 +1,230 @@
+"""One page about an open scene: a picture, what became of each object, and why.
+
+Nothing is loaded from elsewhere and nothing runs in it. Every name is escaped.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from app import tasks
+from app.scene_tasks import SceneItem, Shape
+from model.errors import ArtiworldError, InputFileError
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.progress import Progress, no_progress
+from model.scenes.scene import SceneProblem
+
+STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
+    "predicted": ("predicted, waits for a decision", (128, 90, 213)),
+    "todo": ("to do: no joints yet", (237, 160, 40)),
+    "rejected": ("rejected", (224, 49, 49)),
+    "accepted": ("accepted", (47, 158, 68)),
+    "static": ("static", (196, 200, 206)),
+    "missing": ("missing", (90, 96, 104)),
+}
+"""State → words and colour, in the order of the page."""
+STYLE = """
+body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:74rem;padding:0 1rem;
+color:#1d2329;background:#fff}
+h1,h2{line-height:1.2}table{border-collapse:collapse;width:100%;font-size:13.5px}
+th,td{padding:.4rem .6rem;border-bottom:1px solid #dde1e6;text-align:left;vertical-align:top}
+img{max-width:100%;border:1px solid #e3e6ea;border-radius:4px}td img{width:150px}
+.dot{display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:.4em}
+.counts{display:flex;flex-wrap:wrap;gap:.4rem 1.6rem;margin:1rem 0;padding:0;list-style:none}
+.note{color:#556}.warn{color:#a4510a}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class ReportRow:
+    """One object on the page.
+
+    Attributes:
+        item: as the scene has it.
+        status: where it stands.
+        confidence: of its least sure joint, or of the finder.
+        said: what a person said of it: articulable or not; None where nobody said anything.
+        tree, sure: its joints and their confidence by child link.
+        by, at, reason: who decided last, when, and why it was rejected.
+        notes: what a person must know.
+        source: its parts, to draw it.
+        work: names what it shares with its twins.
+    """
+
+    item: SceneItem
+    status: str
+    confidence: float
+    said: bool | None
+    tree: KinematicTree | None
+    sure: Mapping[str, float]
+    by: str
+    at: str
+    reason: str
+    notes: tuple[str, ...]
+    source: tasks.PartSource | None
+    work: int | None
+
+
+def write_report(
+    path: Path,
+    name: str,
+    rows: Sequence[ReportRow],
+    problems: Sequence[SceneProblem],
+    shapes: Mapping[Path, Shape | str],
+    workspace: Path,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write the page.
+
+    Raises:
+        InputFileError: where it can't be written.
+    """
+    order = list(STATES)
+    rows = sorted(rows, key=lambda r: (order.index(r.status), r.confidence))
+    progress(0.05, "drawing the scene")
+    picture = _scene_picture(rows, shapes)
+    drawn: dict[int, bytes | None] = {}
+    for k, row in enumerate(rows):
+        if row.work is not None and row.source is not None and row.work not in drawn:
+            progress(0.1 + 0.85 * k / len(rows), row.item.obj.id)
+            drawn[row.work] = _thumbnail(row)
+    counts = Counter(r.status for r in rows)
+    legend = "".join(
+        f"<li>{_dot(s)}{escape(STATES[s][0])}: <b>{counts[s]}</b></li>" for s in order if counts[s]
+    )
+    told = "".join(f"<li class=warn>{escape(p.object)}: {escape(p.reason)}</li>" for p in problems)
+    body = "".join(_line(r, drawn.get(r.work) if r.work is not None else None) for r in rows)
+    page = (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(name)}</title>"
+        f"<style>{STYLE}</style><h1>{escape(name)}</h1><p class=note>{len(rows)} objects. "
+        f"{_sim_id(rows)}</p><ul class=counts>{legend}</ul>{_img(picture, 'the scene')}"
+        f"{f'<h2>Not taken as it is in the file</h2><ul>{told}</ul>' if told else ''}"
+        "<h2>Objects</h2><table><tr><th>object<th>state<th>why<th>joints<th>picture</tr>"
+        f"{body}</table></html>"
+    )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
+    return path
+
+
+def _sim_id(rows: Sequence[ReportRow]) -> str:
+    """Sim-Id (ArtiWorld, metrics), of the objects whose asset says whether it moves."""
+    there = [r for r in rows if r.item.truth]
+    if not there:
+        return ""
+    found = sum(r.item.decision.articulable for r in there)
+    return f"Sim-Id {found}/{len(there)} articulable objects found."
+
+
+def _dot(status: str) -> str:
+    return f"<span class=dot style='background:rgb{STATES[status][1]}'></span>"
+
+
+def _img(data: bytes | None, alt: str) -> str:
+    if data is None:
+        return ""
+    return (
+        f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(data).decode()}'>"
+    )
+
+
+def _line(row: ReportRow, picture: bytes | None) -> str:
+    obj, decision = row.item.obj, row.item.decision
+    state = f"{_dot(row.status)}{escape(STATES[row.status][0])}"
+    if row.by and row.status in ("accepted", "rejected"):
+        why = f": {escape(row.reason)}" if row.reason else ""
+        state += f"<br><span class=note>{escape(row.by)}, {escape(row.at[:16])}{why}</span>"
+    reason = escape(decision.reason)
+    if row.said is not None:
+        reason += f"<br>A person said: {'articulable' if row.said else 'static'}."
+    reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in row.notes)
+    joints = "" if row.tree is None else "<br>".join(
+        _joint(j, row.sure.get(j.child)) for j in row.tree.joints if j.moves
+    )  # fmt: skip
+    about = (
+        ""
+        if obj.description == obj.id
+        else f"<br><span class=note>{escape(obj.description)}</span>"
+    )
+    return (
+        f"<tr><td><b>{escape(obj.id)}</b>{about}<td>{state}<td>{reason}<td>{joints}"
+        f"<td>{_img(picture, obj.id)}</tr>"
+    )
+
+
+def _joint(joint: Joint, sure: float | None) -> str:
+    span = ""
+    if joint.limited:
+        low, high = joint.lower or 0.0, joint.upper or 0.0
+        span = (
+            f" {math.degrees(low):.0f}…{math.degrees(high):.0f}°" if joint.rotates
+            else f" {1000 * low:.0f}…{1000 * high:.0f} mm"
+        )  # fmt: skip
+    told = "" if sure is None else f", {100 * sure:.0f} % sure"
+    return f"{escape(joint.name)}: {joint.type}{span}{told}"
+
+
+def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]) -> bytes | None:
+    from model.evaluation import render
+    from model.geometry.mesh import Mesh
+    from model.kinematics.articulated_object import ArticulatedObject, Part
+    from model.kinematics.urdf_meshes import merged
+
+    by_state: dict[str, list[Mesh]] = {}
+    for row in rows:
+        obj = row.item.obj
+        if obj.box is not None:
+            corners = np.array([[i >> k & 1 for k in range(3)] for i in range(8)]) - 0.5
+            shape, scale, world = corners, np.asarray(obj.box), obj.world_from_object
+            faces = _BOX_FACES
+        else:
+            found = None if row.item.path is None else shapes.get(row.item.path)
+            if not isinstance(found, Shape) or found.faces is None:
+                continue
+            placed = obj.placed(found.bounds)
+            shape, scale, world = found.vertices, placed.scale, placed.world_from_asset
+            faces = found.faces.astype(np.int32)
+        at = (shape * scale) @ world[:3, :3].T + world[:3, 3]
+        by_state.setdefault(row.status, []).append(Mesh(at, faces))
+    if not by_state:
+        return None
+    parts = tuple(Part(state, merged(meshes)) for state, meshes in by_state.items())
+    links = tuple(p.link for p in parts)
+    fixed = tuple(Joint(link, "fixed", links[0], link, (0, 0, 1), (0, 0, 0)) for link in links[1:])
+    whole = ArticulatedObject("scene", parts, KinematicTree(links, fixed))
+    view = render.View(azimuth=-1.05, elevation=0.6, width=1100, height=620)
+    return render.png(render.draw(whole, colors={s: STATES[s][1] for s in by_state}, view=view))
+
+
+def _thumbnail(row: ReportRow) -> bytes | None:
+    from model.evaluation import render
+
+    assert row.source is not None and row.tree is not None
+    try:
+        obj = tasks.articulated_object(row.source, row.tree)
+    except ArtiworldError:
+        return None
+    colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)
+    shown = render.draw(
+        obj, colors=colors, q=render.half_open(obj), joints=True,
+        view=render.View(azimuth=-math.pi / 2 - 0.6, width=220, height=180),
+    )  # fmt: skip
+    return render.png(shown)
+
+
+_BOX_FACES = np.array(
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.int32,
+)  # fmt: skip

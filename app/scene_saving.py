@@ -1,0 +1,250 @@
+"""Saving an open scene, and a page that says what became of it; both in worker processes.
+
+The files are those of ``artiworld scene convert`` (:mod:`model.scenes.convert`), from what people
+decided: accepted objects move, the others stand rigid.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app import tasks
+from app.scene_report import ReportRow, write_report
+from app.scene_tasks import SceneItem
+from model.errors import ArtiworldError, CommandError
+from model.kinematics.tree import KinematicTree
+from model.progress import Progress, no_progress
+from model.scenes.jobs import ACCEPTED, ASSETS, FAILED, MISSING, MJCF, PLAIN, PREDICTED, STATIC
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.scene_desk import SceneDesk, Work
+
+SECONDS = 1800.0
+
+
+@dataclass(frozen=True, eq=False)
+class MovingCopy:
+    """A working copy that moves in the saved scene.
+
+    Attributes:
+        accepted: folder of the accepted asset; None where it is only predicted.
+        bounds: (2, 3) of its asset, at the asset's own size.
+        confidence: child link → confidence.
+        said: what became of it, for people.
+    """
+
+    source: tasks.PartSource
+    tree: KinematicTree
+    bounds: list[list[float]]
+    accepted: str | None
+    confidence: Mapping[str, float]
+    said: str
+
+
+class Saving:
+    """Writes the scene of a desk."""
+
+    def __init__(self, desk: SceneDesk) -> None:
+        self._desk = desk
+
+    def save(self, loose: bool, who: str) -> None:
+        """Write the scene; ``loose``: what is only predicted moves too.
+
+        Raises:
+            CommandError: where it is being written, or its parts aren't ready.
+        """
+        desk = self._desk
+        if desk.running("save"):
+            return
+        items, copies = self._plan(loose)
+        record = desk.record
+        out = desk.bench.workspace / "scenes" / f"saved-{record.id}"
+        job = desk.bench.geometry.submit(
+            save_scene, record.path, items, copies, out, on_progress=desk.progress("save"),
+            priority=6,
+        )  # fmt: skip
+
+        def keep(summary: dict[str, Any]) -> None:
+            desk.do(cmd.Saved(str(out)), who)
+            moving = sum(summary["states"].get(s, 0) for s in (ACCEPTED, PREDICTED))
+            desk.tell("Saved", f"{moving} objects move; {out}", "green")
+
+        desk.start("save", job, keep)
+        desk.changed()
+
+    def _plan(self, loose: bool) -> tuple[tuple[SceneItem, ...], dict[Path, MovingCopy]]:
+        desk = self._desk
+        if desk.scene is None:
+            raise CommandError("the scene is still being read")
+        copies: dict[Path, MovingCopy] = {}
+        for work in desk.wanted():
+            found = self._moving(work, loose)
+            if found is not None and work.item.copy is not None:
+                copies[work.item.copy] = found
+        items = [replace(i, copy=i.copy if desk.articulable(i) else None,
+                         decision=replace(i.decision, articulable=desk.articulable(i)))
+                 for i in desk.items.values()]  # fmt: skip
+        return tuple(items), copies
+
+    def _moving(self, work: Work, loose: bool) -> MovingCopy | None:
+        doc, desk = work.document, self._desk
+        state = doc.review.state
+        if doc.tree is None or state not in (("accepted", "predicted") if loose else ("accepted",)):
+            return None
+        shape = None if work.item.path is None else desk.shapes.get(work.item.path)
+        if work.drawn is None or shape is None or isinstance(shape, str):
+            raise CommandError(f"{work.item.obj.id} is still being prepared; save in a moment")
+        source = tasks.PartSource(
+            work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names,
+            doc.category, work.item.copy.name if work.item.copy else work.item.obj.id,
+        )  # fmt: skip
+        folder = doc.saved.folder if state == "accepted" and doc.saved is not None else None
+        said = f"accepted by {doc.review.by}" if state == "accepted" else ""
+        confidence = {} if doc.prediction is None else dict(doc.prediction.confidence)
+        return MovingCopy(source, doc.tree, shape.bounds.tolist(), folder, confidence, said)
+
+    def report(self, done: Callable[[Path], None]) -> None:
+        """Write the page; ``done`` gets its path."""
+        desk = self._desk
+        if desk.running("report") or desk.scene is None:
+            return
+        rows = [self._row(item) for item in desk.items.values()]
+        record = desk.record
+        path = desk.bench.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
+        job = desk.bench.geometry.submit(
+            write_report, path, desk.scene.name, tuple(rows), desk.scene.problems,
+            dict(desk.shapes), desk.bench.workspace, on_progress=desk.progress("report"),
+            priority=6,
+        )  # fmt: skip
+        desk.start("report", job, lambda _: done(path))
+        desk.changed()
+
+    def _row(self, item: SceneItem) -> ReportRow:
+        desk, work = self._desk, self._desk.work(item.obj.id)
+        row = desk.row(item)
+        doc = None if work is None else work.document
+        source = None
+        if work is not None and doc is not None and doc.tree is not None and work.drawn is not None:
+            source = tasks.PartSource(
+                work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names
+            )
+        notes = []
+        if work is not None:
+            notes = [work.reason, desk.accepting.why_refused(work)]
+        notes.append(desk.missing_reason(item))
+        return ReportRow(
+            item, row.status, row.confidence, desk.document.articulable.get(item.obj.id),
+            None if doc is None else doc.tree,
+            {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
+            "" if doc is None else doc.review.by, "" if doc is None else doc.review.at,
+            "" if doc is None else (doc.review.reason or "").replace("_", " "),
+            tuple(n for n in notes if n), source, None if work is None else work.id,
+        )  # fmt: skip
+
+
+# --- in the worker ----------------------------------------------------------------------------
+
+
+def save_scene(
+    path: Path,
+    items: Sequence[SceneItem],
+    copies: Mapping[Path, MovingCopy],
+    out: Path,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Write the scene and its assets into ``out``; what stands there already isn't made again.
+
+    Returns:
+        The summary, as ``artiworld scene convert`` gives it.
+    """
+    from model.scenes.convert import Outcome, shorten_limits
+    from model.scenes.jobs import write_json
+    from model.scenes.registry import read_scene
+    from model.scenes.results import write_results
+
+    progress(0.0, "reading")
+    scene = read_scene(path)
+    (out / ASSETS).mkdir(parents=True, exist_ok=True)
+    made: dict[str, dict[str, Any]] = {}
+    outcomes: list[Outcome] = []
+    for k, item in enumerate(items):
+        progress(0.8 * k / len(items), item.obj.id)
+        outcome = Outcome(item.obj, item.decision, item.path, item.truth)
+        outcomes.append(outcome)
+        if item.obj.box is not None:
+            outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
+        elif item.path is None:
+            outcome.state, outcome.reason = MISSING, "its asset is in none of the folders"
+        else:
+            try:
+                _stand(outcome, item, copies, out, made)
+            except ArtiworldError as error:
+                outcome.state, outcome.reason, outcome.key = FAILED, str(error), None
+    shorten_limits(outcomes, out, progress)
+    progress(0.97, "writing")
+    summary = write_results(scene, outcomes, out, free_bases=False)
+    write_json(out / "summary.json", summary)
+    return summary
+
+
+def _stand(
+    outcome: Any,
+    item: SceneItem,
+    copies: Mapping[Path, MovingCopy],
+    out: Path,
+    made: dict[str, dict[str, Any]],
+) -> None:
+    moving = None if item.copy is None else copies.get(item.copy)
+    if moving is None:
+        report = _rigid(item, out, made)
+    else:
+        assert item.copy is not None
+        report = made.get(item.copy.name) or _moving_asset(item.copy.name, moving, out)
+    outcome.key, outcome.report = report["key"], report
+    made[report["key"]] = report
+    outcome.state, outcome.reason = report["state"], report["reason"]
+
+
+def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    from model.scenes.assets import asset_digest
+    from model.scenes.convert import ConvertSettings, Outcome, asset_job
+    from model.scenes.jobs import ConvertAsset, read_done
+    from model.scenes.protocol import Decision
+
+    assert item.path is not None
+    settings = ConvertSettings(seconds=SECONDS)
+    rigid = Outcome(item.obj, Decision(False), item.path)
+    job = asset_job(rigid, asset_digest(item.path), settings)
+    report = made.get(job.key) or read_done(out, job.key)
+    return report or ConvertAsset(out, {job.key: job}, os.getpid())(job.key)
+
+
+def _moving_asset(key: str, moving: MovingCopy, out: Path) -> dict[str, Any]:
+    """The working copy as an asset below ``out``, as people left it."""
+    from dataclasses import asdict
+
+    from model.exporters.asset_folder import load_object, write_asset
+    from model.exporters.mjcf import MjcfExporter
+    from model.exporters.physics import plain_physics
+
+    folder = out / ASSETS / key
+    shutil.rmtree(folder, ignore_errors=True)
+    if moving.accepted is not None and Path(moving.accepted).is_dir():
+        shutil.copytree(moving.accepted, folder)
+    else:
+        write_asset(tasks.articulated_object(moving.source, moving.tree), folder,
+                    provenance={"source": key, "review": "predicted, not accepted"})  # fmt: skip
+    obj = load_object(folder)
+    (folder / MJCF).mkdir(exist_ok=True)
+    MjcfExporter().export(obj, folder / MJCF, physics=plain_physics(obj))
+    joints = [{**asdict(j), "confidence": moving.confidence.get(j.child)}
+              for j in obj.tree.joints if j.moves]  # fmt: skip
+    state = PREDICTED if moving.accepted is None else ACCEPTED
+    return {"key": key, "state": state if joints else STATIC, "reason": moving.said,
+            "bounds": moving.bounds, "joints": joints}  # fmt: skip

@@ -1,0 +1,411 @@
+"""What the worker processes do for a scene; see :mod:`app.tasks`.
+
+An object that is articulated gets a *working copy*: its asset at its size in the scene, as a folder
+of part meshes in the workspace. It is opened, annotated and saved like any other object, and stands
+for all the objects of the scene with that asset and size.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app import tasks
+from model.errors import ArtiworldError, CommandError
+from model.geometry.asset import Asset, Source
+from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
+from model.progress import Progress, no_progress
+from model.scenes.protocol import Decision
+from model.scenes.scene import SceneObject, SceneProblem
+from model.segmentation.prompts import BASE, MAX_PARTS, Click
+
+BATCH_SECONDS = 0.4
+"""Work on pictures after which a job hands over what it has, so that the scene fills up."""
+PROMPTS = ".prompts.json"
+"""Clicks kept beside an asset."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneItem:
+    """One object of a scene and what is known of it beforehand.
+
+    Attributes:
+        obj: as the scene has it.
+        decision: of the finder.
+        path: its asset, or None.
+        copy: where its working copy is or will be, or None.
+        truth: whether the asset is known to move; None where nobody knows.
+    """
+
+    obj: SceneObject
+    decision: Decision
+    path: Path | None = None
+    copy: Path | None = None
+    truth: bool | None = None
+
+    @property
+    def category(self) -> str | None:
+        """What it is taken for."""
+        return self.decision.kind or self.obj.category
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedScene:
+    """A scene as the server keeps it."""
+
+    name: str
+    reader: str
+    items: tuple[SceneItem, ...]
+    problems: tuple[SceneProblem, ...]
+    ambiguous: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What the browser draws of something rigid, in its own frame, metres.
+
+    Attributes:
+        bounds: (2, 3) of the whole, not of the drawn copy.
+        vertices: (V, 3), of a cloud its points.
+        faces: (F, 3); None of a cloud.
+    """
+
+    bounds: FloatArray
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.uint32] | None
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnParts:
+    """The parts of a working copy as the browser draws them.
+
+    Attributes:
+        labels: reference of the labels they were cut by.
+        folder: the arrays of the working copy.
+        source: of the working copy.
+        shapes: link → shape.
+    """
+
+    labels: str
+    folder: Path
+    source: Source
+    shapes: dict[str, Shape]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What was found out about a working copy before a person looks at it.
+
+    Attributes:
+        reason: why it is left for the annotator, else "".
+        names: part → name.
+        clicks, regions: prompts; a region is (part, stored elements, their number).
+        labels, counts: what these prompts give; None and empty where there are none.
+        segmenter: who gave them.
+        prediction: or None.
+    """
+
+    reason: str = ""
+    names: tuple[tuple[int, str | None], ...] = ()
+    clicks: tuple[Click, ...] = ()
+    regions: tuple[tuple[int, str, int], ...] = ()
+    labels: str | None = None
+    counts: tuple[tuple[int, int], ...] = ()
+    segmenter: str = ""
+    seconds: float = 0.0
+    prediction: Prediction | None = None
+
+
+# --- reading ----------------------------------------------------------------------------------
+
+
+def read(
+    path: Path,
+    folders: Sequence[Path],
+    format: str | None,
+    finder: str,
+    workspace: Path,
+    progress: Progress = no_progress,
+) -> OpenedScene:
+    """Read a scene, find its assets, and ask which of its objects can be articulated."""
+    from model.scenes.assets import index_assets
+    from model.scenes.convert import decide
+    from model.scenes.embedded import unpack
+    from model.scenes.finder_registry import FinderOptions, default_cache, load_finder
+    from model.scenes.registry import read_scene
+
+    progress(0.1, "reading")
+    scene = read_scene(path, format)
+    index = index_assets(folders)
+    asked = load_finder(finder, FinderOptions(cache=default_cache()), progress)
+    stamps: dict[Path, Any] = {}
+    items: list[SceneItem] = []
+    home = workspace / "scenes" / f"inside-{_name_of(path)}"
+    inside = unpack(scene, home)
+    for o in decide(scene, index, asked, inside):
+        copy = None
+        if o.path is not None:
+            if o.path not in stamps:
+                stamps[o.path] = _identity(o.path, home)
+            told = (stamps[o.path], o.obj.scale.tolist(), o.obj.fit)
+            key = hashlib.sha256(repr(told).encode()).hexdigest()[:12]
+            copy = workspace / "scenes" / f"{_plain(o.path.stem)}-{key}"
+        items.append(SceneItem(o.obj, o.decision, o.path, copy, o.truth))
+    return OpenedScene(scene.name, scene.reader, tuple(items), scene.problems, index.ambiguous)
+
+
+def _identity(path: Path, home: Path) -> tuple[Any, ...]:
+    """Names an asset's files; those inside a scene's file are written anew at each opening."""
+    from model.scenes.assets import asset_digest
+
+    if path.is_relative_to(home):
+        return str(path.relative_to(home)), asset_digest(path)
+    return str(path.resolve()), tasks.stamp(path)
+
+
+def _name_of(path: Path) -> str:
+    key = hashlib.sha256(repr((str(path.resolve()), tasks.stamp(path))).encode()).hexdigest()[:12]
+    return f"{_plain(path.stem)}-{key}"
+
+
+def _plain(stem: str) -> str:
+    return "".join(c if c.isalnum() and c.isascii() else "_" for c in stem)[:40]
+
+
+# --- pictures ---------------------------------------------------------------------------------
+
+
+def shapes(
+    paths: Sequence[Path], workspace: Path, max_faces: int, progress: Progress = no_progress
+) -> dict[Path, Shape | str]:
+    """Pictures of as many assets as there is time for; of one that can't be read, why."""
+    end = time.perf_counter() + BATCH_SECONDS
+    out: dict[Path, Shape | str] = {}
+    for path in paths:
+        progress(len(out) / len(paths), path.name)
+        try:
+            out[path] = _shape_of(path, workspace, max_faces)
+        except ArtiworldError as error:
+            out[path] = str(error)
+        if time.perf_counter() > end:
+            break
+    return out
+
+
+def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
+    from model.scenes.asset_parts import whole
+
+    told = (str(path.resolve()), tasks.stamp(path), max_faces)
+    key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
+    kept = workspace / "cache" / "shapes" / f"{key}.npz"
+    try:
+        with np.load(kept, allow_pickle=False) as data:
+            faces = data.get("faces")
+            return Shape(data["bounds"], data["vertices"], faces)
+    except (OSError, ValueError, KeyError, EOFError):
+        pass
+    shape = shape_of_part(whole(path), max_faces)
+    arrays: dict[str, Any] = {"bounds": shape.bounds, "vertices": shape.vertices}
+    if shape.faces is not None:
+        arrays["faces"] = shape.faces
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    draft = kept.with_name(f".{key}.{secrets.token_hex(4)}.npz")
+    np.savez(draft, **arrays)
+    draft.replace(kept)
+    return shape
+
+
+def shape_of_part(part: Part, max_faces: int) -> Shape:
+    """A part as the browser draws it from afar: without materials, at most ``max_faces``."""
+    from model.geometry.display import decimate, thin
+
+    bounds = np.asarray(part.bounds, np.float64)
+    if part.mesh is None:
+        assert part.cloud is not None
+        points = part.cloud.points
+        return Shape(bounds, np.asarray(points[thin(points, 2 * max_faces)], np.float32), None)
+    mesh = part.mesh if len(part.mesh.faces) <= max_faces else decimate(part.mesh, max_faces)[0]
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = np.asarray(mesh.vertices[used], np.float32)
+    return Shape(bounds, vertices, faces.reshape(-1, 3).astype(np.uint32))
+
+
+def drawn_parts(copy: Path, workspace: Path, labels: str, max_faces: int) -> DrawnParts:
+    """The parts of a working copy by stored labels."""
+    from model.geometry.parts import split
+
+    asset, folder = tasks.working_copy(copy, workspace, tasks.ReadOptions())
+    assert asset.source is not None
+    cut = split(asset, tasks.arrays_of(workspace).get(labels))
+    budget = max(200, max_faces // max(1, len(cut)))
+    made = {part.link: shape_of_part(part, budget) for part in cut}
+    return DrawnParts(labels, folder, asset.source, made)
+
+
+# --- working copies ---------------------------------------------------------------------------
+
+
+def lay_down(item: SceneItem) -> str:
+    """Make the item's working copy; why its asset doesn't tell its parts, else "".
+
+    Raises:
+        InputFileError: where the asset can't be read.
+    """
+    from model.scenes.asset_parts import LeftForAnnotator, bounds_of, known_parts, scaled, whole
+
+    assert item.path is not None and item.copy is not None
+    reason = ""
+    try:
+        parts = known_parts(item.path).parts
+        if len(parts) > MAX_PARTS:
+            parts, reason = (), f"its {len(parts)} parts are too many"
+    except LeftForAnnotator as left:
+        parts, reason = (), str(left)
+    if (item.copy / "object.json").is_file():
+        return reason
+    whole_one = not parts
+    parts = parts or (whole(item.path),)
+    factors = item.obj.placed(bounds_of(parts)).scale
+    draft = item.copy.with_name(f".{item.copy.name}.{secrets.token_hex(4)}")
+    draft.mkdir(parents=True)
+    try:
+        _write_copy(scaled(parts, factors), item.category, draft, unnamed=whole_one)
+        draft.rename(item.copy)
+    except OSError:
+        if not (item.copy / "object.json").is_file():  # another process may have been first
+            raise
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    return reason
+
+
+def _write_copy(
+    parts: tuple[Part, ...], category: str | None, folder: Path, *, unnamed: bool
+) -> None:
+    from model.geometry.writers import write_cloud, write_mesh
+
+    entries: list[dict[str, str]] = []
+    for i, part in enumerate(parts):
+        if part.mesh is not None:
+            file = write_mesh(part.mesh, folder / f"link_{i}.obj")[0].name
+        else:
+            assert part.cloud is not None
+            file = write_cloud(part.cloud, folder / f"link_{i}.ply")[0].name
+        name = "base" if unnamed else part.name
+        entries.append({"file": file} if name is None else {"file": file, "name": name})
+    said: dict[str, Any] = {"format": 1, "parts": entries}
+    if category:
+        said["category"] = category
+    (folder / "object.json").write_text(json.dumps(said), encoding="utf-8")
+
+
+def prepare(
+    item: SceneItem,
+    workspace: Path,
+    segmenter: str,
+    predictor: str,
+    progress: Progress = no_progress,
+) -> Prepared:
+    """Lay down the working copy, cut it where its parts are known, and predict its joints.
+
+    Parts are known where clicks lie beside the asset (``NAME.prompts.json``), where the asset is in
+    parts, or where its connected pieces are few.
+    """
+    assert item.path is not None and item.copy is not None
+    progress(0.02, "reading")
+    reason = lay_down(item)
+    asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions())
+    if asset.source is not None and any(asset.source.shift):
+        raise CommandError("its asset lies too far from its own origin to be worked on")
+    prompts = item.path.with_name(item.path.stem + PROMPTS)
+    if item.path.is_file() and prompts.is_file():
+        cut = _cut_by_prompts(prompts, item, asset, folder, workspace, segmenter)
+    elif not reason and asset.element_part is not None:
+        cut = _cut_by_source(asset, asset.element_part, workspace)
+    else:
+        return Prepared(reason)
+    progress(0.4, "predicting")
+    prediction = _predicted(item, asset, cut, workspace, predictor, progress)
+    if prediction.tree is None or not any(j.moves for j in prediction.tree.joints):
+        why = "; ".join(prediction.problems) or "no reason was given"
+        return _with(cut, reason=f"no joint was predicted: {why}")
+    return _with(cut, prediction=prediction)
+
+
+def _with(prepared: Prepared, **changes: Any) -> Prepared:
+    from dataclasses import replace
+
+    return replace(prepared, **changes)
+
+
+def _cut_by_prompts(
+    file: Path, item: SceneItem, asset: Asset, folder: Path, workspace: Path, segmenter: str
+) -> Prepared:
+    from app.prompt_file import read_prompts
+    from model.scenes.asset_parts import bounds_of, whole
+
+    assert item.path is not None
+    told = read_prompts(file)
+    factors = item.obj.placed(bounds_of((whole(item.path),))).scale
+    clicks: list[Click] = []
+    for prompt in told.prompts.items:
+        if not isinstance(prompt, Click):
+            raise CommandError(f"{file}: regions count elements of the file; give clicks instead")
+        x, y, z = (float(v) for v in np.asarray(prompt.position) * factors)
+        clicks.append(Click((x, y, z), prompt.part, prompt.positive))
+    answer = tasks.segment(folder, workspace, segmenter, tuple(clicks), "", None)
+    names = tuple((p, told.names.get(p)) for p in sorted({c.part for c in clicks} - {BASE}))
+    return Prepared(
+        names=names, clicks=tuple(clicks), labels=answer.labels,
+        counts=tuple(answer.counts.items()), segmenter=answer.segmenter, seconds=answer.seconds,
+    )  # fmt: skip
+
+
+def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace: Path) -> Prepared:
+    """The parts that the asset is in. Every element is claimed, the base's too, so that the
+    segmenter has nothing to guess when a person goes on from here."""
+    labels = element_part.astype(np.int16)
+    regions = tasks.source_regions_of(asset, workspace)
+    names = tuple(
+        (i, asset.part_names[i] if i < len(asset.part_names) else None) for i in sorted(regions)
+    )
+    return Prepared(
+        names=names,
+        regions=tuple((i, ref, count) for i, (ref, count) in sorted(regions.items())),
+        labels=tasks.arrays_of(workspace).put(labels),
+        counts=tuple((i, count) for i, (_, count) in sorted(regions.items())),
+        segmenter="source",
+    )
+
+
+def _predicted(
+    item: SceneItem,
+    asset: Asset,
+    cut: Prepared,
+    workspace: Path,
+    predictor: str,
+    progress: Progress,
+) -> Prediction:
+    from model.geometry.parts import split
+    from model.predictors import load_predictor
+
+    labels = tasks.arrays_of(workspace).get(cut.labels)
+    parts = split(asset, labels, {p: n for p, n in cut.names if n})
+    segmented = SegmentedObject(asset.name, tuple(map(tasks.named, parts)), item.category)
+
+    def tell(fraction: float, message: str) -> None:
+        progress(0.4 + 0.6 * fraction, message)
+
+    return load_predictor(predictor).predict(segmented, seed=0, progress=tell)

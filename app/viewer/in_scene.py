@@ -1,0 +1,234 @@
+"""What a person does in a scene: choose, decide, work on one object in place, play, save."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.scene_desk import Row, SceneDesk, Work
+from app.viewer.scene_card import SceneCard
+from app.viewer.scene_list import SceneList, order
+from app.viewer.scene_motion import SceneMotion
+from app.viewer.scene_picture import ScenePicture
+from model.errors import CommandError
+from sessions import commands as cmd
+from sessions.scene_commands import DecideObjects
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+LABEL = "● "
+
+
+class InScene:
+    """One tab's way through the scene.
+
+    Attributes:
+        selected: the chosen object, or None.
+        inside: the object that is worked on in place, or None.
+        rows: all objects as they were drawn last.
+    """
+
+    def __init__(self, app: ClientApp, desk: SceneDesk) -> None:
+        self._app, self.desk = app, desk
+        self.selected: str | None = None
+        self.inside: str | None = None
+        self.rows: list[Row] = []
+        self._wanted: str | None = None
+        self.picture = ScenePicture(app.client, desk)
+        self.motion = SceneMotion(self.picture.pose)
+        self.list = SceneList(app, desk)
+        self.unwatch = desk.watch(app.invalidate, app.notify)
+
+    def build_card(self) -> None:
+        """Make the widgets of the right side."""
+        self.folder = self._app.client.gui.add_folder(None)
+        with self.folder:
+            self.card = SceneCard(self._app, self.desk)
+
+    def draw(self) -> None:
+        """Bring picture and panels up to date."""
+        desk = self.desk
+        self.rows = desk.rows()
+        if self._wanted is not None and desk.scene is not None:
+            wanted, self._wanted = self._wanted, None
+            if wanted in desk.items and desk.work(wanted) is not None:
+                self.selected = wanted
+                self._app.act(self.enter)
+        self.picture.draw(self.rows, self.selected)
+        self.list.draw()
+        if self.inside is None:
+            self.card.draw()
+
+    def close(self) -> None:
+        """The tab is gone."""
+        self.unwatch()
+        self.motion.stop()
+
+    def come_back(self, id: str) -> None:
+        """Work on this object as soon as the scene is read: the page was loaded again."""
+        self._wanted = id
+
+    # --- choosing
+
+    def click(self, origin: Any, direction: Any) -> None:
+        """A click in the picture chooses an object, or none."""
+        hit = self.picture.pick(np.asarray(origin, float), np.asarray(direction, float))
+        self.choose(hit)
+
+    def choose(self, id: str | None, *, look: bool = False) -> None:
+        """Show why an object is as it is; ``look`` turns the camera to it."""
+        if self.inside is not None and id is not None and id != self.inside:
+            self.leave()
+        self.selected = id
+        if look and id is not None and self.inside is None:
+            self.picture.frame([id])
+        self._app.invalidate()
+
+    def step(self, by: int) -> None:
+        """To the next or previous object that wants a decision."""
+        ids = order(self.desk.rows())
+        if not ids:
+            self._app.notify("Everything is decided", "Save the scene", "green")
+            return
+        if self.selected in ids:
+            self.choose(ids[(ids.index(self.selected) + by) % len(ids)], look=True)
+        else:
+            self.choose(ids[0 if by > 0 else -1], look=True)
+
+    def need(self) -> str:
+        """The chosen object.
+
+        Raises:
+            CommandError: where none is chosen.
+        """
+        if self.selected is None:
+            raise CommandError("choose an object first: click it, or press N")
+        return self.selected
+
+    def need_work(self) -> Work:
+        """The chosen object's working copy.
+
+        Raises:
+            CommandError: where there is none.
+        """
+        work = self.desk.work(self.need())
+        if work is None:
+            raise CommandError(f"{self.selected} counts as static: there is nothing to decide")
+        return work
+
+    # --- deciding
+
+    def say(self, label: str) -> None:
+        """Whether the chosen object is articulable."""
+        articulable = label.removeprefix(LABEL) == "Articulable"
+        self.desk.set_articulable(self.need(), articulable, self._app.who)
+
+    def accept(self) -> None:
+        """Accept the chosen object, and go to the next one."""
+        work = self.need_work()
+        if work.document.tree is None:
+            raise CommandError("it has no joints yet: press Enter to work on it")
+        if work.document.review.state == "accepted":
+            raise CommandError("it is accepted already")
+        self._decide(DecideObjects("accept", (work.id,)))
+
+    def reject(self) -> None:
+        """Reject the chosen object, and go to the next one."""
+        work = self.need_work()
+        self._decide(DecideObjects("reject", (work.id,), reason=self.card.reason))
+
+    def _decide(self, command: DecideObjects) -> None:
+        ids = order(self.desk.rows())
+        at = ids.index(self.selected) if self.selected in ids else -1
+        mine = set(self.desk.twins(self.need()))
+        self.desk.do(command, self._app.who)
+        ahead = [*ids[at + 1 :], *ids[: max(at, 0)]]
+        following = next((i for i in ahead if i not in mine and self._waits(i)), None)
+        if following is not None:
+            self.choose(following, look=True)
+
+    def _waits(self, id: str) -> bool:
+        work = self.desk.work(id)
+        return work is not None and work.document.review.state == "predicted" and (
+            work.id not in self.desk.accepting.waiting)  # fmt: skip
+
+    def sure(self, above: float) -> list[int]:
+        """Sessions of predicted objects that are at least so sure, each once."""
+        waiting = self.desk.accepting.waiting
+        found = [
+            r.work for r in self.rows
+            if r.status == "predicted" and r.work is not None and r.confidence >= above
+            and r.work not in waiting
+            and not self.desk.accepting.why_refused(self.desk.works[r.work])
+        ]  # fmt: skip
+        return list(dict.fromkeys(found))
+
+    def accept_above(self, above: float) -> None:
+        """Accept all that are at least so sure; the gate still has its say."""
+        ids = self.sure(above)
+        if not ids:
+            raise CommandError("no predicted object is so sure")
+        self.desk.do(DecideObjects("accept", tuple(ids), above=above), self._app.who)
+
+    def undo(self) -> None:
+        """Take back the last decision about the scene."""
+        if self.desk.live.state.can_undo:
+            self.desk.do(cmd.Undo(), self._app.who)
+        else:
+            self._app.notify("Nothing to undo", "", "gray")
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        if self.desk.live.state.can_redo:
+            self.desk.do(cmd.Redo(), self._app.who)
+        else:
+            self._app.notify("Nothing to redo", "", "gray")
+
+    # --- working on one object in place
+
+    def enter(self) -> None:
+        """Work on the chosen object; its surroundings become ghosts."""
+        app, id = self._app, self.need()
+        self.motion.stop()
+
+        def opened(work: Work) -> None:
+            app.act(lambda: self._show(id, work))
+
+        self.desk.open_work(id, opened)
+
+    def _show(self, id: str, work: Work) -> None:
+        self.inside = self.selected = id
+        self.picture.ghost(id)
+        self._app.open(work.id)
+
+    def leave(self) -> None:
+        """Back to the scene."""
+        if self.inside is None:
+            return
+        self.inside = None
+        self._app.close_object()
+        self.picture.unghost()
+        self._app.remember()
+
+    # --- motion and files
+
+    def play(self) -> None:
+        """Start or stop moving all joints of the scene."""
+        if self.motion.playing:
+            self.motion.stop()
+        elif not self.motion.play([w for w in self.desk.wanted() if w.drawn is not None]):
+            self._app.notify("No joints yet", "They move once objects are predicted", "gray")
+        self._app.invalidate()
+
+    def save(self, loose: bool) -> None:
+        """Write the scene with what is accepted, or also what is only predicted."""
+        self.desk.saving.save(loose, self._app.who)
+
+    def report(self) -> None:
+        """Write the report and send it to the browser."""
+        client = self._app.client
+        self.desk.saving.report(
+            lambda path: client.send_file_download(path.name, path.read_bytes())
+        )

@@ -1,0 +1,88 @@
+"""An object of a scene cut into parts by clicks that were made in the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from model.errors import PromptError
+from model.geometry.parts import split
+from model.scenes.asset_parts import AssetParts, read_unshifted
+from model.scenes.scene import Anchor, FloatArray, SceneObject
+from model.segmentation.prompts import Click, Prompts
+from model.segmentation.registry import load_segmenter
+
+FAR = 0.1
+"""A click further from the object than this share of its diagonal belongs to something else."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectClicks:
+    """What a person clicked on one object.
+
+    Attributes:
+        prompts: positions in metres in the scene, +z up; elements, where a click or a region names
+            them, are the object's own.
+        names: part → what it is.
+        category: of the object, or None.
+        segmenter: who answers.
+    """
+
+    prompts: Prompts
+    names: Mapping[int, str] = field(default_factory=dict)
+    category: str | None = None
+    segmenter: str = "default"
+
+    def key(self) -> list[object]:
+        """Equal clicks have equal keys."""
+        return [self.prompts.key(), sorted(self.names.items()), self.category, self.segmenter]
+
+
+@dataclass(frozen=True, eq=False)
+class ClickedObject:
+    """Clicks, and where the object stands that was clicked on."""
+
+    clicks: ObjectClicks
+    world_from_object: FloatArray
+    anchor: Anchor
+
+
+def clicked_parts(path: Path, holder: SceneObject, clicks: ObjectClicks) -> AssetParts:
+    """Parts in the asset's own frame.
+
+    Args:
+        path: of the asset.
+        holder: where it stands, and at which size.
+
+    Raises:
+        PromptError: where a click is on something else, or no part but the base got anything.
+        InputFileError: where the asset can't be read.
+    """
+    asset = read_unshifted(path)
+    placed = holder.placed(asset.bounds)
+    turn, at = placed.world_from_asset[:3, :3], placed.world_from_asset[:3, 3]
+    items: list[Click | object] = list(clicks.prompts.items)
+    where = np.array([c.position for c in clicks.prompts.clicks]).reshape(-1, 3)
+    local = (where - at) @ turn / placed.scale
+    away = KDTree(asset.element_centers).query(local)[0] if len(local) else np.zeros(0)
+    if len(away) and away.max() > FAR * asset.diagonal:
+        worst = int(away.argmax())
+        raise PromptError(
+            f"clicks[{worst}] at {where[worst].tolist()} is {away[worst]:.3g} m away from it; "
+            "give positions in the scene, metres, +z up"
+        )
+    moved = iter(local.tolist())
+    for i, item in enumerate(items):
+        if isinstance(item, Click):
+            x, y, z = next(moved)
+            items[i] = Click((x, y, z), item.part, item.positive, item.element)
+    session = load_segmenter(clicks.segmenter).encode(asset)
+    answer = session.segment(Prompts(tuple(items)))  # type: ignore[arg-type]
+    parts = split(asset, answer.labels, clicks.names)
+    if len(parts) < 2:
+        raise PromptError("the clicks leave it in one part; click on its moving parts")
+    return AssetParts(parts, "clicks")

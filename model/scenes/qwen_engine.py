@@ -1,0 +1,60 @@
+"""Qwen3 from a folder on this machine; nothing is downloaded, nothing leaves it."""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from model.errors import ArtiworldError, ConfigurationError
+from model.scenes.language_finder import Answer, FinderUnavailableError
+
+
+class QwenEngine:
+    """See :class:`~model.scenes.language_finder.ChatEngine`.
+
+    The weights live in a process of their own: what a network starts must not be there when the
+    conversion forks its workers, and its memory is given back after the last question.
+
+    Args:
+        folder: of a Qwen3 model (``config.json``, ``*.safetensors``, ``tokenizer.json``).
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder.absolute()
+        self.name = f"qwen3:{self._folder}"
+        self.batch = self.parallel = 1
+        self._pool: ProcessPoolExecutor | None = None
+
+    def ask(self, system: str, user: str) -> Answer:
+        """See :class:`~model.scenes.language_finder.ChatEngine`."""
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(1, mp_context=context)
+        try:
+            text, problem = self._pool.submit(_decide, self._folder, system, user).result()
+        except BrokenProcessPool as error:
+            self.close()
+            raise FinderUnavailableError(
+                f"{self.name}: its process died (out of memory?); its answers so far are kept"
+            ) from error
+        if problem is not None:
+            raise ConfigurationError(problem)
+        return Answer(text)
+
+    def close(self) -> None:
+        """See :class:`~model.scenes.language_finder.ChatEngine`."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+def _decide(folder: Path, system: str, user: str) -> tuple[str, str | None]:
+    """Runs in the model's process; the second value says what is wrong with the folder."""
+    from model.arti4urdf.json_writer import load_json_writer
+
+    try:
+        return load_json_writer(folder).decide(system, user), None
+    except ArtiworldError as error:
+        return "", str(error)

@@ -1,0 +1,176 @@
+"""glTF scenes: a GLB or GLTF file whose nodes are objects.
+
+Metres, +y up, by the standard. Wrappers that hold everything are passed through; the nodes below
+them are the objects, each with all that hangs on it. Two to twelve meshes on one object are its
+parts. ``extras`` of a node may hold ``category`` and ``description``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.errors import InputFileError
+from model.geometry.formats.gltf import Gltf, consistent, node_matrix, open_gltf
+from model.geometry.formats.loaded import Loaded
+from model.geometry.readers import turned_up
+from model.scenes.embedded import Unpacked, Unpacker, placed_frame
+from model.scenes.readers.lisdf import spoken
+from model.scenes.scene import FloatArray, Scene, SceneFrame, SceneObject, SceneObjectError
+from model.scenes.values import Place, collect, maybe_text, shown
+
+_UP = turned_up("y")
+_MAX_DEPTH = 512
+
+
+class GltfSceneReader:
+    """Nodes of the default scene."""
+
+    name = "gltf"
+    description = "GLB and GLTF files whose nodes are objects"
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        return path.suffix.lower() in (".glb", ".gltf")
+
+    def read(self, path: Path) -> Scene:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        gltf = open_gltf(path)
+        with consistent(path):
+            entries = _objects(gltf)
+            make = partial(_object, path.name)
+            objects, problems = collect(entries, make, lambda e: maybe_text(e[0].get("name")))
+        return Scene(path.stem, path, self.name, objects, problems, SceneFrame("y"))
+
+    def unpack(self, scene: Scene, folder: Path) -> Unpacked:
+        """See :class:`~model.scenes.embedded.GeometryReader`."""
+        gltf = open_gltf(scene.path)
+        made = Unpacker(folder)
+        with consistent(scene.path):
+            parents = {int(place[1]): parent for place, (_, parent) in _objects(gltf)}
+        for obj in scene.objects:
+            index = int(obj.place[1])
+            # Nothing is read before the object's turn: a broken one leaves the others alone.
+            made.add(obj.asset or obj.id, f"node_{index}", _pieces_of(gltf, index, parents[index]))
+        return made.result()
+
+
+def with_articulation(path: Path, said: dict[int, Any]) -> bytes:
+    """The file's bytes with ``extras.articulation`` on nodes, geometry untouched.
+
+    Args:
+        said: node → what is said of it.
+    """
+    gltf = open_gltf(path)
+    for index, entry in said.items():
+        node = gltf.tree["nodes"][index]
+        extras = node.get("extras")
+        node["extras"] = {**(extras if isinstance(extras, dict) else {}), "articulation": entry}
+    text = json.dumps(gltf.tree, separators=(",", ":"), ensure_ascii=False).encode()
+    if gltf.binary is None:
+        return text
+    text += b" " * (-len(text) % 4)
+    data = gltf.binary + bytes(-len(gltf.binary) % 4)
+    chunks = len(text).to_bytes(4, "little") + b"JSON" + text
+    if data:
+        chunks += len(data).to_bytes(4, "little") + b"BIN\0" + data
+    return b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks
+
+
+def _objects(gltf: Gltf) -> list[tuple[Place, tuple[dict[str, Any], FloatArray]]]:
+    """Place, node and (4, 4) world_from_parent of each object, +y up as in the file."""
+    nodes: list[dict[str, Any]] = gltf.tree.get("nodes") or []
+    solid = _with_geometry(gltf, nodes)
+    level = [i for i in reversed(gltf.roots()) if i in solid]
+    parent = np.eye(4)
+    for _ in range(_MAX_DEPTH):
+        if len(level) != 1 or "mesh" in nodes[level[0]]:
+            break
+        below = [c for c in nodes[level[0]].get("children") or [] if c in solid]
+        if len(below) < 2 and (not below or "mesh" in nodes[below[0]]):
+            break  # a lone object whose meshes hang on it
+        parent = parent @ node_matrix(nodes[level[0]])
+        level = below
+    if not level:
+        raise InputFileError(gltf.path, "there is no mesh in its scene", "export its objects")
+    return [(("nodes", i), (nodes[i], parent)) for i in level]
+
+
+def _with_geometry(gltf: Gltf, nodes: list[dict[str, Any]]) -> set[int]:
+    """Nodes with a mesh on them or below."""
+    order: list[int] = []
+    stack = list(gltf.roots())
+    while stack:
+        index = stack.pop()
+        order.append(index)
+        if len(order) > len(nodes):
+            raise InputFileError(gltf.path, "its nodes form a cycle", "export it again")
+        stack.extend(nodes[index].get("children") or [])
+    out: set[int] = set()
+    for index in reversed(order):
+        node = nodes[index]
+        if "mesh" in node or any(c in out for c in node.get("children") or []):
+            out.add(index)
+    return out
+
+
+def _object(file: str, place: Place, entry: tuple[dict[str, Any], FloatArray]) -> SceneObject:
+    node, parent = entry
+    pose, scale, _ = placed_frame(_UP @ (parent @ _matrix(node)) @ _UP.T)
+    name = maybe_text(node.get("name")) or f"node {place[1]}"
+    extras = node.get("extras")
+    told = extras if isinstance(extras, dict) else {}
+    return SceneObject(
+        id=name,
+        description=maybe_text(told.get("description")) or spoken(name),
+        world_from_object=pose,
+        scale=scale,
+        asset=f"{file}#{place[1]}",
+        category=maybe_text(told.get("category")),
+        place=place,
+    )
+
+
+def _matrix(node: dict[str, Any]) -> FloatArray:
+    turn = node.get("rotation")
+    try:
+        if turn is not None and float(np.linalg.norm(np.asarray(turn, np.float64))) < 1e-9:
+            raise SceneObjectError(f"its quaternion {shown(turn)} is zero; one of length 1 is due")
+        return node_matrix(node)
+    except (TypeError, ValueError) as error:
+        raise SceneObjectError(f"its transform can't be read: {error}") from None
+
+
+def _pieces_of(
+    gltf: Gltf, index: int, parent: FloatArray
+) -> Callable[[], list[tuple[str | None, Loaded]]]:
+    def pieces() -> list[tuple[str | None, Loaded]]:
+        nodes = gltf.tree["nodes"]
+        _, _, rest = placed_frame(_UP @ (parent @ _matrix(nodes[index])) @ _UP.T)
+        start = np.eye(4)
+        start[:3, :3] = rest @ _UP[:3, :3]
+        out: list[tuple[str | None, Loaded]] = []
+        stack = [(index, start)]
+        while stack:
+            at, world = stack.pop()
+            node = nodes[at]
+            if "mesh" in node:
+                name = maybe_text(node.get("name"))
+                out += [(name, p.moved(world)) for p in _solid(gltf.mesh(node["mesh"]))]
+            below = [(c, world @ node_matrix(nodes[c])) for c in node.get("children") or []]
+            stack += reversed(below)
+        return out
+
+    return pieces
+
+
+def _solid(primitives: list[Loaded]) -> list[Loaded]:
+    """A mesh as one piece: its primitives are materials, not parts."""
+    from model.geometry.formats.gltf import joined
+
+    return [joined(primitives)] if primitives else []

@@ -1,0 +1,279 @@
+"""A scanned room: PLY with a label a point (or vertex), each labelled instance an object cut out of
+it, and what remains as a static background.
+
+Labels are a property of the PLY's vertices, or in an NPZ beside it (``room_labels.npz`` or
+``room.npz`` for ``room.ply``): ``instance`` (N,), -1 for none, and, for what the objects are,
+``category`` (N,) texts or ``segment20`` (N,) numbers of ScanNet's 20 classes. Where nobody has
+labelled the room, ``room_boxes.json`` holds boxes drawn round objects::
+
+    {"objects": [{"id", "category", "description", "center": [x, y, z], "size": [x, y, z],
+                  "yaw": radians}]}
+
+Metres, +z up, as PLY scans are taken. Walls, floors and ceilings belong to the background.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+import zlib
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.errors import InputFileError
+from model.geometry.formats.loaded import Loaded
+from model.geometry.formats.ply import read_ply_columns
+from model.scenes.embedded import Unpacked, Unpacker
+from model.scenes.poses import about_z, pose
+from model.scenes.scene import Scene, SceneObject, SceneObjectError, SceneProblem
+from model.scenes.values import (
+    MAX_BYTES,
+    Place,
+    collect,
+    maybe_text,
+    numbers,
+    read_json,
+    shown,
+    text,
+)
+
+Labels = npt.NDArray[np.int64]
+
+BACKGROUND = "background"
+SCANNET20 = (
+    "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf",
+    "picture", "counter", "desk", "curtain", "refrigerator", "shower curtain", "toilet", "sink",
+    "bathtub", "other furniture",
+)  # fmt: skip
+"""Names of the ScanNet benchmark's classes in its order."""
+BUILDING = frozenset({"wall", "floor", "ceiling"})
+PROPERTIES = ("instance", "instance_id", "instanceid", "object_id", "objectid")
+"""Properties of PLY vertices that hold instances."""
+FEWEST = 50
+"""Points of an instance below which it is a splinter."""
+_GRID = 128.0
+"""Origins are multiples of 1/128 m: taking one off a float32 coordinate loses nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One object of the room.
+
+    Attributes:
+        id, category, description: as the labels tell.
+        points: (K,) its vertices, ascending.
+    """
+
+    id: str
+    category: str | None
+    description: str
+    points: Labels
+
+
+class ScanRoomReader:
+    """PLY with instance labels in it or beside it, or boxes beside it."""
+
+    name = "scan"
+    description = "scanned rooms (PLY with instance labels or boxes)"
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        if path.suffix.lower() != ".ply" or not head.startswith(b"ply"):
+            return False
+        header = head.split(b"end_header")[0].decode("latin-1").lower()
+        inside = re.search(rf"property \w+ ({'|'.join(PROPERTIES)})\s", header)
+        return inside is not None or _beside(path) is not None
+
+    def read(self, path: Path) -> Scene:
+        """See :class:`~model.scenes.protocol.SceneReader`."""
+        loaded, columns = read_ply_columns(path, PROPERTIES)
+        found, problems = _instances(path, loaded, columns)
+        background = _rest(loaded, found)
+        entries: list[tuple[Place, Any]] = [(("instance", i.id), i) for i in found]
+        make = partial(_object, path.name, loaded)
+        objects, broken = collect(entries, make, lambda i: i.id)
+        if background is not None:
+            objects += (_object(path.name, loaded, ("instance", BACKGROUND), background),)
+        return Scene(path.stem, path, self.name, objects, (*problems, *broken))
+
+    def unpack(self, scene: Scene, folder: Path) -> Unpacked:
+        """See :class:`~model.scenes.embedded.GeometryReader`."""
+        loaded, columns = read_ply_columns(scene.path, PROPERTIES)
+        found, _ = _instances(scene.path, loaded, columns)
+        by_id = {i.id: i for i in found}
+        rest = _rest(loaded, found)
+        if rest is not None:
+            by_id[BACKGROUND] = rest
+        made = Unpacker(folder)
+        for n, obj in enumerate(scene.objects):
+            origin = obj.world_from_object[:3, 3]
+            points = by_id[str(obj.place[1])].points
+            made.add(obj.asset or obj.id, f"instance_{n}", partial(_cut, loaded, points, origin))
+        return made.result()
+
+
+def _beside(path: Path) -> Path | None:
+    for name in (f"{path.stem}_labels.npz", f"{path.stem}.npz", f"{path.stem}_boxes.json"):
+        if path.with_name(name).is_file():
+            return path.with_name(name)
+    return None
+
+
+def _instances(
+    path: Path, loaded: Loaded, columns: dict[str, npt.NDArray[Any]]
+) -> tuple[list[Instance], tuple[SceneProblem, ...]]:
+    beside = _beside(path)
+    if beside is not None and beside.suffix == ".json":
+        return _boxed(beside, loaded)
+    arrays = columns if beside is None else _read_labels(beside)
+    labels = next((arrays[k] for k in PROPERTIES if k in arrays), None)
+    if labels is None:
+        raise InputFileError(
+            beside or path, "has no array 'instance'",
+            f"label the room's points, or put boxes into {path.stem}_boxes.json",
+        )  # fmt: skip
+    count = len(loaded.vertices)
+    if labels.shape != (count,) or labels.dtype.kind not in "iuf":
+        raise InputFileError(
+            beside or path, f"'instance' is {labels.dtype} of shape {labels.shape}",
+            f"one whole number for each of the {count} vertices is needed",
+        )  # fmt: skip
+    if labels.dtype.kind == "f":
+        labels = np.where(np.isfinite(labels), labels, -1)
+    names = _categories(arrays, count)
+    whole = labels.astype(np.int64)
+    order = np.argsort(whole, kind="stable")
+    kept, starts = np.unique(whole[order], return_index=True)
+    found, problems = [], []
+    for label, points in zip(kept.tolist(), np.split(order, starts[1:]), strict=True):
+        if label < 0:
+            continue
+        category = None if names is None else _commonest(names[points])
+        if category in BUILDING:
+            continue
+        id = f"{category or 'object'} {label}"
+        if len(points) < FEWEST:
+            told = f"has {len(points)} points and stays in the background"
+            problems.append(SceneProblem(id, told))
+            continue
+        found.append(Instance(id, category, category or "object", points))
+    return found, tuple(problems)
+
+
+def _read_labels(path: Path) -> dict[str, npt.NDArray[Any]]:
+    wanted = (*PROPERTIES, "category", "segment20")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(i.file_size for i in archive.infolist()) > 8 * MAX_BYTES:
+                raise InputFileError(path, "unpacks to more than labels need")
+        with np.load(path, allow_pickle=False) as file:
+            return {k.lower(): np.asarray(file[k]) for k in file.files if k.lower() in wanted}
+    except (
+        OSError, ValueError, KeyError, EOFError, SyntaxError, TypeError, MemoryError,
+        zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError,
+    ) as error:  # fmt: skip
+        raise InputFileError(path, f"is not an NPZ archive of arrays ({error})") from None
+
+
+def _categories(arrays: dict[str, npt.NDArray[Any]], count: int) -> npt.NDArray[Any] | None:
+    """(N,) texts, "" where nobody knows."""
+    given, classes = arrays.get("category"), arrays.get("segment20")
+    if given is not None and given.shape == (count,) and given.dtype.kind == "U":
+        return given
+    if classes is None or classes.shape != (count,) or classes.dtype.kind not in "iu":
+        return None
+    known = (classes >= 0) & (classes < len(SCANNET20))
+    return np.where(known, np.array(SCANNET20)[np.where(known, classes, 0)], "")
+
+
+def _commonest(names: npt.NDArray[Any]) -> str | None:
+    values, counts = np.unique(names, return_counts=True)
+    best = str(values[counts.argmax()]).strip()
+    return best or None
+
+
+def _boxed(path: Path, loaded: Loaded) -> tuple[list[Instance], tuple[SceneProblem, ...]]:
+    """Objects in boxes; a point belongs to the first box round it."""
+    told = read_json(path)
+    listed = told.get("objects") if isinstance(told, dict) else None
+    if not isinstance(listed, list):
+        raise InputFileError(path, "has no list 'objects'", "boxes with id, center and size")
+    free = np.ones(len(loaded.vertices), bool)
+    found: list[Instance] = []
+    problems: list[SceneProblem] = []
+    for n, entry in enumerate(listed):
+        try:
+            made = _in_box(entry, loaded, free)
+        except SceneObjectError as error:
+            id = maybe_text(entry.get("id")) if isinstance(entry, dict) else None
+            problems.append(SceneProblem(id or f"objects {n}", str(error)))
+            continue
+        if any(made.id == i.id for i in found) or made.id == BACKGROUND:
+            problems.append(SceneProblem(made.id, "the id is there twice; ids must differ"))
+            continue
+        free[made.points] = False
+        found.append(made)
+    return found, tuple(problems)
+
+
+def _in_box(entry: Any, loaded: Loaded, free: npt.NDArray[np.bool_]) -> Instance:
+    if not isinstance(entry, dict):
+        raise SceneObjectError(f"is {shown(entry)}; a box with id, center and size is needed")
+    id = text(entry.get("id"), "id")
+    center, size = numbers(entry.get("center"), 3, "center"), numbers(entry.get("size"), 3, "size")
+    yaw = float(numbers([entry.get("yaw", 0.0)], 1, "yaw")[0])
+    if (size <= 0).any():
+        raise SceneObjectError(f"size {size.tolist()} must be three positive numbers")
+    local = (loaded.vertices - center) @ about_z(yaw)
+    points = np.flatnonzero(free & (np.abs(local) <= size / 2).all(1))
+    if len(points) < FEWEST:
+        raise SceneObjectError(f"its box holds {len(points)} points that are in no other box")
+    category = maybe_text(entry.get("category"))
+    described = maybe_text(entry.get("description")) or category or id
+    return Instance(id, category, described, points)
+
+
+def _rest(loaded: Loaded, found: list[Instance]) -> Instance | None:
+    rest = np.ones(len(loaded.vertices), bool)
+    for instance in found:
+        rest[instance.points] = False
+    points = np.flatnonzero(rest)
+    return Instance(BACKGROUND, None, BACKGROUND, points) if len(points) >= FEWEST else None
+
+
+def _object(file: str, loaded: Loaded, place: Place, instance: Instance) -> SceneObject:
+    points = loaded.vertices[instance.points]
+    points = points[np.isfinite(points).all(1)]
+    if not len(points):
+        raise SceneObjectError("all its points are NaN or infinite")
+    low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
+    middle = np.array([*((low + high) / 2)[:2], low[2]])
+    return SceneObject(
+        id=instance.id,
+        description=instance.description,
+        world_from_object=pose(np.rint(middle * _GRID) / _GRID),
+        scale=np.ones(3),
+        asset=f"{file}#{instance.id}",
+        category=instance.category,
+        static=True if instance.id == BACKGROUND else None,
+        place=place,
+    )
+
+
+def _cut(loaded: Loaded, points: Labels, origin: npt.NDArray[np.float64]) -> list[Any]:
+    """The instance about its own origin; faces whose corners are all its own go along."""
+    vertices = loaded.vertices[points].astype(np.float64) - origin
+    colors = None if loaded.colors is None else loaded.colors[points]
+    if not len(loaded.faces):
+        normals = None if loaded.normals is None else loaded.normals[points]
+        return [(None, Loaded(vertices, normals=normals, colors=colors))]
+    number = np.full(len(loaded.vertices), -1)
+    number[points] = np.arange(len(points))
+    faces = number[loaded.faces]
+    faces = faces[(faces >= 0).all(1)]
+    return [(None, Loaded(vertices, faces, colors=colors))]

@@ -1,0 +1,63 @@
+"""What a person decides about a scene as a whole; see :mod:`sessions.commands`.
+
+The objects of a scene have sessions of their own, where they are annotated, accepted and rejected;
+a scene's session says which of them are articulated, and what was decided for several at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from model.errors import CommandError
+from sessions.review import REJECT_REASONS, RejectReason
+
+ID_LIMIT = 1000
+MOST_OBJECTS = 100_000
+
+Decided = Literal["accept", "reject"]
+
+
+@dataclass(frozen=True)
+class SetArticulable:
+    """Whether an object of this scene is articulated, whatever the finder says.
+
+    Attributes:
+        object: its id in the scene.
+        articulable: None: as the finder says.
+    """
+
+    object: str
+    articulable: bool | None
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.object) <= ID_LIMIT:
+            raise CommandError(f"an object's id must have 1 to {ID_LIMIT} characters")
+
+
+@dataclass(frozen=True)
+class DecideObjects:
+    """Accept or reject objects from the scene; taking it back takes each of them back.
+
+    Attributes:
+        decision: what for all of them.
+        objects: ids of their sessions in the workspace.
+        above: the confidence, 0..1, above which all were taken; None where they were named.
+        reason: why they are rejected; of no meaning where they are accepted.
+    """
+
+    decision: Decided
+    objects: tuple[int, ...]
+    above: float | None = None
+    reason: RejectReason = "other"
+
+    def __post_init__(self) -> None:
+        if self.decision not in ("accept", "reject"):
+            raise CommandError(f"decision must be accept or reject, got {self.decision!r}")
+        if self.reason not in REJECT_REASONS:
+            raise CommandError(f"reason must be one of {', '.join(REJECT_REASONS)}")
+        if not 0 < len(self.objects) <= MOST_OBJECTS or len(set(self.objects)) < len(self.objects):
+            raise CommandError("objects must be different ones, and at least one")
+        if self.above is not None and not (math.isfinite(self.above) and 0 <= self.above <= 1):
+            raise CommandError(f"above must be 0..1, got {self.above}")

@@ -1,0 +1,89 @@
+"""Assets are written before they are accepted; a kill at any moment loses none."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from app import saving_tasks, tasks
+from app.saving_tasks import DRAFTS_KEPT, prepare_asset, save_asset_folder
+from app.tasks import PartSource, ReadOptions, open_asset
+from model.exporters.reload import reload_check
+from model.exporters.saved import load_object, read_provenance
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+DOOR = Joint("door", "revolute", "link_0", "link_1", (0, 0, 1), (0, 0, 0), lower=0, upper=1.5)
+TREE = KinematicTree(("link_0", "link_1"), (DOOR,))
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> PartSource:
+    folder = tmp_path_factory.mktemp("box")
+    trimesh.creation.box((1, 0.5, 0.7)).export(folder / "box.ply")
+    workspace = folder / "workspace"
+    opened = open_asset(folder / "box.ply", workspace, ReadOptions())
+    labels = tasks.arrays_of(workspace).put((np.arange(12) < 2).astype(np.int16))
+    return PartSource(opened.folder, workspace, labels, {1: "door"}, "Cabinet", "box")
+
+
+@pytest.fixture(autouse=True)
+def no_drafts(source: PartSource) -> None:
+    saving_tasks.shutil.rmtree(source.workspace / "drafts", ignore_errors=True)
+
+
+def drafts(source: PartSource) -> list[str]:
+    folder = source.workspace / "drafts"
+    return sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+
+
+def test_accepting_moves_what_was_prepared(source, tmp_path, monkeypatch):
+    draft = prepare_asset(source, TREE)
+    assert prepare_asset(source, TREE) == draft
+    with monkeypatch.context() as patch:  # nothing is cut or written a second time
+        patch.setattr(tasks, "parts_of", None)
+        folder = save_asset_folder(source, TREE, tmp_path / "a", {"by": "me"})
+    assert drafts(source) == []
+    record = read_provenance(folder)
+    assert record["by"] == "me" and record["asset"]["name"] == "box"
+    assert reload_check(folder) == []
+    # Accepted again after an edit and without a draft, over the first.
+    wider = KinematicTree(TREE.links, (replace(DOOR, upper=2.0),))
+    assert save_asset_folder(source, wider, tmp_path / "a", {"by": "her"}) == folder
+    assert load_object(folder).tree.joints[0].upper == pytest.approx(2.0)
+    assert read_provenance(folder)["by"] == "her"
+
+
+def test_what_differs_gets_a_draft_of_its_own_and_old_ones_go(source):
+    made = [prepare_asset(source, TREE), prepare_asset(replace(source, names={}), TREE)]
+    for upper in np.linspace(0.5, 1, DRAFTS_KEPT):
+        tree = KinematicTree(TREE.links, (replace(DOOR, upper=float(upper)),))
+        made.append(prepare_asset(source, tree))
+    assert len(set(made)) == DRAFTS_KEPT + 2
+    assert drafts(source) == sorted(p.name for p in made[2:])
+
+
+def _killed_at(source: PartSource, step: str) -> None:
+    def dies(fraction: float, message: str) -> None:
+        if message.startswith(step):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    prepare_asset(source, TREE, dies)
+
+
+@pytest.mark.parametrize("step", ["writing link_1", "Reading it back"])
+def test_a_kill_while_preparing_leaves_no_half_draft(source, tmp_path: Path, step):
+    child = multiprocessing.get_context("fork").Process(target=_killed_at, args=(source, step))
+    child.start()
+    child.join()
+    assert child.exitcode == -signal.SIGKILL
+    assert len(drafts(source)) == 1 and drafts(source)[0].startswith(".")
+    folder = save_asset_folder(source, TREE, tmp_path / "a", {})
+    assert reload_check(folder) == []
