@@ -36,6 +36,14 @@ def bench_ui(
     return Bench([asdict(f) for f in figures], _nothing)  # it prints its own table
 
 
+def bench_scene(objects: int | None) -> Bench:
+    """A large scene: until its first picture, and until the whole of it is sent."""
+    from app.bench_scene import run, show
+
+    figures = run(200 if objects is None else objects)
+    return Bench([asdict(f) for f in figures], lambda: show(figures))
+
+
 def bench_segment(
     data: Path | None,
     sets: list[str] | None,

@@ -212,7 +212,12 @@ def _cabinet_mesh(faces: int) -> Any:
     return Mesh(np.concatenate(vertices), np.concatenate(triangles).astype(np.int32))
 
 
-def _wait(condition: Any, what: str) -> None:
+def wait_for(condition: Any, what: str) -> None:
+    """Poll until ``condition()`` is true.
+
+    Raises:
+        TimeoutError: naming ``what`` never came.
+    """
     end = time.perf_counter() + WAIT_SECONDS
     while not condition():
         if time.perf_counter() > end:
@@ -232,14 +237,14 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
         start = time.perf_counter()
         server.bench.object(server.bench.records()[0].id)
         browser = PretendedBrowser(server.url)
-        _wait(lambda: server.apps, "the tab")
+        wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
-        _wait(lambda: app.object is not None and app.object.asset is not None, "the object")
-        _wait(lambda: app.drawn, "the picture")
+        wait_for(lambda: app.object is not None and app.object.asset is not None, "the object")
+        wait_for(lambda: app.drawn, "the picture")
         drawn = time.perf_counter()
         asset = app.object.asset
         figures = UiFigures(path.stem, asset.element_count, 1000 * (drawn - start))
-        _wait(lambda: not app.object.busy, "the segmenter")
+        wait_for(lambda: not app.object.busy, "the segmenter")
         figures.encode_ms = 1000 * (time.perf_counter() - drawn)
         browser.quiet()
         watch = LoopWatch(server.viser.get_event_loop())
@@ -269,8 +274,10 @@ def _click(app: Any, browser: PretendedBrowser, figures: UiFigures, clicks: int)
         start = time.perf_counter()
         ray = tuple(map(float, origin)), tuple(map(float, direction))
         app.act(lambda ray=ray: app.pointing.click(*ray, True))
-        _wait(lambda count=count: len(app.object.document.prompts) > count, "the prompt")
-        _wait(lambda: app.object.document.segmentation_current and app.shows_labels, "the labels")
+        wait_for(lambda count=count: len(app.object.document.prompts) > count, "the prompt")
+        wait_for(
+            lambda: app.object.document.segmentation_current and app.shows_labels, "the labels"
+        )
         taken.append(time.perf_counter() - start)
         sent.append(browser.quiet(0.3) - before)
     figures.click_p50_ms, figures.click_p95_ms = (
@@ -284,7 +291,7 @@ def _baseline(app: Any, browser: PretendedBrowser, figures: UiFigures) -> None:
     asset = app.object.asset
     before, start = browser.quiet(), time.perf_counter()
     app.scene.show_asset(asset)
-    _wait(lambda: browser.last > start, "the whole object")
+    wait_for(lambda: browser.last > start, "the whole object")
     figures.whole_bytes = browser.quiet(1.0) - before
     figures.whole_ms = 1000 * (browser.last - start)
 

@@ -295,7 +295,7 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("what", choices=("ui", "segment", "predict"))
+    add("what", choices=("ui", "scene", "segment", "predict"))
     add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
     add("--sets", nargs="+", metavar="NAME", help="segment: which data sets")
     add("--segmenter", action="append", metavar="NAME",
@@ -303,6 +303,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     add("--points", type=_count, nargs="+", metavar="N", help="ui: sizes of the clouds")
     add("--faces", type=_count, metavar="N", help="ui: size of the mesh; 0 leaves it out")
     add("--clicks", type=_count, metavar="N", help="ui: clicks on each object")
+    add("--objects", type=_count, metavar="N", help="scene: how many (default: 200)")
     add("--limit", type=int, help="segment: objects of each set")
     _add_json(parser)
 
@@ -406,6 +407,7 @@ def _bench(args: argparse.Namespace) -> int:
         "ui": lambda: bench.bench_ui(
             args.points, args.faces, args.clicks, (args.segmenter or [None])[0]
         ),
+        "scene": lambda: bench.bench_scene(args.objects),
         "segment": lambda: bench.bench_segment(
             args.data, args.sets, args.segmenter, args.limit, show.progress
         ),

@@ -108,6 +108,7 @@ class SceneDesk:
         self.works: dict[int, Work] = {}
         self.busy: dict[str, tuple[float, str]] = {}
         self.paused = False
+        self._closed = False
         self._work_of: dict[Path, Work] = {}
         self._max_faces = FACES
         self._lock = threading.RLock()
@@ -246,13 +247,17 @@ class SceneDesk:
 
     def _opened(self, scene: OpenedScene) -> None:
         with self._lock:
-            self.scene = scene
             self.items = {item.obj.id: item for item in scene.items}
             paths = {item.path for item in scene.items if item.path is not None}
             self._max_faces = int(np.clip(FACES / max(1, len(paths)), 1500, 20_000))
         self._find_works()
+        self.scene = scene  # last: from here on its objects are told
         self.accepting.take_up()
         self.go_on()
+
+    def close(self) -> None:
+        """Start nothing more: the workers end."""
+        self._closed = True
 
     def _find_works(self) -> None:
         """A session for each working copy that is wanted and has none yet."""
@@ -285,7 +290,7 @@ class SceneDesk:
 
     def go_on(self) -> None:
         """Start what is to be done next, one job of a kind at a time, and redraw."""
-        if self.scene is not None:
+        if self.scene is not None and not self._closed:
             with self._lock:
                 self._draw_shapes()
                 self._draw_parts()
@@ -419,9 +424,6 @@ class SceneDesk:
         return tell
 
     def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
-        if self._running.get(what) is job:
-            del self._running[what]
-            self.busy.pop(what, None)
         try:
             keep(job.result(0))
         except Cancelled:
@@ -431,6 +433,10 @@ class SceneDesk:
         except Exception as error:  # a job's boundary: say it and go on
             log.exception("job %s of the scene failed", what)
             self._failed(what, f"{error} (our fault; the details are in the server's log)", work)
+        # Only now: what is kept above asks for the next job, and this one isn't to be asked again.
+        if self._running.get(what) is job:
+            del self._running[what]
+            self.busy.pop(what, None)
         self.go_on()
 
     def _failed(self, what: str, message: str, work: Work | None) -> None:

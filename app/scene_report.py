@@ -54,6 +54,7 @@ class ReportRow:
         confidence: of its least sure joint, or of the finder.
         said: what a person said of it: articulable or not; None where nobody said anything.
         tree, sure: its joints and their confidence by child link.
+        names: link → what the part is.
         by, at, reason: who decided last, when, and why it was rejected.
         notes: what a person must know.
         source: its parts, to draw it.
@@ -66,6 +67,7 @@ class ReportRow:
     said: bool | None
     tree: KinematicTree | None
     sure: Mapping[str, float]
+    names: Mapping[str, str]
     by: str
     at: str
     reason: str
@@ -151,7 +153,7 @@ def _line(row: ReportRow, picture: bytes | None) -> str:
         reason += f"<br>A person said: {'articulable' if row.said else 'static'}."
     reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in row.notes)
     joints = "" if row.tree is None else "<br>".join(
-        _joint(j, row.sure.get(j.child)) for j in row.tree.joints if j.moves
+        _joint(j, row.names.get(j.child, j.name), row.sure.get(j.child)) for j in row.tree.joints if j.moves
     )  # fmt: skip
     about = (
         ""
@@ -164,7 +166,7 @@ def _line(row: ReportRow, picture: bytes | None) -> str:
     )
 
 
-def _joint(joint: Joint, sure: float | None) -> str:
+def _joint(joint: Joint, name: str, sure: float | None) -> str:
     span = ""
     if joint.limited:
         low, high = joint.lower or 0.0, joint.upper or 0.0
@@ -173,7 +175,7 @@ def _joint(joint: Joint, sure: float | None) -> str:
             else f" {1000 * low:.0f}…{1000 * high:.0f} mm"
         )  # fmt: skip
     told = "" if sure is None else f", {100 * sure:.0f} % sure"
-    return f"{escape(joint.name)}: {joint.type}{span}{told}"
+    return f"{escape(name)}: {joint.type}{span}{told}"
 
 
 def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]) -> bytes | None:

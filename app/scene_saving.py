@@ -142,6 +142,7 @@ class Saving:
             item, row.status, row.confidence, desk.document.articulable.get(item.obj.id),
             None if doc is None else doc.tree,
             {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
+            {} if doc is None else {p.link: f"{p.name} {p.id}" for p in doc.parts if p.name},
             "" if doc is None else doc.review.by, "" if doc is None else doc.review.at,
             "" if doc is None else (doc.review.reason or "").replace("_", " "),
             tuple(n for n in notes if n), source, None if work is None else work.id,

@@ -19,7 +19,7 @@ from viser import transforms as vtf
 from app.scene_desk import Row, SceneDesk, Work
 from app.scene_tasks import SceneItem, Shape
 from app.viewer import palette
-from app.viewer.scene_rays import hit_distance
+from app.viewer.scene_rays import hit_distance, meets_boxes
 from app.viewer.scene_view import FIELD_OF_VIEW, SCENE_ROOT, set_stage
 
 ROOT = SCENE_ROOT
@@ -55,6 +55,7 @@ class Node:
         rest: where its instances are while nothing moves.
         now: where they are.
         faces: of merged objects, each one's faces.
+        boxes: of merged objects, (N, 2, 3) each one's place.
     """
 
     ids: Ids
@@ -65,6 +66,7 @@ class Node:
     work: Work | None = None
     link: str = ""
     faces: list[slice] | None = None
+    boxes: npt.NDArray[Any] | None = None
 
 
 class ScenePicture:
@@ -109,6 +111,11 @@ class ScenePicture:
         return np.stack([points.min(0), points.max(0)])
 
     # --- drawing
+
+    @property
+    def shown(self) -> frozenset[str]:
+        """The objects that were sent."""
+        return frozenset(i for node in list(self._nodes.values()) for i in node.ids)
 
     def draw(self, rows: Sequence[Row], selected: str | None) -> None:
         """Send what changed: shapes that arrived, states, what is selected."""
@@ -159,12 +166,13 @@ class ScenePicture:
             self._nodes["static", self._chunks] = self._merged(solid)
 
     def _merged(self, solid: list[tuple[str, Shape, Stand]]) -> Node:
-        vertices, faces, slices = [], [], []
+        vertices, faces, slices, boxes = [], [], [], []
         count = start = 0
         for _, shape, stand in solid:
             assert shape.faces is not None
             at = (shape.vertices * stand.scale) @ stand.world[:3, :3].T + stand.world[:3, 3]
             vertices.append(at.astype(np.float32))
+            boxes.append([at.min(0), at.max(0)])
             faces.append(shape.faces + np.uint32(count))
             slices.append(slice(start, start + len(shape.faces)))
             count, start = count + len(at), start + len(shape.faces)
@@ -177,12 +185,13 @@ class ScenePicture:
         )  # fmt: skip
         self._looks = None
         here = [Stand(np.eye(4), np.ones(3)) for _ in solid]
-        return Node(tuple(i for i, _, _ in solid), whole, [handle], here, here, faces=slices)
+        ids = tuple(i for i, _, _ in solid)
+        return Node(ids, whole, [handle], here, here, faces=slices, boxes=np.array(boxes))
 
     def _without(self, node: Node, gone: list[str]) -> Node:
         assert node.shape.faces is not None and node.faces is not None
-        kept = [(i, node.faces[k]) for k, i in enumerate(node.ids) if i not in gone]
-        faces = [node.shape.faces[s] for _, s in kept]
+        kept = [k for k, i in enumerate(node.ids) if i not in gone]
+        faces = [node.shape.faces[node.faces[k]] for k in kept]
         ends = np.cumsum([0, *map(len, faces)])
         shape = Shape(
             node.shape.bounds, node.shape.vertices,
@@ -194,7 +203,9 @@ class ScenePicture:
         handle.visible = bool(faces)
         slices = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         here = node.rest[: len(kept)]
-        return Node(tuple(i for i, _ in kept), shape, [handle], here, here, faces=slices)
+        ids, boxes = tuple(node.ids[k] for k in kept), node.boxes
+        boxes = None if boxes is None else boxes[kept]
+        return Node(ids, shape, [handle], here, here, faces=slices, boxes=boxes)
 
     def _draw_instances(self, wanted: dict[tuple[Any, ...], list[str]]) -> None:
         for key in [k for k in self._nodes if k[0] in ("whole", "part") and k not in wanted]:
@@ -410,29 +421,22 @@ class ScenePicture:
     def pick(self, origin: Array, direction: Array) -> str | None:
         """The object under a ray of the scene's frame, where its parts are now."""
         best, hit = np.inf, None
-        for node in self._nodes.values():
-            for k, id in enumerate(node.ids):
+        for node in list(self._nodes.values()):
+            boxes = node.boxes
+            if boxes is None:
+                corners = np.stack([_corners(node.shape, s) for s in node.now])
+                boxes = np.stack([corners.min(1), corners.max(1)], axis=1)
+            for k in np.flatnonzero(meets_boxes(origin, direction, boxes)):
                 stand, faces = node.now[k], node.shape.faces
-                shape = node.shape
                 if node.faces is not None and faces is not None:
                     faces = faces[node.faces[k]]
-                    used = shape.vertices[np.unique(faces)]
-                    low, high = used.min(0), used.max(0)
-                    if not np.isfinite(low).all() or not _near(origin, direction, low, high):
-                        continue
                 turn = stand.world[:3, :3]
                 local = ((origin - stand.world[:3, 3]) @ turn) / stand.scale
-                t = hit_distance(local, (direction @ turn) / stand.scale, shape.vertices, faces)
+                along = (direction @ turn) / stand.scale
+                t = hit_distance(local, along, node.shape.vertices, faces)
                 if t < best:
-                    best, hit = t, id
+                    best, hit = t, node.ids[k]
         return hit
-
-
-def _near(origin: Array, direction: Array, low: Array, high: Array) -> bool:
-    center = (low + high) / 2
-    along = float((center - origin) @ direction)
-    off = float(np.linalg.norm(center - origin - along * direction))
-    return off <= 0.5 * float(np.linalg.norm(high - low))
 
 
 def _corners(shape: Shape, stand: Stand, margin: float = 0.0) -> npt.NDArray[Any]:

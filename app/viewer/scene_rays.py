@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -24,18 +26,19 @@ def hit_distance(
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     reach = 0.0 if faces is not None else NEAR_RAY * float(np.linalg.norm(high - low))
-    if not _meets_box(origin, direction, low - reach, high + reach):
+    if not meets_boxes(origin, direction, np.array([[low - reach, high + reach]]))[0]:
         return np.inf
     if faces is None:
         return _cloud_hit(origin, direction, vertices.astype(np.float64), reach)
     return _mesh_hit(origin, direction, vertices.astype(np.float64)[faces])
 
 
-def _meets_box(origin: Array, direction: Array, low: Array, high: Array) -> bool:
+def meets_boxes(origin: Array, direction: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """(N,) which of the (N, 2, 3) axis-parallel boxes a ray goes through."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low - origin) / direction, (high - origin) / direction
-    enter, leave = np.fmax.reduce(np.fmin(a, b)), np.fmin.reduce(np.fmax(a, b))
-    return bool(leave >= max(enter, 0.0))
+        a, b = (boxes[:, 0] - origin) / direction, (boxes[:, 1] - origin) / direction
+    enter, leave = np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
+    return leave >= np.maximum(enter, 0.0)
 
 
 def _mesh_hit(origin: Array, direction: Array, triangles: Array) -> float:

@@ -58,11 +58,13 @@ def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
     """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
     contexts: list[Any] = []
 
-    def begin(server: Any, width: int = 1280, height: int = 800, **context: Any) -> Tab:
+    def begin(
+        server: Any, width: int = 1280, height: int = 800, kind: type[Tab] = Tab, **context: Any
+    ) -> Tab:
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
         page = contexts[-1].new_page()
         page.goto(server.url)
-        return Tab(page, server).ready()
+        return kind(page, server).ready()
 
     yield begin
     for context in contexts:

@@ -1,0 +1,187 @@
+"""``artiworld bench scene``: how long a large scene takes to appear, on the server.
+
+The scene is made up: three in ten objects are cabinets in three parts, the others are bumpy blocks.
+Every object has files and a size of its own, so that nothing is shared, which is the worst case;
+its second opening finds the pictures of the first. Nothing is predicted meanwhile.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.bench_ui import LoopWatch, PretendedBrowser, wait_for
+from app.config import ServeConfig
+
+FACES = 2000
+"""Triangles of each block, and of each cabinet."""
+
+
+@dataclass
+class SceneFigures:
+    """What was measured at one opening; milliseconds from the start of the server's work.
+
+    Attributes:
+        opening: "first", or "again" with pictures kept.
+        first_ms: until something of the scene was sent.
+        first_cpu_ms: processor time of the server and its workers until then.
+        whole_ms: until every object was sent.
+        sent_mb: megabytes sent to the browser.
+        loop_held_ms: the longest that one callback held the event loop.
+        pick_ms: processor time to find the object under a click, the median of 20.
+    """
+
+    opening: str
+    objects: int
+    first_ms: float = 0.0
+    first_cpu_ms: float = 0.0
+    whole_ms: float = 0.0
+    sent_mb: float = 0.0
+    loop_held_ms: float = 0.0
+    pick_ms: float = 0.0
+
+
+def run(objects: int) -> list[SceneFigures]:
+    """Measure a first and a second opening of a scene of that many objects."""
+    with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
+        root = Path(folder)
+        scene = make_scene(root, objects)
+        return [_measure(scene, root, objects, opening) for opening in ("first", "again")]
+
+
+def make_scene(root: Path, objects: int) -> Path:
+    """Write the scene and its assets into ``root``; returns the scene's file."""
+    from model.geometry.mesh import Mesh
+    from model.geometry.writers import write_mesh
+
+    rng = np.random.default_rng(0)
+    entries: list[dict[str, Any]] = []
+    side = int(np.ceil(np.sqrt(objects)))
+    for k in range(objects):
+        cabinet = k % 10 < 3
+        name = f"{'cabinet' if cabinet else 'block'}_{k}"
+        place = root / "assets" / name
+        place.mkdir(parents=True)
+        spans = _CABINET if cabinet else (((0.0, 0.0, 0.0), (0.4, 0.4, 0.4)),)
+        for i, (low, high) in enumerate(spans):
+            vertices, faces = _block(FACES // len(spans), np.array(low), np.array(high), rng)
+            write_mesh(Mesh(vertices, faces), place / f"link_{i}.obj")
+        size = rng.uniform(0.8, 1.2)
+        entries.append({
+            "id": name, "description": "cabinet" if cabinet else "block", "asset": name,
+            "position": [1.2 * (k % side), 1.2 * (k // side), 0.0],
+            "quaternion_wxyz": [1, 0, 0, 0], "scale": [size] * 3, "anchor": "base",
+        })  # fmt: skip
+    path = root / "scene.json"
+    path.write_text(json.dumps({"artiworld_scene": 1, "name": "bench", "objects": entries}))
+    return path
+
+
+_CABINET = (
+    ((0.0, 0.0, 0.0), (0.6, 0.5, 0.8)),
+    ((0.0, -0.02, 0.02), (0.29, 0.0, 0.78)),
+    ((0.31, -0.02, 0.02), (0.6, 0.0, 0.78)),
+)
+
+
+def _block(faces: int, low: Any, high: Any, rng: np.random.Generator) -> tuple[Any, Any]:
+    """The six sides of a box as grids, a little uneven."""
+    n = max(2, int(np.sqrt(faces / 12)))
+    line = np.linspace(0.0, 1.0, n + 1)
+    u, v = (g.ravel() for g in np.meshgrid(line, line, indexing="ij"))
+    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    grid = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    vertices, triangles = [], []
+    for axis in range(3):
+        for end in (0.0, 1.0):
+            at = np.empty((len(u), 3))
+            at[:, axis], at[:, (axis + 1) % 3], at[:, (axis + 2) % 3] = end, u, v
+            triangles.append(grid + sum(map(len, vertices)))
+            vertices.append(low + at * (high - low) + rng.normal(0, 5e-4, at.shape))
+    return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
+
+
+def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigures:
+    from app.server import Server
+
+    start, used = time.perf_counter(), _cpu(os.getpid())
+    config = ServeConfig(
+        workspace=root / "workspace", port=0, user="bench", scene=scene, assets=(root / "assets",)
+    )
+    server = Server(config)
+    try:
+        desk: Any = server.bench.desk
+        desk.paused = True
+        browser = PretendedBrowser(server.url)
+        watch = LoopWatch(server.viser.get_event_loop())
+        wait_for(lambda: server.apps, "the tab")
+        app: Any = next(iter(server.apps.values()))
+        figures = SceneFigures(opening, objects)
+        wait_for(lambda: app.in_scene.picture.shown, "something of the scene")
+        figures.first_ms = 1000 * (time.perf_counter() - start)
+        worker = server.bench.geometry.pid
+        figures.first_cpu_ms = 1000 * (
+            _cpu(os.getpid()) - used + (0.0 if worker is None else _cpu(worker))
+        )
+        wait_for(lambda: len(app.in_scene.picture.shown) == objects, "the whole scene")
+        figures.whole_ms = 1000 * (time.perf_counter() - start)
+        figures.sent_mb = browser.quiet() / 1e6
+        figures.loop_held_ms = 1000 * watch.worst
+        watch.stop()
+        figures.pick_ms = _pick(app, objects)
+        browser.close()
+        return figures
+    finally:
+        server.close()
+
+
+def _cpu(pid: int) -> float:
+    """Processor seconds of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _pick(app: Any, objects: int) -> float:
+    picture, rng, taken = app.in_scene.picture, np.random.default_rng(1), []
+    low, high = picture.bounds()
+    for _ in range(20):
+        target = rng.uniform(low, high)
+        origin = target + np.array([3.0, -8.0, 6.0])
+        start = time.thread_time()  # the machine may be busy
+        picture.pick(origin, (target - origin) / np.linalg.norm(target - origin))
+        taken.append(time.thread_time() - start)
+    return 1000 * float(np.median(taken))
+
+
+def show(figures: list[SceneFigures]) -> None:
+    """Print the table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="A scene appears, server side")
+    for name in (
+        "opening",
+        "objects",
+        "first picture",
+        "processor",
+        "whole scene",
+        "sent",
+        "loop held",
+        "pick",
+    ):
+        table.add_column(name, justify="right" if name != "opening" else "left")
+    for f in figures:
+        table.add_row(
+            f.opening, str(f.objects), f"{f.first_ms / 1000:.1f} s",
+            f"{f.first_cpu_ms / 1000:.1f} s", f"{f.whole_ms / 1000:.1f} s",
+            f"{f.sent_mb:.1f} MB", f"{f.loop_held_ms:.0f} ms", f"{f.pick_ms:.0f} ms",
+        )  # fmt: skip
+    Console(width=140).print(table)

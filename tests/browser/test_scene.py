@@ -1,0 +1,113 @@
+"""A whole scene in a real browser: choose, work on one object in place, decide, go back, save."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browsing import Tab, wait_until
+
+from tests.model.scenes.scenes_made import make_assets, own, write_scene
+
+# A loaded machine without a GPU may draw a picture too late; twice more is fair.
+pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+
+
+def entry(id: str, asset: str, x: float) -> dict[str, Any]:
+    return {
+        "id": id, "description": id.rstrip("12 "), "asset": asset, "position": [x, 0.0, 0.4],
+        "quaternion_wxyz": [0.7071067811865476, 0.0, 0.0, -0.7071067811865476],
+        "scale": [1, 1, 1], "anchor": "center",
+    }  # fmt: skip
+
+
+class SceneTab(Tab):
+    """A tab that shows a scene."""
+
+    @property
+    def scene(self) -> Any:
+        return self.app.in_scene
+
+    @property
+    def desk(self) -> Any:
+        return self.server.bench.desk
+
+    def ready(self) -> SceneTab:
+        page = self.page
+        page.wait_for_selector("canvas", state="attached", timeout=150_000)
+        wait_until(lambda: self.server.apps, "the server sees the tab")
+        wait_until(lambda: self.desk.scene is not None, "the scene is read")
+        self.wait_node("/world/ground")
+        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
+        page.wait_for_timeout(400)
+        return self
+
+    def status(self, id: str) -> str:
+        return self.desk.status(self.desk.items[id])
+
+
+def test_open_choose_work_in_place_accept_and_save(
+    start: Any, open_tab: Any, tmp_path: Path
+) -> None:
+    assets = make_assets(tmp_path / "assets")
+    scene = write_scene(
+        tmp_path / "home.json",
+        own([entry("cabinet 1", "cab", 0.0), entry("rock 2", "rock", 1.2)]),
+    )
+    server = start(scene=scene, assets=(assets,), predictor="geometric")
+    tab = open_tab(server, kind=SceneTab)
+    wait_until(lambda: tab.status("cabinet 1") == "predicted", "the cabinet is predicted")
+    wait_until(lambda: tab.desk.work("cabinet 1").drawn is not None, "its parts are drawn")
+    assert tab.status("rock 2") == "static"
+
+    # Click the static rock in the picture, say that it moves, take that back.
+    tab.scene.picture.frame()
+    tab.page.wait_for_timeout(700)
+    low, high = tab.scene.picture.bounds(["rock 2"])
+    tab.click3d([*((low + high) / 2)[:2], high[2]])
+    wait_until(lambda: tab.scene.selected == "rock 2", "a click chooses the rock")
+    tab.button("Articulable").click()
+    wait_until(lambda: tab.status("rock 2") == "todo", "a person says that it is articulable")
+    tab.button("Undo").first.click()
+    wait_until(lambda: tab.status("rock 2") == "static", "undo")
+
+    # N goes to what wants a decision; Enter works on it in place.
+    tab.page.locator("canvas").first.focus()
+    tab.key("n")
+    wait_until(lambda: tab.scene.selected == "cabinet 1", "N goes to the cabinet")
+    tab.key("Enter")
+    wait_until(lambda: tab.app.object is not None and tab.app.drawn, "the cabinet is open")
+    tab.wait_node("/scan")
+    root = tab.app.client.scene.get_handle_by_name("/world")
+    pose = tab.desk.world_from_copy(tab.desk.items["cabinet 1"])
+    np.testing.assert_allclose(root.position, np.linalg.inv(pose)[:3, 3], atol=1e-6)
+    ghost = next(n for k, n in tab.scene.picture._nodes.items() if k[0] == "static")
+    wait_until(lambda: (ghost.handles[0].opacity or 1) < 0.5, "what stands around is a ghost")
+    assert tab.app.stage == "Joints"
+    before = tab.app
+    tab.page.reload()
+    wait_until(lambda: tab.server.apps and tab.app is not before, "the page is loaded again")
+    wait_until(
+        lambda: tab.scene.inside == "cabinet 1" and tab.app.drawn, "a reload comes back to it"
+    )
+    tab.wait_node("/scan")
+    tab.button("Back to the scene (Backspace)").click()
+    wait_until(lambda: tab.app.object is None and tab.scene.inside is None, "back in the scene")
+
+    # All joints at once, then a decision from the scene.
+    tab.button("Play all joints (Space)").click()
+    nodes = tab.scene.picture._nodes
+    wait_until(
+        lambda: any(n.now != n.rest for n in nodes.values() if n.work is not None), "parts move"
+    )
+    tab.button("Stop (Space)").click()
+    wait_until(lambda: not tab.scene.motion.playing, "and stop")
+    wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choose(
+        "cabinet 1"), "the cabinet is chosen")  # fmt: skip
+    tab.button("Accept (Y)").first.click()
+    wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
+    tab.button("Save the scene").click()
+    saved = wait_until(lambda: tab.desk.document.saved, "saved")
+    assert (Path(saved.folder) / "scene.xml").is_file()
