@@ -347,6 +347,8 @@ def _kept(out: Path, me: Standing, others: tuple[Standing, ...]) -> list[dict[st
 
 
 def _standing(o: Outcome, out: Path) -> Standing | None:
+    if not o.obj.obstacle:
+        return None
     if o.obj.box is not None:
         half = np.asarray(o.obj.box) / 2
         return Standing(o.obj.id, None, o.obj.world_from_object, np.stack([-half, half]))

@@ -165,11 +165,11 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         "parts": len(parts),
         "how": how,
         "problems": list(problems),
-        "usable": _usable(obj, found, placement.scale, state),
+        "usable": usability(obj, found, placement.scale, state),
     }
 
 
-def _usable(
+def usability(
     obj: ArticulatedObject, found: AssetParts | None, factors: FloatArray, state: str
 ) -> bool | None:
     """Whether every joint is right (ArtiWorld, usability); None where no URDF tells the truth."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from model.exporters.saved import load_object
 from model.geometry.mesh import Mesh
@@ -23,6 +24,9 @@ from model.scenes.scene import FloatArray
 
 SAMPLES = 13
 """Poses from which the reach of a joint is told."""
+SCAN_BORDER = 0.05
+"""Metres about a moving part where a scanned neighbour counts for nothing: labels and boxes end
+somewhere near the border, so some of the door's own frame is always the neighbour's."""
 LEAST = {True: math.radians(1.0), False: 0.002}
 """Radians and metres that a limit must lose to count as shortened."""
 
@@ -76,6 +80,8 @@ def shortened(me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]
         limits = list(_range(joint))
         for other in others:
             part = _near_part(other, asset_from_world, reach, me.world_from_asset)
+            if part is not None and _scanned(me, other):
+                part = _beyond_border(part, [p for p in obj.parts if p.link in moving])
             surface = None if part is None else surface_of(part)
             if surface is None:
                 continue
@@ -92,6 +98,30 @@ def shortened(me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]
             was = [joint.lower, joint.upper] if joint.limited else None
             out.append({"joint": joint.name, "was": was, "limits": limits, "hits": hit})
     return out
+
+
+def _scanned(*standing: Standing) -> bool:
+    return any(
+        p.cloud is not None
+        for s in standing if s.folder is not None for p in _load(s.folder).parts
+    )  # fmt: skip
+
+
+def _beyond_border(part: Part, moving: list[Part]) -> Part | None:
+    """The faces of ``part`` that are further than :data:`SCAN_BORDER` from what moves."""
+    assert part.mesh is not None
+    own = [_points(p) for p in moving]
+    middle = part.mesh.triangles.mean(axis=1)
+    near = KDTree(np.concatenate(own)).query(middle, distance_upper_bound=SCAN_BORDER)[0]
+    far = ~np.isfinite(near)
+    return Part(part.link, part.mesh.take_faces(far)) if far.any() else None
+
+
+def _points(part: Part) -> FloatArray:
+    if part.cloud is not None:
+        return part.cloud.points.astype(np.float64)
+    assert part.mesh is not None
+    return part.mesh.vertices
 
 
 @lru_cache(maxsize=8)

@@ -4,7 +4,8 @@
 
     {"artiworld_scene": 1, "name", "source": {"file", "reader", "frame": {…}},
      "objects": [{"id", "description", "category", "room", "asset", "position", "quaternion_wxyz",
-                  "scale", "anchor", "fit", "static", "box", …what the conversion says}],
+                  "scale", "anchor", "fit", "static", "obstacle", "box",
+                  …what the conversion says}],
      "problems": [{"object", "reason", "skipped"}]}
 
 Metres, right-handed, +z up, whatever the source's frame, which ``frame`` tells. See
@@ -61,5 +62,6 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "anchor": o.anchor,
         "fit": None if o.fit is None else [float(v) for v in o.fit],
         "static": o.static,
+        "obstacle": o.obstacle,
         "box": None if o.box is None else [float(v) for v in o.box],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -11,6 +12,8 @@ T = TypeVar("T")
 
 TRIES = 3
 """How often the worker of one object may die before the object is given up."""
+
+CONNECT_SECONDS = 5.0
 
 
 def ray_map(
@@ -58,6 +61,7 @@ def _connect(address: str) -> tuple[Any, type[Exception]]:
         raise ConfigurationError(
             "--ray needs the package ray: pip install 'artiworld[cluster]'"
         ) from error
+    _check_there(address)
     try:
         ray.init(
             address=address, log_to_driver=False, configure_logging=False,
@@ -67,3 +71,16 @@ def _connect(address: str) -> tuple[Any, type[Exception]]:
         first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise ConfigurationError(f"no Ray cluster at {address!r}: {first}") from error
     return ray, ray.exceptions.RayError
+
+
+def _check_there(address: str) -> None:
+    """Ray itself asks for minutes where nobody answers."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon:
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT_SECONDS).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise ConfigurationError(
+            f"no Ray cluster at {address!r} ({error}); start one with: ray start --head"
+        ) from error

@@ -71,6 +71,7 @@ class SceneObject:
         static: whether the file says that it stands still; None where it says nothing.
         box: (3,) full sizes in metres of an object that is a plain box without an asset, or None.
         place: where the object is in the file, for writing back.
+        obstacle: whether it stops what moves into it; the leftovers of a scan don't.
     """
 
     id: str
@@ -85,6 +86,7 @@ class SceneObject:
     static: bool | None = None
     box: tuple[float, float, float] | None = None
     place: tuple[str | int, ...] = ()
+    obstacle: bool = True
 
     def __post_init__(self) -> None:
         pose = _array(self.world_from_object, (4, 4), "world_from_object")

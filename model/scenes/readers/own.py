@@ -62,6 +62,7 @@ def _object(place: Place, entry: Any) -> SceneObject:
         fit=_size(entry.get("fit"), "fit"),
         static=static if isinstance(static, bool) else None,
         box=_size(entry.get("box"), "box"),
+        obstacle=entry.get("obstacle") is not False,
         place=place,
     )
 

@@ -1,5 +1,6 @@
 """A scanned room: PLY with a label a point (or vertex), each labelled instance an object cut out of
-it, and what remains as a static background.
+it, walls and floor as a static ``building``, and the leftovers as a static ``background``. The
+leftovers hold bits of everything, so they stop no joint.
 
 Labels are a property of the PLY's vertices, or in an NPZ beside it (``room_labels.npz`` or
 ``room.npz`` for ``room.ply``): ``instance`` (N,), -1 for none, and, for what the objects are,
@@ -9,7 +10,7 @@ labelled the room, ``room_boxes.json`` holds boxes drawn round objects::
     {"objects": [{"id", "category", "description", "center": [x, y, z], "size": [x, y, z],
                   "yaw": radians}]}
 
-Metres, +z up, as PLY scans are taken. Walls, floors and ceilings belong to the background.
+Metres, +z up, as PLY scans are taken.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.errors import InputFileError
+from model.geometry.cleaning import MIN_POINTS
 from model.geometry.formats.loaded import Loaded
 from model.geometry.formats.ply import read_ply_columns
 from model.scenes.embedded import Unpacked, Unpacker
@@ -44,14 +46,14 @@ from model.scenes.values import (
 
 Labels = npt.NDArray[np.int64]
 
-BACKGROUND = "background"
+BACKGROUND, BUILDING = "background", "building"
 SCANNET20 = (
     "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf",
     "picture", "counter", "desk", "curtain", "refrigerator", "shower curtain", "toilet", "sink",
     "bathtub", "other furniture",
 )  # fmt: skip
 """Names of the ScanNet benchmark's classes in its order."""
-BUILDING = frozenset({"wall", "floor", "ceiling"})
+_BUILDING = frozenset({"wall", "floor", "ceiling"})
 PROPERTIES = ("instance", "instance_id", "instanceid", "object_id", "objectid")
 """Properties of PLY vertices that hold instances."""
 FEWEST = 50
@@ -93,22 +95,17 @@ class ScanRoomReader:
         """See :class:`~model.scenes.protocol.SceneReader`."""
         loaded, columns = read_ply_columns(path, PROPERTIES)
         found, problems = _instances(path, loaded, columns)
-        background = _rest(loaded, found)
-        entries: list[tuple[Place, Any]] = [(("instance", i.id), i) for i in found]
+        every = [*found, *_rest(loaded, found)]
+        entries: list[tuple[Place, Any]] = [(("instance", i.id), i) for i in every]
         make = partial(_object, path.name, loaded)
         objects, broken = collect(entries, make, lambda i: i.id)
-        if background is not None:
-            objects += (_object(path.name, loaded, ("instance", BACKGROUND), background),)
         return Scene(path.stem, path, self.name, objects, (*problems, *broken))
 
     def unpack(self, scene: Scene, folder: Path) -> Unpacked:
         """See :class:`~model.scenes.embedded.GeometryReader`."""
         loaded, columns = read_ply_columns(scene.path, PROPERTIES)
         found, _ = _instances(scene.path, loaded, columns)
-        by_id = {i.id: i for i in found}
-        rest = _rest(loaded, found)
-        if rest is not None:
-            by_id[BACKGROUND] = rest
+        by_id = {i.id: i for i in [*found, *_rest(loaded, found)]}
         made = Unpacker(folder)
         for n, obj in enumerate(scene.objects):
             origin = obj.world_from_object[:3, 3]
@@ -149,12 +146,13 @@ def _instances(
     whole = labels.astype(np.int64)
     order = np.argsort(whole, kind="stable")
     kept, starts = np.unique(whole[order], return_index=True)
-    found, problems = [], []
+    found, problems, building = [], [], []
     for label, points in zip(kept.tolist(), np.split(order, starts[1:]), strict=True):
         if label < 0:
             continue
         category = None if names is None else _commonest(names[points])
-        if category in BUILDING:
+        if category in _BUILDING:
+            building.append(points)
             continue
         id = f"{category or 'object'} {label}"
         if len(points) < FEWEST:
@@ -162,6 +160,8 @@ def _instances(
             problems.append(SceneProblem(id, told))
             continue
         found.append(Instance(id, category, category or "object", points))
+    if building:
+        found.append(Instance(BUILDING, None, BUILDING, np.sort(np.concatenate(building))))
     return found, tuple(problems)
 
 
@@ -213,7 +213,7 @@ def _boxed(path: Path, loaded: Loaded) -> tuple[list[Instance], tuple[SceneProbl
             id = maybe_text(entry.get("id")) if isinstance(entry, dict) else None
             problems.append(SceneProblem(id or f"objects {n}", str(error)))
             continue
-        if any(made.id == i.id for i in found) or made.id == BACKGROUND:
+        if any(made.id == i.id for i in found) or made.id in (BACKGROUND, BUILDING):
             problems.append(SceneProblem(made.id, "the id is there twice; ids must differ"))
             continue
         free[made.points] = False
@@ -238,12 +238,12 @@ def _in_box(entry: Any, loaded: Loaded, free: npt.NDArray[np.bool_]) -> Instance
     return Instance(id, category, described, points)
 
 
-def _rest(loaded: Loaded, found: list[Instance]) -> Instance | None:
+def _rest(loaded: Loaded, found: list[Instance]) -> list[Instance]:
     rest = np.ones(len(loaded.vertices), bool)
     for instance in found:
         rest[instance.points] = False
     points = np.flatnonzero(rest)
-    return Instance(BACKGROUND, None, BACKGROUND, points) if len(points) >= FEWEST else None
+    return [Instance(BACKGROUND, None, BACKGROUND, points)] if len(points) >= MIN_POINTS else []
 
 
 def _object(file: str, loaded: Loaded, place: Place, instance: Instance) -> SceneObject:
@@ -260,8 +260,9 @@ def _object(file: str, loaded: Loaded, place: Place, instance: Instance) -> Scen
         scale=np.ones(3),
         asset=f"{file}#{instance.id}",
         category=instance.category,
-        static=True if instance.id == BACKGROUND else None,
+        static=True if instance.id in (BACKGROUND, BUILDING) else None,
         place=place,
+        obstacle=instance.id != BACKGROUND,
     )
 
 

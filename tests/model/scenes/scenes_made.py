@@ -143,8 +143,12 @@ def world_pose(scale: float = 1.0) -> np.ndarray:
 TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
-def write_gltf(path: Path) -> Path:
-    """One wrapper with the cabinet of three meshes and two equal rocks, by trimesh."""
+def write_gltf(path: Path, near: bool = False) -> Path:
+    """One wrapper with the cabinet of three meshes and two equal rocks, by trimesh.
+
+    Args:
+        near: one rock stands before the cabinet's door.
+    """
     import trimesh
 
     scene = trimesh.Scene(base_frame="world")
@@ -168,6 +172,8 @@ def write_gltf(path: Path) -> Path:
     for i in range(2):
         at = np.eye(4)
         at[:3, 3] = [10 + i, 0, 0]
+        if near and i == 0:
+            at[:3, 3] = (world_pose() @ [0.6, 0.0, -0.4, 1.0])[:3]
         add(f"rock_{i}", rock, "room", at)
     scene.export(path)
     return path

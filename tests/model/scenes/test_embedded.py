@@ -198,9 +198,11 @@ def test_a_scanned_room_is_cut_by_labels_or_boxes(labels: bool, tmp_path: Path) 
     scene, found = unpacked(path, tmp_path / "out")
     name = "cabinet 4" if labels else "my cabinet"
     ids = [o.id for o in scene.objects]
-    assert ids == ([name, "other furniture 5", "background"] if labels else [name, "background"])
-    cabinet, background = scene.objects[0], scene.objects[-1]
-    assert cabinet.category == "cabinet" and cabinet.static is None and background.static
+    rest = ["other furniture 5", "building"] if labels else []
+    assert ids == [name, *rest, "background"]
+    cabinet, last = scene.objects[0], scene.objects[-1]
+    assert cabinet.category == "cabinet" and cabinet.static is None and last.static
+    assert cabinet.obstacle and not last.obstacle
     if labels:  # the splinter stays in the background
         assert [p.object for p in scene.problems] == ["other furniture 6"]
     every = np.concatenate([in_world(scene, found, i) for i in ids])

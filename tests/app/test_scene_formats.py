@@ -1,0 +1,232 @@
+"""Scenes that hold their geometry, end to end, and what is written read back by other software."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+from defusedxml import ElementTree
+
+from model.geometry.formats.gltf import open_gltf
+from model.geometry.readers import read_asset
+from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.urdf import read_urdf
+from model.scenes.registry import read_scene
+from tests.app.test_scene_command import convert, objects_of, world_of
+from tests.model.scenes import scenes_made as made
+
+pytest.importorskip("pxr", reason="USD needs usd-core (artiworld[usd])")
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A GLB with the cabinet, a rock before its door, and one far away, in all formats."""
+    folder = tmp_path_factory.mktemp("room")
+    path = made.write_gltf(folder / "room.glb", near=True)
+    summary = convert(
+        path, made.make_assets(folder / "assets"), folder / "out", "--formats", "sdf,usd",
+        "--collision", "--predictor", "geometric",
+    )  # fmt: skip
+    assert summary["states"] == {"predicted": 1, "static": 2}
+    assert {"scene.sdf", "scene.usda", "scene.xml", "room.glb"} <= set(summary["files"])
+    return folder / "out"
+
+
+def cabinet_of(out: Path) -> tuple[ArticulatedObject, np.ndarray, dict]:
+    """The articulated object, world_from_urdf, and what the scene says of it."""
+    entry = next(e for e in objects_of(out).values() if e["state"] == "predicted")
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = world_of(entry)
+    return read_urdf(out / entry["urdf"]), world, entry
+
+
+@pytest.mark.parametrize("file", ["room.glb", "room.usda"])
+def test_the_articulated_object_stands_in_place(file: str, room: Path, tmp_path: Path) -> None:
+    out = room
+    if file == "room.usda":
+        path = made.write_usd(tmp_path / file)
+        convert(path, room.parent / "assets", tmp_path / "out", "--predictor", "geometric")
+        out = tmp_path / "out"
+    obj, world, entry = cabinet_of(out)
+    points = np.concatenate([p.mesh.vertices for p in obj.parts if p.mesh is not None])
+    points = points @ world[:3, :3].T + world[:3, 3]
+    cabinet = np.concatenate([m.vertices for m in made.cabinet_parts().values()])
+    expected = cabinet @ made.world_pose()[:3, :3].T + made.POSITION
+    assert np.abs(points.min(0) - expected.min(0)).max() < 1e-6
+    assert np.abs(points.max(0) - expected.max(0)).max() < 1e-6
+    assert entry["id"] == "cabinet"
+
+
+def test_the_glb_comes_back_with_the_urdf_in_its_extras(room: Path) -> None:
+    before, after = open_gltf(room.parent / "room.glb"), open_gltf(room / "room.glb")
+    said = {n["name"]: n.pop("extras", {}).get("articulation") for n in after.tree["nodes"]}
+    assert after.binary == before.binary and after.tree == before.tree
+    (urdf,) = [v["urdf"] for v in said.values() if v]
+    assert said["cabinet"] and (room / urdf).is_file()
+    assert len(read_scene(room / "room.glb").objects) == 3
+
+
+def test_the_stage_comes_back_as_a_layer_over_it(tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom  # type: ignore[import-not-found]
+
+    path = made.write_usd(tmp_path / "room.usda")
+    made.make_assets(tmp_path / "assets")
+    convert(path, tmp_path / "assets", tmp_path / "out", "--predictor", "geometric")
+    stage = Usd.Stage.Open(str(tmp_path / "out" / "room_articulated.usda"))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert stage.GetPrimAtPath("/World/cabinet/door").GetTypeName() == "Mesh"
+    data = stage.GetPrimAtPath("/World/cabinet").GetCustomDataByKey("artiworld")
+    assert (tmp_path / "out" / data["urdf"]).is_file()
+    assert "artiworld" not in path.read_text()
+
+
+def test_usd_core_opens_the_scene_and_its_joints_meet(room: Path) -> None:
+    from pxr import Usd, UsdGeom, UsdPhysics  # type: ignore[import-not-found]
+
+    stage = Usd.Stage.Open(str(room / "scene.usda"))
+    places = UsdGeom.XformCache()
+    obj, world, entry = cabinet_of(room)
+    key = "artiworld:name"
+
+    def world_of_prim(prim: Usd.Prim) -> np.ndarray:
+        return np.array(places.GetLocalToWorldTransform(prim)).T
+
+    links = {
+        p.GetCustomDataByKey(key): p
+        for p in stage.Traverse()
+        if p.HasAPI(UsdPhysics.RigidBodyAPI) and str(p.GetPath()).startswith("/World/cabinet/")
+    }
+    for part in obj.parts:
+        (joint,) = [j for j in obj.tree.joints if j.child == part.link] or [None]
+        origin = np.array([*(joint.origin if joint else (0, 0, 0)), 1.0])
+        assert np.allclose(world_of_prim(links[part.link])[:3, 3], (world @ origin)[:3], atol=1e-6)
+    frames, limits = 0, {}
+    for prim in stage.Traverse():
+        joint = UsdPhysics.Joint(prim)
+        if not joint:
+            continue
+        ends = []
+        for body, at, turn in (
+            (joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
+            (joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),
+        ):
+            targets = body.GetTargets()
+            frame = world_of_prim(stage.GetPrimAtPath(targets[0])) if targets else np.eye(4)
+            local = np.eye(4)
+            q = turn.Get()
+            from scipy.spatial.transform import Rotation
+
+            local[:3, :3] = Rotation.from_quat([*q.GetImaginary(), q.GetReal()]).as_matrix()
+            local[:3, 3] = at.Get()
+            ends.append(frame @ local)
+        assert np.allclose(ends[0], ends[1], atol=1e-5), prim.GetPath()
+        frames += 1
+        name = prim.GetCustomDataByKey(key)
+        if name and prim.HasAttribute("physics:upperLimit"):
+            unit = math.pi / 180 if prim.GetTypeName() == "PhysicsRevoluteJoint" else 1.0
+            limits[name] = prim.GetAttribute("physics:upperLimit").Get() * unit
+    assert frames == 2 + 3  # two joints, three bases held to the world
+    assert {j.name: j.upper for j in obj.tree.joints} == pytest.approx(limits, abs=1e-4)
+    assert entry["shortened"]  # the rock before the door
+
+
+def test_the_sdf_world_says_the_same(room: Path) -> None:
+    root = ElementTree.parse(room / "scene.sdf").getroot()
+    models = {m.get("name"): m for m in root.findall("world/model")}
+    assert set(models) == {"cabinet", "rock_0", "rock_1"}
+    obj, world, _ = cabinet_of(room)
+    pose = [float(v) for v in models["cabinet"].findtext("pose").split()]
+    assert np.allclose(pose[:3], world[:3, 3], atol=1e-6)
+    assert math.isclose(pose[5], made.YAW, abs_tol=1e-6)
+    for joint in obj.tree.joints:
+        (told,) = [j for j in models["cabinet"].findall("joint") if j.get("name") == joint.name]
+        assert float(told.findtext("axis/limit/upper")) == pytest.approx(joint.upper, abs=1e-6)
+    for uri in root.iter("uri"):
+        assert read_asset(room / uri.text, up_axis="z").mesh is not None
+
+
+def test_bullet_loads_the_sdf_world(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bullet = pytest.importorskip("pybullet")
+    monkeypatch.chdir(room)  # Bullet takes relative files from where it runs
+    root = ElementTree.parse("scene.sdf").getroot()
+    for model in root.findall("world/model"):
+        for joint in model.findall("joint"):
+            if joint.findtext("parent") == "world":  # Bullet's reader is older than these
+                model.remove(joint)
+    Path("bullet.sdf").write_bytes(xml.etree.ElementTree.tostring(root))
+    client = bullet.connect(bullet.DIRECT)
+    try:
+        bodies = bullet.loadSDF("bullet.sdf", physicsClientId=client)
+        moving = [
+            bullet.getJointInfo(b, j, physicsClientId=client)[2]
+            for b in bodies for j in range(bullet.getNumJoints(b, physicsClientId=client))
+        ]  # fmt: skip
+        assert len(bodies) == 3
+        assert sum(m in (bullet.JOINT_REVOLUTE, bullet.JOINT_PRISMATIC) for m in moving) == 2
+    finally:
+        bullet.disconnect(client)
+
+
+def test_mujoco_steps_it_with_collision_shapes(room: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(room / "scene.xml"))
+    data = mujoco.MjData(model)
+    assert (model.geom_contype != 0).any()
+    for _ in range(round(1 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    assert np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+    assert np.abs(data.qvel).max() < 50
+
+
+def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
+    path = made.write_scan(tmp_path / "room.ply")
+    pose = made.world_pose()
+
+    def click(local: tuple[float, float, float], part: int) -> dict:
+        at = pose[:3, :3] @ np.array(local) + pose[:3, 3]
+        return {"position": at.tolist(), "part": part}
+
+    clicks = {
+        "category": "cabinet", "parts": [{"id": 1, "name": "door"}, {"id": 2, "name": "drawer"}],
+        "clicks": [click((0, 0.25, 0.0), 0), click((0.3, 0.0, -0.15), 1),
+                   click((0.3, 0.0, 0.25), 2), click((0, -0.25, 0), 0)],
+    }  # fmt: skip
+    (tmp_path / "clicks.json").write_text(json.dumps(clicks))
+    summary = convert(
+        path, made.make_assets(tmp_path / "assets"), tmp_path / "out", "--keep-limits",
+        "--clicks", f"cabinet 4={tmp_path / 'clicks.json'}", "--predictor", "geometric",
+    )  # fmt: skip
+    entries = objects_of(tmp_path / "out")
+    assert entries["cabinet 4"]["state"] == "predicted", entries["cabinet 4"]["reason"]
+    assert summary["states"] == {"predicted": 1, "static": 3}
+    turn, at = world_of(entries["cabinet 4"])
+    clouds = sorted((tmp_path / "out" / entries["cabinet 4"]["asset_folder"]).glob("meshes/*.ply"))
+    assert len(clouds) == 3
+    points = [c.points for f in clouds if (c := read_asset(f).cloud) is not None]
+    every = np.concatenate(points) @ turn.T + at
+    whole = read_asset(path).cloud
+    assert whole is not None
+    from scipy.spatial import KDTree
+
+    assert KDTree(whole.points.astype(float)).query(every)[0].max() < 1e-6
+    assert len(every) == sum(len(p) for p in points) > 8900
+
+
+def test_clicks_for_nobody_or_beside_it_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from app.cli import main
+
+    path = made.write_scan(tmp_path / "room.ply")
+    far = {"clicks": [{"position": [30, 0, 0], "part": 1}]}
+    (tmp_path / "c.json").write_text(json.dumps(far))
+    words = ["scene", "convert", str(path), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    assert main([*words, "--clicks", f"cabinet={tmp_path / 'c.json'}"]) == 2
+    assert "cabinet 4" in capsys.readouterr().err
+    assert main([*words, "--clicks", f"cabinet 4={tmp_path / 'c.json'}", "--json"]) == 0
+    entry = objects_of(tmp_path / "out")["cabinet 4"]
+    assert entry["state"] == "failed" and "clicks[0]" in entry["reason"]
