@@ -252,7 +252,8 @@ class SceneDesk:
             self._max_faces = int(np.clip(FACES / max(1, len(paths)), 1500, 20_000))
         self._find_works()
         self.scene = scene  # last: from here on its objects are told
-        self.accepting.take_up()
+        with self._lock:
+            self.accepting.take_up()
         self.go_on()
 
     def close(self) -> None:
@@ -283,7 +284,8 @@ class SceneDesk:
             return
         if isinstance(command, (SetArticulable, cmd.Undo, cmd.Redo)):
             self._find_works()
-        self.accepting.follow()
+        with self._lock:
+            self.accepting.follow()
         self.go_on()
 
     # --- jobs
@@ -295,7 +297,7 @@ class SceneDesk:
                 self._draw_shapes()
                 self._draw_parts()
                 self._prepare()
-            self.accepting.go_on()
+                self.accepting.go_on()
         self.changed()
 
     def wanted(self) -> Iterable[Work]:

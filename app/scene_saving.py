@@ -171,6 +171,8 @@ def save_scene(
 
     progress(0.0, "reading")
     scene = read_scene(path)
+    if [o.id for o in scene.objects] != [i.obj.id for i in items]:
+        raise CommandError(f"{path} was changed since it was opened: start the server anew")
     (out / ASSETS).mkdir(parents=True, exist_ok=True)
     made: dict[str, dict[str, Any]] = {}
     outcomes: list[Outcome] = []

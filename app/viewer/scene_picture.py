@@ -6,6 +6,7 @@ is sent once however often it stands there; once a working copy has joints, its 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -76,6 +77,8 @@ class ScenePicture:
         self._client = client
         self._desk = desk
         self._root: Any = None
+        # The tab's threads draw, animate and pick at the same time.
+        self._lock = threading.RLock()
         self._nodes: dict[tuple[Any, ...], Node] = {}
         self._chunks = 0
         self._floor: tuple[float, float] | None = None
@@ -115,7 +118,8 @@ class ScenePicture:
     @property
     def shown(self) -> frozenset[str]:
         """The objects that were sent."""
-        return frozenset(i for node in list(self._nodes.values()) for i in node.ids)
+        with self._lock:
+            return frozenset(i for node in self._nodes.values() for i in node.ids)
 
     def draw(self, rows: Sequence[Row], selected: str | None) -> None:
         """Send what changed: shapes that arrived, states, what is selected."""
@@ -123,7 +127,7 @@ class ScenePicture:
             set_stage(self._client.scene)
             self._root = self._client.scene.add_frame(ROOT, show_axes=False)
         status = {r.id: r.status for r in rows}
-        with self._client.atomic():
+        with self._lock, self._client.atomic():
             self._draw_static({i for i, s in status.items() if s == "static"})
             self._draw_instances(self._wanted(status))
             self._draw_looks(status)
@@ -398,7 +402,7 @@ class ScenePicture:
 
     def pose(self, moved: Mapping[int, Mapping[str, Array]]) -> None:
         """Move parts: session id → link → posed_from_rest; those not named rest."""
-        with self._client.atomic():
+        with self._lock, self._client.atomic():
             for node in self._nodes.values():
                 if node.work is None:
                     continue
@@ -421,7 +425,9 @@ class ScenePicture:
     def pick(self, origin: Array, direction: Array) -> str | None:
         """The object under a ray of the scene's frame, where its parts are now."""
         best, hit = np.inf, None
-        for node in list(self._nodes.values()):
+        with self._lock:
+            nodes = list(self._nodes.values())
+        for node in nodes:
             boxes = node.boxes
             if boxes is None:
                 corners = np.stack([_corners(node.shape, s) for s in node.now])

@@ -18,6 +18,11 @@ import pytest
 from app.cli import make_parser
 from app.serve_command import make_config
 from model.errors import ArtiworldError
+from model.resources import static_assets
+from model.scenes.assets import index_assets
+from model.scenes.convert import descriptions
+from model.scenes.finders import LexiconFinder
+from model.scenes.registry import read_scene
 from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, box
 
 
@@ -120,10 +125,33 @@ def test_every_option_arrives(scan):
     assert config.allowed_origins == ("https://a.example",)
 
 
+def test_a_scene_is_told_from_single_objects(scan, tmp_path):
+    bundled = static_assets() / "examples" / "home.scene.json"
+    alone = config_of(str(bundled))
+    assert (alone.scene, alone.assets, alone.paths) == (bundled, (bundled.parent,), ())
+    named = config_of(str(bundled), "--assets", str(tmp_path), "--finder", "lexicon")
+    assert named.assets == (tmp_path,)
+    assert config_of(str(scan)).scene is None and config_of(str(scan.parent)).scene is None
+    assert config_of(str(scan), "--assets", str(tmp_path)).scene == scan
+
+
+def test_all_the_assets_of_the_bundled_scene_are_bundled():
+    path = static_assets() / "examples" / "home.scene.json"
+    scene, assets = read_scene(path), index_assets([path.parent])
+    assert not scene.problems and len(scene.objects) > 15
+    assert all(o.box or (o.asset and assets.find(o.asset)) for o in scene.objects)
+    decided = LexiconFinder().find(descriptions(scene))
+    assert 6 <= sum(d.articulable for d in decided) < len(scene.objects)
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (["/no/such/scan.ply"], "/no/such/scan.ply"),
+        (["--assets", "."], "scene"),
+        ([".", "--assets", "."], "scene"),
+        (["pyproject.toml", "--assets", "/no/such/folder"], "/no/such/folder"),
+        (["--finder", "magic"], "lexicon"),
         (["--port", "70000"], "70000"),
         (["--host", "203.0.113.9", "--port", "0"], "203.0.113.9"),
         (["--max-upload-mb", "0"], "--max-upload-mb"),
