@@ -31,6 +31,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
              "category:NAME,NAME (default: all)")  # fmt: skip
     add("--n", type=int, default=1, help="procedural without --root: objects a family")
     add("--family", nargs="+", default=[], metavar="NAME", help="procedural without --root")
+    add("--fault", default="", metavar="NAME",
+        help="procedural without --root: what is wrong with the input: clouds, noise, "
+        "heavy-noise, outliers, one-sided, split, merge, bleed, turned or mixed "
+        "(default: clean meshes)")  # fmt: skip
     add(
         "--predictor",
         metavar="NAME,NAME",
@@ -191,7 +195,7 @@ def folder_name(method: str) -> str:
 def _data(args: argparse.Namespace) -> DatasetOptions:
     from model.datasets.registry import DatasetOptions
 
-    return DatasetOptions(args.data, args.root, args.seed, args.n, tuple(args.family))
+    return DatasetOptions(args.data, args.root, args.seed, args.n, tuple(args.family), args.fault)
 
 
 def _export(args: argparse.Namespace, progress: Progress) -> Answer:

@@ -5,10 +5,11 @@ A folder that ``artiworld generate`` wrote is read as PartNet-Mobility, whose fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from model.datasets.procedural.corruption import FAULTS, corrupted
 from model.datasets.procedural.generate import OBJ_FROM_OBJECT, family_names, make
 from model.datasets.procedural.grammar import transformed
 from model.datasets.protocol import GroundTruth
@@ -26,12 +27,14 @@ class ProceduralSet:
         seed: of the objects; ids are ``<family>_<seed>_<index>``, as ``generate`` names folders.
         n: objects a family.
         families: names of families; all of them where empty.
+        fault: one of :data:`~model.datasets.procedural.corruption.FAULTS`, "" for clean meshes.
     """
 
     seed: int = 0
     n: int = 1
     families: tuple[str, ...] = ()
     name: str = "procedural"
+    fault: str = ""
 
     def __post_init__(self) -> None:
         if self.n < 1:
@@ -42,6 +45,8 @@ class ProceduralSet:
         if unknown:
             known = ", ".join(family_names())
             raise ConfigurationError(f"no family {unknown[0]!r}; there are {known}")
+        if self.fault and self.fault not in FAULTS:
+            raise ConfigurationError(f"no fault {self.fault!r}; there are {', '.join(FAULTS)}")
 
     def ids(self) -> tuple[str, ...]:
         """All of them, sorted by family."""
@@ -67,4 +72,8 @@ class ProceduralSet:
             ) from None
         turn = np.eye(4)
         turn[:3, :3] = rotation_from_rpy((np.pi / 2, 0, -np.pi / 2)) @ OBJ_FROM_OBJECT
-        return GroundTruth(object_id, transformed(made.object, turn))
+        made = replace(made, object=transformed(made.object, turn))
+        if self.fault:
+            rng = np.random.default_rng([int(seed), int(index), 11])
+            return corrupted(made, FAULTS[self.fault], rng, name=object_id)
+        return GroundTruth(object_id, made.object)

@@ -17,7 +17,7 @@ class DatasetOptions:
     Attributes:
         name: one of :func:`dataset_names`.
         root: its folder; None only for what is made on the fly.
-        seed, n, families: of procedural objects made on the fly.
+        seed, n, families, fault: of procedural objects made on the fly.
     """
 
     name: str = "partnet-mobility"
@@ -25,6 +25,7 @@ class DatasetOptions:
     seed: int = 0
     n: int = 1
     families: tuple[str, ...] = ()
+    fault: str = ""
 
 
 def _partnet(options: DatasetOptions) -> Dataset:
@@ -58,7 +59,7 @@ def _procedural(options: DatasetOptions) -> Dataset:
         return PartNetMobility(_folder(options), name="procedural")
     from model.datasets.procedural_set import ProceduralSet
 
-    return ProceduralSet(options.seed, options.n, options.families)
+    return ProceduralSet(options.seed, options.n, options.families, fault=options.fault)
 
 
 BUILT_IN: dict[str, Callable[[DatasetOptions], Dataset]] = {

@@ -93,6 +93,21 @@ MIXED = Corruption(
 """A bit of everything: use with :func:`sometimes` in training."""
 
 
+FAULTS: Mapping[str, Corruption] = {
+    "clouds": Corruption(),
+    "noise": Corruption(noise=0.01),
+    "heavy-noise": Corruption(noise=0.05),
+    "outliers": Corruption(outliers=0.02),
+    "one-sided": Corruption(one_sided=True),
+    "split": Corruption(split=0.5),
+    "merge": Corruption(merge=0.3),
+    "bleed": Corruption(bleed=0.02),
+    "turned": Corruption(turn=True, tilt=0.05),
+    "mixed": MIXED,
+}
+"""One fault each, to measure its cost; ``clouds`` has none but that meshes become points."""
+
+
 def sometimes(worst: Corruption, rng: np.random.Generator) -> Corruption:
     """A draw between clean and ``worst``: each fault is off half of the time."""
 
