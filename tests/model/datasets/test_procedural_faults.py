@@ -21,7 +21,7 @@ def test_each_fault_gives_clouds_with_a_true_tree(fault: str) -> None:
         np.testing.assert_array_equal(part.cloud.points, same.cloud.points)
     moving = [j for j in truth.object.tree.joints if j.moves]
     before = [j for j in clean.load(data.ids()[0]).object.tree.joints if j.moves]
-    assert 1 <= len(moving) <= len(before)
+    assert len(moving) <= len(before)
     if fault in ("clouds", "noise", "outliers", "bleed", "turned"):
         assert sorted(j.type for j in moving) == sorted(j.type for j in before)
 
