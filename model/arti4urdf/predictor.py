@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,12 +36,16 @@ class HybridSettings:
         weight: of geometry's opinion on joint types and candidates, in a product of experts.
         swept: log-odds added in favour of the candidate's own limits, from rules and motion sweep.
         motion: exponent of the share of its range that a candidate moves freely.
+        calibration: slope and offset of a confidence's log-odds. A product of experts is surer than
+            it is right; fitted to the reliability curves of PartNet-Mobility, with and without
+            names together (:mod:`model.evaluation.calibration`).
     """
 
     tree: float = 0.999
     weight: float = 5.0
     swept: float = 10.0
     motion: float = 1.0
+    calibration: tuple[float, float] = (0.8, -1.3)
 
 
 class Arti4UrdfPredictor:
@@ -107,6 +112,8 @@ class Arti4UrdfPredictor:
             joints += built
             helpers += [j.child for j in built[:-1]]
             sure[link] = joint_confidence(answer, i)
+            if self.hybrid is not None:
+                sure[link] = calibrated(sure[link], *self.hybrid.calibration)
             notes[link] = _note(structure, answer, i)
         tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
         sure.update({j.child: 1.0 for j in locked})
@@ -183,6 +190,13 @@ def joint_confidence(answer: Answer, part: int) -> float:
             # Neighbouring levels share a limit's probability; its own share says little.
             out *= m.probability if kind != "lower" else m.probability**0.5
     return round(float(out), 4)
+
+
+def calibrated(probability: float, slope: float, offset: float) -> float:
+    """``probability`` with its log-odds scaled and shifted, 0..1 (Platt, 1999)."""
+    kept = min(max(probability, 1e-6), 1 - 1e-6)
+    odds = slope * math.log(kept / (1 - kept)) + offset
+    return round(1 / (1 + math.exp(-odds)), 4)
 
 
 def _note(structure: Structure, answer: Answer, part: int) -> str:

@@ -8,7 +8,12 @@ pytest.importorskip("torch", reason="torch is not installed")
 from model.arti4urdf.answer import parse_answer
 from model.arti4urdf.decoding import decode
 from model.arti4urdf.network import ArtiModel
-from model.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
+from model.arti4urdf.predictor import (
+    Arti4UrdfPredictor,
+    HybridSettings,
+    calibrated,
+    make_prompt,
+)
 from model.arti4urdf.structure import read_structure
 from model.datasets.procedural.generate import make
 from model.geometry.point_cloud import PointCloud
@@ -84,3 +89,11 @@ def test_odd_objects_get_an_answer(tiny_model: ArtiModel, what: str) -> None:
         found = Arti4UrdfPredictor(tiny_model, hybrid=hybrid).predict(segmented)
         assert found.tree is not None
         assert len(found.tree.links) >= len(segmented.parts)
+
+
+def test_confidence_is_calibrated_in_order() -> None:
+    surer = [calibrated(p, 0.8, -1.3) for p in (0.0, 0.5, 0.84, 0.995, 1.0)]
+    assert surer == sorted(surer) and surer[0] >= 0 and 0.99 < surer[-1] <= 1
+    # What the product of experts calls 0.84 was right four times in ten (reliability curve).
+    assert 0.35 < surer[2] < 0.55
+    assert calibrated(0.3, 1.0, 0.0) == 0.3
