@@ -17,7 +17,8 @@ from sessions.document import DecisionRecord, Document
 from sessions.state import Context, acceptance_problems, apply
 
 if TYPE_CHECKING:
-    from app.scene_desk import SceneDesk, Work
+    from app.scene_desk import SceneDesk
+    from app.scene_rows import Work
 
 
 class Accepting:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +19,13 @@ import numpy.typing as npt
 from app import scene_tasks
 from app.review_order import confidence
 from app.scene_accepting import Accepting
+from app.scene_rows import STATUSES, Row, Status, Work, drawn_by
 from app.scene_saving import Saving
 from app.scene_tasks import DrawnParts, OpenedScene, Prepared, SceneItem, Shape
 from model.errors import ArtiworldError, CommandError
 from model.progress import Cancelled
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.live import LiveSession
 from sessions.scene_commands import SetArticulable
 
 if TYPE_CHECKING:
@@ -34,62 +33,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-Status = Literal["static", "todo", "predicted", "accepted", "rejected", "missing"]
-STATUSES: tuple[Status, ...] = ("predicted", "todo", "rejected", "accepted", "static", "missing")
-"""In the order in which a reviewer wants to see them."""
 WHO = "scene"
 """Who is written beside what was found out without a person."""
 FACES = 900_000
 """Triangles of a whole scene that a browser draws smoothly."""
-
-
-@dataclass(eq=False)
-class Work:
-    """One working copy and all the objects that it stands for.
-
-    Attributes:
-        id: of its session.
-        item: the first object with it.
-        ids: of the objects in the scene.
-        live: its session.
-        reason: why it is left for the annotator, or what failed, else "".
-        prepared: whether it was looked at.
-        drawn: its parts as the browser shows them, or None.
-        undrawn: reference of labels whose parts couldn't be drawn, else "".
-    """
-
-    id: int
-    item: SceneItem
-    live: LiveSession
-    ids: list[str] = field(default_factory=list)
-    reason: str = ""
-    prepared: bool = False
-    drawn: DrawnParts | None = None
-    undrawn: str = ""
-
-    @property
-    def document(self) -> Document:
-        """What is decided now."""
-        return self.live.state.present
-
-
-@dataclass(frozen=True)
-class Row:
-    """One object as lists show it.
-
-    Attributes:
-        confidence: of the prediction's least sure joint; of the finder where there is none.
-    """
-
-    id: str
-    status: Status
-    confidence: float
-    work: int | None
-
-
-def drawn_by(work: Work) -> str | None:
-    """The labels that the drawn parts were cut by, or None."""
-    return None if work.drawn is None else work.drawn.labels
 
 
 class SceneDesk:

@@ -153,7 +153,8 @@ def _line(row: ReportRow, picture: bytes | None) -> str:
         reason += f"<br>A person said: {'articulable' if row.said else 'static'}."
     reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in row.notes)
     joints = "" if row.tree is None else "<br>".join(
-        _joint(j, row.names.get(j.child, j.name), row.sure.get(j.child)) for j in row.tree.joints if j.moves
+        _joint(j, row.names.get(j.child, j.name), row.sure.get(j.child))
+        for j in row.tree.joints if j.moves
     )  # fmt: skip
     about = (
         ""

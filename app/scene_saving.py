@@ -23,7 +23,8 @@ from model.scenes.jobs import ACCEPTED, ASSETS, FAILED, MISSING, MJCF, PLAIN, PR
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
-    from app.scene_desk import SceneDesk, Work
+    from app.scene_desk import SceneDesk
+    from app.scene_rows import Work
 
 SECONDS = 1800.0
 

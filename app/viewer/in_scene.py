@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.scene_desk import Row, SceneDesk, Work
+from app.scene_desk import SceneDesk
+from app.scene_rows import Row, Work
 from app.viewer.scene_card import SceneCard
 from app.viewer.scene_list import SceneList, order
 from app.viewer.scene_motion import SceneMotion

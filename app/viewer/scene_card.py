@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.scene_desk import SceneDesk, Work
+from app.scene_desk import SceneDesk
+from app.scene_rows import Work
 from app.viewer import palette
 from app.viewer.joints_panel import part_title, range_text
 from app.viewer.review_panel import REASONS

@@ -17,7 +17,8 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
-from app.scene_desk import Row, SceneDesk, Work
+from app.scene_desk import SceneDesk
+from app.scene_rows import Row, Work
 from app.scene_tasks import SceneItem, Shape
 from app.viewer import palette
 from app.viewer.scene_rays import hit_distance, meets_boxes
