@@ -24,9 +24,11 @@ MIN_DISK_GB = 2.0
 OPTIONAL = (
     ("mujoco", "drives joints, reads URDF and MJCF back", "physics"),
     ("coacd", "another way to make collision shapes", "collision"),
-    ("usd-core", "writes USD and reads it back", "usd"),
+    ("usd-core", "reads and writes USD", "usd"),
     ("pygltflib", "reads GLB back", "readers"),
     ("pybullet", "reads URDF and SDF back", "readers"),
+    ("openai", "asks language models what in a scene can be articulated", "finder"),
+    ("ray", "converts scenes on a cluster", "cluster"),
     ("playwright", "drives browser tests", "test"),
 )
 """Packages of the extras: name, what for, which extra."""
@@ -143,11 +145,13 @@ def _torch() -> Check:
 
 def _plugins() -> Iterator[Check]:
     from model.predictors import load_predictor, predictor_names
+    from model.scenes.registry import load_reader, reader_names
     from model.segmentation.registry import load_segmenter, segmenter_names
 
     for kind, names, load in (
         ("predictor", predictor_names(), load_predictor),
         ("segmenter", segmenter_names(), load_segmenter),
+        ("scene format", reader_names(), load_reader),
     ):
         for name in names:
             try:
