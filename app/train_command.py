@@ -133,7 +133,15 @@ def _train_small(args: argparse.Namespace) -> int:
             )
             for problem in bad:
                 print(f"left out: {problem}", file=sys.stderr)
-        train(config, data, args.out, validation=held, seconds=args.minutes * 60, progress=report)
+        train(
+            config,
+            data,
+            args.out,
+            validation=held,
+            held_out=held_out,
+            seconds=args.minutes * 60,
+            progress=report,
+        )
     if args.weights is not None:
         export_weights(args.out, args.weights, version=args.version_name or args.preset)
         print(f"weights: {args.weights}")

@@ -138,6 +138,7 @@ def train(
     out: Path,
     *,
     validation: Path | None = None,
+    held_out: Path | None = None,
     seconds: float = math.inf,
     progress: Progress = no_progress,
 ) -> Path:
@@ -145,7 +146,8 @@ def train(
 
     Args:
         config: the run; it is written beside the checkpoint and must not change between slices.
-        data: folder of shards, read again at each validation. validation: the same, held out.
+        data: folder of shards, read again at each validation. validation: the same, of
+            objects that are not trained on; held_out: of families that are not.
         out: folder of the run. seconds: stop (and save) after this long.
 
     Returns:
@@ -165,7 +167,8 @@ def train(
         run.load(out)
     shards = Shards(data)
     shards.refresh()
-    checks = _validation(validation, config.model.json_step)
+    sets = {"valid": validation, "held out": held_out}
+    checks = {k: _validation(x, config.model.json_step) for k, x in sets.items()}
     end = time.monotonic() + seconds
     sums: dict[str, list[float]] = {}
     began, first = time.monotonic(), run.step
@@ -181,7 +184,8 @@ def train(
             entry = {k: round(float(np.mean(x)), 4) for k, x in sums.items()}
             sums = {}
             entry |= {"step": run.step, "samples": len(shards.samples), "speed": round(speed, 1)}
-            entry |= {f"valid {k}": x for k, x in _score(run.average, checks).items()}
+            for name, batches in checks.items():
+                entry |= {f"{name} {k}": x for k, x in _score(run.average, batches).items()}
             with (out / LOG).open("a") as log:
                 log.write(json.dumps(entry) + "\n")
             to_board(out, entry)
@@ -200,7 +204,11 @@ def to_board(out: Path, entry: dict[str, float]) -> None:
 
     with SummaryWriter(str(out / "tensorboard")) as writer:
         for name, value in entry.items():
-            writer.add_scalar(name.replace("valid ", "valid/"), value, int(entry["step"]))
+            writer.add_scalar(
+                name.replace("valid ", "valid/").replace("held out ", "held_out/"),
+                value,
+                int(entry["step"]),
+            )
 
 
 def export_weights(run: Path, folder: Path, *, version: str) -> None:
