@@ -203,12 +203,11 @@ def to_board(out: Path, entry: dict[str, float]) -> None:
     from torch.utils.tensorboard import SummaryWriter
 
     with SummaryWriter(str(out / "tensorboard")) as writer:
-        for name, value in entry.items():
-            writer.add_scalar(
-                name.replace("valid ", "valid/").replace("held out ", "held_out/"),
-                value,
-                int(entry["step"]),
-            )
+        for key, value in entry.items():
+            name = key
+            for group in ("valid", "held out"):
+                name = name.replace(f"{group} ", f"{group}/")
+            writer.add_scalar(name, value, int(entry["step"]))
 
 
 def export_weights(run: Path, folder: Path, *, version: str) -> None:
