@@ -109,8 +109,10 @@ class SceneCard:
         self._draw_chosen(scene.selected)
         ready = scene.sure(self.above)
         count = sum(r.work in ready for r in scene.rows)
-        known = sum(r.status == "predicted" for r in scene.rows)
-        put(self._count, "content", _count_text(count, known, self.above))
+        waiting = desk.accepting.waiting
+        going = sum(r.work in waiting for r in scene.rows)
+        known = sum(r.status == "predicted" for r in scene.rows) - going
+        put(self._count, "content", _count_text(count, known, going, self.above))
         put(self._accept_all, "label", f"Accept {count} objects" if count > 1 else "Accept")
         put(self._accept_all, "disabled", not ready)
         saved = desk.document.saved
@@ -229,7 +231,10 @@ def _joint_table(doc: Document) -> str:
     return "\n".join(rows)
 
 
-def _count_text(count: int, known: int, above: float) -> str:
-    if not known:
-        return "Nothing is predicted and waits for a decision."
-    return f"**{count}** of {known} predicted objects are at least {100 * above:.0f} % sure."
+def _count_text(count: int, known: int, going: int, above: float) -> str:
+    lines = [f"{going} {'is' if going == 1 else 'are'} being accepted."] if going else []
+    if known:
+        lines.append(
+            f"**{count}** of {known} predicted objects: at least {100 * above:.0f} % sure."
+        )
+    return " ".join(lines) or "Nothing is predicted and waits for a decision."
