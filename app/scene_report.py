@@ -182,10 +182,12 @@ def _joint(joint: Joint, name: str, sure: float | None) -> str:
 def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]) -> bytes | None:
     from model.evaluation import render
     from model.geometry.mesh import Mesh
+    from model.geometry.point_cloud import PointCloud
     from model.kinematics.articulated_object import ArticulatedObject, Part
     from model.kinematics.urdf_meshes import merged
 
     by_state: dict[str, list[Mesh]] = {}
+    scanned: dict[str, list[np.ndarray]] = {}
     for row in rows:
         obj = row.item.obj
         if obj.box is not None:
@@ -194,21 +196,30 @@ def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]
             faces = _BOX_FACES
         else:
             found = None if row.item.path is None else shapes.get(row.item.path)
-            if not isinstance(found, Shape) or found.faces is None:
+            if not isinstance(found, Shape):
                 continue
             placed = obj.placed(found.bounds)
             shape, scale, world = found.vertices, placed.scale, placed.world_from_asset
-            faces = found.faces.astype(np.int32)
+            faces = None if found.faces is None else found.faces.astype(np.int32)
         at = (shape * scale) @ world[:3, :3].T + world[:3, 3]
-        by_state.setdefault(row.status, []).append(Mesh(at, faces))
-    if not by_state:
+        if faces is None:
+            scanned.setdefault(row.status, []).append(at.astype(np.float32))
+        else:
+            by_state.setdefault(row.status, []).append(Mesh(at, faces))
+    solid = [Part(state, merged(meshes)) for state, meshes in by_state.items()]
+    parts = tuple(solid) + tuple(
+        Part(f"{state} scans", None, PointCloud(np.concatenate(points)))
+        for state, points in scanned.items()
+    )
+    if not parts:
         return None
-    parts = tuple(Part(state, merged(meshes)) for state, meshes in by_state.items())
     links = tuple(p.link for p in parts)
     fixed = tuple(Joint(link, "fixed", links[0], link, (0, 0, 1), (0, 0, 0)) for link in links[1:])
     whole = ArticulatedObject("scene", parts, KinematicTree(links, fixed))
     view = render.View(azimuth=-1.05, elevation=0.6, width=1100, height=620)
-    return render.png(render.draw(whole, colors={s: STATES[s][1] for s in by_state}, view=view))
+    return render.png(
+        render.draw(whole, colors={link: STATES[link.split()[0]][1] for link in links}, view=view)
+    )
 
 
 def _thumbnail(row: ReportRow) -> bytes | None:
