@@ -17,7 +17,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     inspect = kinds.add_parser("inspect", help="say what is in a scene and what can be articulated")
     for command in (convert, inspect):
         add = command.add_argument
-        add("scene", type=Path, metavar="SCENE", help="a scene: a description, or GLB, USD or PLY with its geometry")
+        add(
+            "scene",
+            type=Path,
+            metavar="SCENE",
+            help="a scene: a description, or GLB, USD or PLY with its geometry",
+        )
         add("--assets", type=Path, action="append", default=[], metavar="DIR",
             help="folder of the scene's 3D assets; may be repeated")  # fmt: skip
         add("--format", metavar="NAME", help="of the scene (default: told by the file)")
