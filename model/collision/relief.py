@@ -27,10 +27,10 @@ GAP = 2e-4
 """Between bodies afterwards, in the object's diagonal."""
 GRAZE = 0.01
 """Overlap along the range that is cut away, in the diagonal."""
-FIRST_STEP, WIDENING, LONGEST_STEP = 2e-4, 1.1, 2e-3
+FIRST_STEP, WIDENING, LONGEST_STEP = 2e-4, 1.05, 1e-3
 """How far what moves fastest goes between two poses in which grazing is looked for, in the
 diagonal: handles pass each other within a few millimetres."""
-MOST_STEPS = 500
+MOST_STEPS = 1000
 ROUNDS = 4
 LEAST = 0.3
 """Share of a body that must be left where it is cut."""
@@ -116,10 +116,34 @@ def _grazes(
             if travel < FIRST_STEP:
                 continue
             poses = joint_poses(tree, joint, end * _steps(travel))
+            near = _meeting(bodies, crossing, poses)
+            if not near:
+                continue
             count = len(next(iter(poses.values())))
-            found = (overlaps(bodies, crossing, {k: p[i] for k, p in poses.items()})
+            found = (overlaps(bodies, near, {k: p[i] for k, p in poses.items()})
                      for i in range(count))  # fmt: skip
             yield from _shallow(list(found), GRAZE * diagonal)
+
+
+def _meeting(
+    bodies: Bodies, pairs: list[tuple[str, str]], poses: Mapping[str, FloatArray]
+) -> list[tuple[str, str]]:
+    """The pairs whose boxes, over all of (S, 4, 4) poses a link, meet."""
+    boxes: dict[str, FloatArray] = {}
+    for link in {k for pair in pairs for k in pair if bodies.get(k)}:
+        each = np.stack([h.bounds for h in bodies[link]])
+        box = np.stack([each[:, 0].min(axis=0), each[:, 1].max(axis=0)])
+        if link in poses:
+            corners = np.array(np.meshgrid(*box.T)).reshape(3, -1).T
+            at = np.einsum("sij,cj->sci", poses[link][:, :3, :3], corners)
+            at = (at + poses[link][:, None, :3, 3]).reshape(-1, 3)
+            box = np.stack([at.min(axis=0), at.max(axis=0)])
+        boxes[link] = box
+    return [
+        (a, b) for a, b in pairs
+        if a in boxes and b in boxes
+        and (boxes[a][0] < boxes[b][1]).all() and (boxes[b][0] < boxes[a][1]).all()
+    ]  # fmt: skip
 
 
 def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
