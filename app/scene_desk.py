@@ -133,7 +133,8 @@ class SceneDesk:
         status, work = self.status(item), self.work(item.obj.id)
         known = work is not None and work.document.tree is not None
         sure = confidence(work.document) if work and known else item.decision.confidence
-        return Row(item.obj.id, status, sure, None if work is None else work.id)
+        refused = work is not None and bool(self.accepting.why_refused(work))
+        return Row(item.obj.id, status, sure, None if work is None else work.id, refused)
 
     def rows(self) -> list[Row]:
         """All objects: those that want a decision first, the least sure of them before others."""

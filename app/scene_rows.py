@@ -50,12 +50,14 @@ class Row:
 
     Attributes:
         confidence: of the prediction's least sure joint; of the finder where there is none.
+        refused: whether it was to be accepted, and the gate calls it broken as it is.
     """
 
     id: str
     status: Status
     confidence: float
     work: int | None
+    refused: bool = False
 
 
 def drawn_by(work: Work) -> str | None:

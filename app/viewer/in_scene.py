@@ -161,8 +161,7 @@ class InScene:
         found = [
             r.work for r in self.rows
             if r.status == "predicted" and r.work is not None and r.confidence >= above
-            and r.work not in waiting
-            and not self.desk.accepting.why_refused(self.desk.works[r.work])
+            and r.work not in waiting and not r.refused
         ]  # fmt: skip
         return list(dict.fromkeys(found))
 

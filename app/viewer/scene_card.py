@@ -111,8 +111,9 @@ class SceneCard:
         count = sum(r.work in ready for r in scene.rows)
         waiting = desk.accepting.waiting
         going = sum(r.work in waiting for r in scene.rows)
-        known = sum(r.status == "predicted" for r in scene.rows) - going
-        put(self._count, "content", _count_text(count, known, going, self.above))
+        refused = sum(r.refused and r.status == "predicted" for r in scene.rows)
+        known = sum(r.status == "predicted" for r in scene.rows) - going - refused
+        put(self._count, "content", _count_text(count, known, going, refused, self.above))
         put(self._accept_all, "label", f"Accept {count} objects" if count > 1 else "Accept")
         put(self._accept_all, "disabled", not ready)
         saved = desk.document.saved
@@ -231,10 +232,12 @@ def _joint_table(doc: Document) -> str:
     return "\n".join(rows)
 
 
-def _count_text(count: int, known: int, going: int, above: float) -> str:
+def _count_text(count: int, known: int, going: int, refused: int, above: float) -> str:
     lines = [f"{going} {'is' if going == 1 else 'are'} being accepted."] if going else []
     if known:
         lines.append(
             f"**{count}** of {known} predicted objects: at least {100 * above:.0f} % sure."
         )
+    if refused:
+        lines.append(f"{refused} wait for you: the gate calls them broken.")
     return " ".join(lines) or "Nothing is predicted and waits for a decision."

@@ -115,10 +115,10 @@ class SceneList:
     def _show(self, button: Any, row: Row, here: bool) -> None:
         sure = f" · {100 * row.confidence:.0f} %" if row.status == "predicted" else ""
         put(button, "label", ("▸ " if here else "") + _short(row.id, 16 if sure else 22) + sure)
-        put(button, "icon", _ICONS[row.status])
+        put(button, "icon", viser.Icon.ALERT_TRIANGLE if row.refused else _ICONS[row.status])
         color = palette.SCENE_COLORS[row.status]
         put(button, "color", color if here else _deep(color))
-        words = palette.SCENE_WORDS[row.status]
+        words = palette.SCENE_WORDS[row.status] + (", not accepted" if row.refused else "")
         put(button, "hint", f"{plain(row.id)}: {words}")
 
 
