@@ -33,6 +33,8 @@ VISUAL_GROUP = 2
 """MuJoCo's habit for geoms that are only seen."""
 COLLISION_GROUP = 3
 """And for those that are only felt."""
+LEAST_AREA = 1e-12
+"""m² of a material on a part; nobody sees less, and MuJoCo refuses it."""
 
 
 class MjcfExporter:
@@ -125,6 +127,8 @@ class _Writer:
 
         for count, index in enumerate(np.unique(mesh.face_material)):
             piece = mesh.take_faces(mesh.face_material == index)
+            if piece.face_areas.sum() < LEAST_AREA:
+                continue
             name = f"{stem}_{count}"
             material = self._material(piece, name)
             path = self.folder / MESHES / f"{name}.obj"
