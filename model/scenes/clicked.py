@@ -13,7 +13,7 @@ from model.errors import PromptError
 from model.geometry.parts import split
 from model.scenes.asset_parts import AssetParts, read_unshifted
 from model.scenes.scene import Anchor, FloatArray, SceneObject
-from model.segmentation.prompts import Click, Prompts
+from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter
 
 FAR = 0.1
@@ -65,7 +65,7 @@ def clicked_parts(path: Path, holder: SceneObject, clicks: ObjectClicks) -> Asse
     asset = read_unshifted(path)
     placed = holder.placed(asset.bounds)
     turn, at = placed.world_from_asset[:3, :3], placed.world_from_asset[:3, 3]
-    items: list[Click | object] = list(clicks.prompts.items)
+    items: list[Click | Region] = list(clicks.prompts.items)
     where = np.array([c.position for c in clicks.prompts.clicks]).reshape(-1, 3)
     local = (where - at) @ turn / placed.scale
     away = KDTree(asset.element_centers).query(local)[0] if len(local) else np.zeros(0)
@@ -81,7 +81,7 @@ def clicked_parts(path: Path, holder: SceneObject, clicks: ObjectClicks) -> Asse
             x, y, z = next(moved)
             items[i] = Click((x, y, z), item.part, item.positive, item.element)
     session = load_segmenter(clicks.segmenter).encode(asset)
-    answer = session.segment(Prompts(tuple(items)))  # type: ignore[arg-type]
+    answer = session.segment(Prompts(tuple(items)))
     parts = split(asset, answer.labels, clicks.names)
     if len(parts) < 2:
         raise PromptError("the clicks leave it in one part; click on its moving parts")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -21,6 +21,7 @@ from model.scenes.asset_parts import MOST_PIECES
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import FloatArray, Scene, SceneObjectError
 
+Pieces = Callable[[], Sequence[tuple[str | None, Loaded]]]
 _RIGID = 1e-6
 
 
@@ -141,10 +142,10 @@ class Unpacker:
         self.files: dict[str, Path] = {}
         self.problems: dict[str, str] = {}
 
-    def add(self, asset: str, stem: str, pieces: object) -> None:
+    def add(self, asset: str, stem: str, pieces: Pieces) -> None:
         """Write one object; ``pieces`` is called for its geometry."""
         try:
-            self.files[asset] = write_object(self._folder, stem, pieces())  # type: ignore[operator]
+            self.files[asset] = write_object(self._folder, stem, pieces())
         except (ArtiworldError, KeyError, IndexError, TypeError, ValueError, AttributeError,
                 OverflowError) as error:  # fmt: skip
             kind = "" if isinstance(error, ArtiworldError) else f"{type(error).__name__}: "

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from model.errors import InputFileError
-from model.geometry.formats.gltf import Gltf, consistent, node_matrix, open_gltf
+from model.geometry.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.geometry.formats.loaded import Loaded
 from model.geometry.readers import turned_up
 from model.scenes.embedded import Unpacked, Unpacker, placed_frame
@@ -171,6 +171,4 @@ def _pieces_of(
 
 def _solid(primitives: list[Loaded]) -> list[Loaded]:
     """A mesh as one piece: its primitives are materials, not parts."""
-    from model.geometry.formats.gltf import joined
-
     return [joined(primitives)] if primitives else []
