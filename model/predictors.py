@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +47,8 @@ BUILT_IN: dict[str, Callable[[], Predictor]] = {
 
 
 def _table() -> dict[str, Callable[[], Predictor]]:
+    from importlib.metadata import entry_points  # the command line wants the default's name alone
+
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.

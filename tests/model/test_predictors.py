@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.metadata
+
 import pytest
 
 from model import predictors
@@ -30,6 +32,6 @@ def test_plug_ins_load_and_cannot_replace_built_ins(monkeypatch: pytest.MonkeyPa
             return lambda: f"plug-in {self.name}"
 
     points = [Point("mine"), Point("geometric")]
-    monkeypatch.setattr(predictors, "entry_points", lambda group: points)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: points)
     assert predictors.load_predictor("mine") == "plug-in mine"
     assert isinstance(predictors.load_predictor("geometric"), Predictor)
