@@ -27,5 +27,5 @@ def test_each_fault_gives_clouds_with_a_true_tree(fault: str) -> None:
 
 
 def test_an_unknown_fault_names_the_known() -> None:
-    with pytest.raises(ConfigurationError, match="no fault 'rust'.*one-sided"):
+    with pytest.raises(ConfigurationError, match=r"no fault 'rust'.*one-sided"):
         ProceduralSet(fault="rust")
