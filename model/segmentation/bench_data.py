@@ -161,7 +161,7 @@ def procedural_objects(
     seed = _BENCH_SEED
     while made < (limit or 40):
         seed += 1
-        data = scan(build(seed, families=False), points, mode, noise, seed)
+        data = scan(build(seed), points, mode, noise, seed)
         parts = asked_parts(data.labels, least, most, seed)
         if len(parts) < 2:
             continue

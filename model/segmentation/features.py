@@ -20,7 +20,7 @@ FEATURE_NAMES = (
     "step_3", "turn_2_max", "turn_2_difference", "turn_3_max", "turn_3_difference",
     "curvature_min", "curvature_max", "curvature_wide_min", "curvature_wide_max",
     "offset_min", "offset_difference", "rim", "rims_face", "density", "variation",
-    "dark", "color_near", "color_wide", "hue_wide", "color_edge", "color_raw", "has_color",
+    "dark", "color_near", "color_wide", "hue_wide", "color_edge", "has_color",
 )  # fmt: skip
 
 _NEAR = 12
@@ -70,7 +70,7 @@ def _pair(normals: Float, a: npt.NDArray, b: npt.NDArray, along: Float) -> list[
 
 
 def edge_features(nodes: Nodes, graph: Graph) -> Float:
-    """(M, 32) features of the graph's edges, in the order of ``FEATURE_NAMES``."""
+    """(M, 31) features of the graph's edges, in the order of ``FEATURE_NAMES``."""
     a, b, h = graph.a, graph.b, np.float32(graph.spacing)
     points = nodes.points
     near = graph.neighbors[:, :_NEAR]
@@ -110,7 +110,7 @@ def edge_features(nodes: Nodes, graph: Graph) -> Float:
 def _color_features(nodes: Nodes, graph: Graph, smooth: _Diffusion) -> list[Float]:
     a, b = graph.a, graph.b
     if nodes.colors is None or not np.ptp(nodes.colors.astype(np.int16), axis=0).any():
-        return [np.zeros(len(a), np.float32)] * 7
+        return [np.zeros(len(a), np.float32)] * 6
     raw = lab_colors(nodes.colors)
     lab = smooth(raw, 1)
     wide = smooth(lab, 6)
@@ -123,7 +123,5 @@ def _color_features(nodes: Nodes, graph: Graph, smooth: _Diffusion) -> list[Floa
         np.linalg.norm(gap, axis=1) / 10,
         np.linalg.norm(gap[:, 1:], axis=1) / 10,
         np.maximum(spread[a], spread[b]) / 10,
-        # Where two surfaces coincide, only the colours of single points tell them apart.
-        np.linalg.norm(raw[a] - raw[b], axis=1) / 10,
         np.ones(len(a), np.float32),
     ]

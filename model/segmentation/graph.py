@@ -86,15 +86,12 @@ def build_graph(nodes: Nodes) -> Graph:
 def _undirected(
     near: npt.NDArray[np.int32],
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    count, k = near.shape
-    i = np.repeat(np.arange(count, dtype=np.int32), k)
-    j = near.ravel()
-    # A pair that both ends name is kept where the lower one names it.
-    back = np.nonzero(i > j)[0]
-    twice = (near[j[back]] == i[back][:, None]).any(1)
-    keep = i < j
-    keep[back[~twice]] = True
-    return np.minimum(i, j)[keep], np.maximum(i, j)[keep]
+    count = len(near)
+    i = np.repeat(np.arange(count, dtype=np.int64), near.shape[1])
+    j = near.ravel().astype(np.int64)
+    key = np.unique(np.minimum(i, j) * count + np.maximum(i, j))
+    key = key[key // count != key % count]
+    return (key // count).astype(np.int32), (key % count).astype(np.int32)
 
 
 def _components(

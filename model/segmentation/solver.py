@@ -25,8 +25,6 @@ Float = npt.NDArray[np.floating]
 _THINNING = 1.06
 _BIASES = (-0.02, -0.1, -0.25)
 _CHAIN = 40
-_WHOLE = 0.97
-_FIRST_SWEEPS = 8
 _IDLE_CELLS = 2
 _IDLE_PENALTY = 3.0
 _LOSS_PENALTY = 3.0
@@ -104,7 +102,7 @@ class PartSolver:
                 while end + 1 < len(rows) and sizes[rows[end + 1]] < _THINNING * sizes[rows[start]]:
                     end += 1
                 # The region lives from the level where it forms to the one that swallows it.
-                if sizes[rows[start]] <= _WHOLE * total:
+                if sizes[rows[start]] <= 0.97 * total:
                     last = self._height[rows[end + 1]] if end + 1 < len(rows) else 10.0
                     levels.append(int(rows[end]))
                     lives.append(float(last - self._height[rows[start]]))
@@ -178,7 +176,7 @@ class PartSolver:
         if not after.positive:
             empty = Candidates.of([np.zeros(len(self.cells), bool)], "keep")
             return Ranked(empty, self.describe(empty, clicked), np.zeros(1, np.float32))
-        found = joined([self.chain(cell), *self._first_sets(cell)])
+        found = self.chain(cell)
         if blocked is not None:
             found = replace(found, masks=found.masks & ~blocked)
         if after.negative:
@@ -189,16 +187,6 @@ class PartSolver:
         features = self.describe(found, clicked)
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
         return Ranked(found, features, scores)
-
-    def _first_sets(self, cell: int) -> list[Candidates]:
-        """What a walk from ``cell`` reaches, up to the borders that hold it best.
-
-        They count as contact regions: to the scorer a region is a region.
-        """
-        sets = self._walk.sweep(self._walk.column(cell, 0), _FIRST_SWEEPS)
-        size = self.cells.size
-        sets = sets[sets @ size <= _WHOLE * size.sum()]
-        return [Candidates.of(list(sets), "contact")] if len(sets) else []
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool
@@ -250,7 +238,7 @@ class PartSolver:
             for row in rows[self._tree[rows] == tree]:
                 regions = np.array(sorted(set(own[row].tolist())))
                 now = float(self._sizes[regions + self._offset[row]].sum())
-                if now < 1.15 * size or now > _WHOLE * self.cells.size.sum():
+                if now < 1.15 * size or now > 0.97 * self.cells.size.sum():
                     continue
                 size = now
                 if len(regions) == 1:

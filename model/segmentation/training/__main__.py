@@ -13,7 +13,7 @@ from model.segmentation.training.edges import EdgeTraining, train_edges
 
 @dataclass(frozen=True)
 class Training:
-    """Both trainings; about half an hour on one free core.
+    """Both trainings; about half an hour on two cores.
 
     Attributes:
         out: folder for ``edges.npz``, ``first_click.npz`` and ``later_click.npz``.

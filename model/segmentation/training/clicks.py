@@ -41,7 +41,7 @@ class ClickTraining:
     first_clicks: int = 6
     clicks: int = 8
     explore: float = 0.25
-    first_seed: int = 40_000
+    first_seed: int = 10_000
     workers: int = 1
 
 
@@ -104,7 +104,7 @@ def play(
     seed: int, config: ClickTraining, first: Mlp | None, later: Mlp | None
 ) -> tuple[Rows, Rows]:
     """Simulated sessions on one object; rows of first and of later clicks."""
-    data = random_scan(seed, (25_000, 60_000)[seed % 2], families=False)
+    data = random_scan(seed, (25_000, 60_000)[seed % 2])
     encoding = encode(Asset("object", cloud=data.cloud), shipped_edge_model())
     solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, first, later)
     rng = np.random.default_rng([seed, 3])

@@ -28,14 +28,12 @@ class EdgeTraining:
         objects: training objects.
         held_out: further objects to measure on.
         edges_per_object: at most half of them borders.
-        epochs: passes over them.
         first_seed: of the objects.
     """
 
-    objects: int = 367
-    held_out: int = 33
-    edges_per_object: int = 3500
-    epochs: int = 6
+    objects: int = 320
+    held_out: int = 40
+    edges_per_object: int = 5000
     first_seed: int = 0
 
 
@@ -71,7 +69,7 @@ def train_edges(config: EdgeTraining, out: Path) -> dict[str, float]:
     features, border, weight = (
         np.concatenate(column) for column in zip(*rows[: config.objects], strict=True)
     )
-    model = fit_mlp(FEATURE_NAMES, features, border, weight, epochs=config.epochs)
+    model = fit_mlp(FEATURE_NAMES, features, border, weight)
     test, truth, _ = (
         np.concatenate(column) for column in zip(*rows[config.objects :], strict=True)
     )

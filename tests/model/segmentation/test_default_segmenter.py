@@ -29,7 +29,7 @@ def test_a_few_clicks_take_a_door(session, cloud_cabinet):
         if found is None:
             break
         clicks.append(click_at(cloud_cabinet, found[0], 1, found[1]))
-    assert iou(session.segment(Prompts(tuple(clicks))).labels == 1, truth) > 0.8
+    assert iou(session.segment(Prompts(tuple(clicks))).labels == 1, truth) > 0.85
 
 
 def test_competing_parts_with_two_clicks_each(session, cloud_cabinet):
@@ -109,7 +109,7 @@ def test_the_mesh_is_cut_along_its_edges(mesh_cabinet):
         clicks.append(click_at(mesh_cabinet, found[0], found[1]))
     labels = session.segment(Prompts(tuple(clicks))).labels
     area = mesh_cabinet.asset.mesh.face_areas
-    assert area[labels == truth].sum() > 0.9 * area.sum()
+    assert area[labels == truth].sum() > 0.95 * area.sum()
 
 
 def test_progress_rises_and_can_cancel(cloud_cabinet):
