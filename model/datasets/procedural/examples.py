@@ -13,6 +13,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +38,9 @@ from model.geometry.readers import read_asset
 from model.geometry.sampling import sample_surface
 from model.geometry.writers import write_cloud
 from model.kinematics.articulated_object import ArticulatedObject
+from model.segmentation.prompts import Click, Prompts
+from model.segmentation.registry import load_segmenter
+from model.segmentation.simulate import next_part_click
 
 FORMAT = 1
 
@@ -159,6 +163,54 @@ def write_examples(
         _write_json(out / "truth" / f"{name}.json", truth(obj, labels))
         written.append(path)
     return tuple(written)
+
+
+MORE_CLICKS = 40
+
+
+def completed(
+    path: Path, data: dict[str, Any], labels: npt.NDArray[np.int32], most: int = MORE_CLICKS
+) -> dict[str, Any]:
+    """``data`` (prompts of a mesh) with what a person would click next, until all faces are right.
+
+    Args:
+        path: the object. labels: (F,) true part of each face. most: clicks to add.
+
+    Returns:
+        The prompts with the clicks up to the best answer.
+    """
+    asset = read_asset(path)
+    assert asset.mesh is not None
+    session = load_segmenter().encode(asset)
+    centers, areas = asset.element_centers, asset.mesh.face_areas
+    clicks = [Click(tuple(c["position"]), c["part"], c["positive"]) for c in data["clicks"]]
+    given = kept = len(clicks)
+    best = np.inf
+    for _ in range(most + 1):
+        answer = session.segment(Prompts(tuple(clicks))).labels
+        wrong = float(areas[answer != labels].sum())
+        if wrong < best:
+            kept, best = len(clicks), wrong
+        found = next_part_click(centers, labels, answer)
+        if found is None:
+            break
+        x, y, z = _rounded(centers[found[0]], 5)
+        clicks.append(Click((x, y, z), found[1], True, found[0]))
+    added = [
+        {"position": list(c.position), "part": c.part, "positive": True, "element": c.element}
+        for c in clicks[given:kept]
+    ]
+    return data | {"clicks": [*data["clicks"], *added]}
+
+
+def complete_prompts(out: Path, names: tuple[str, ...] = tuple(EXAMPLES)) -> None:
+    """:func:`completed` for the meshes among what :func:`write_examples` wrote to ``out``."""
+    for path in (out / f"{name}.glb" for name in names if EXAMPLES[name].scan is None):
+        name = path.stem
+        prompts_file, truth_file = out / f"{name}.prompts.json", out / "truth" / f"{name}.json"
+        runs = json.loads(truth_file.read_text())["runs"]
+        labels = np.concatenate([np.full(n, part, np.int32) for part, n in runs])
+        _write_json(prompts_file, completed(path, json.loads(prompts_file.read_text()), labels))
 
 
 def joined(obj: ArticulatedObject) -> tuple[Mesh, npt.NDArray[np.int32]]:
@@ -306,6 +358,7 @@ def main() -> None:
     arguments = parser.parse_args()
     for path in write_examples(arguments.out, arguments.seed):
         print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+    complete_prompts(arguments.out)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.prompt_file import read_prompts
 from model.datasets.partnet_mobility import PartNetMobility
 from model.datasets.procedural.corruption import MIXED, Corruption, corrupted, sometimes
 from model.datasets.procedural.examples import EXAMPLES, write_examples
@@ -17,6 +18,7 @@ from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
 from model.errors import ConfigurationError
 from model.geometry.readers import read_asset
 from model.resources import static_assets
+from model.segmentation.registry import load_segmenter
 
 FOLDER = static_assets() / "examples"
 
@@ -170,6 +172,18 @@ def test_demo_objects_have_a_truth_and_clicks_that_fit(name: str) -> None:
             assert np.bincount(near).argmax() == click["part"], f"{name}: click {click}"
     assert {p["id"] for p in prompts["parts"]} <= {p["id"] for p in truth["parts"]}
     assert len(prompts["clicks"]) >= len(prompts["parts"])
+
+
+@pytest.mark.parametrize("name", ["cabinet", "washing_machine", "laptop", "kettle"])
+def test_clicks_of_demo_meshes_cut_them_exactly(name: str) -> None:
+    asset = read_asset(FOLDER / f"{name}.glb")
+    assert asset.mesh is not None
+    truth = json.loads((FOLDER / "truth" / f"{name}.json").read_text())
+    labels = np.concatenate([np.full(n, part) for part, n in truth["runs"]])
+    file = read_prompts(FOLDER / f"{name}.prompts.json")
+    found = load_segmenter().encode(asset).segment(file.prompts).labels
+    areas = asset.mesh.face_areas
+    assert areas[found != labels].sum() < 1e-3 * areas.sum()
 
 
 def test_demo_objects_are_made_again_by_the_command(tmp_path: Path) -> None:
