@@ -55,8 +55,8 @@ def ray_map(
 
 def _connect(address: str) -> tuple[Any, type[Exception]]:
     try:
-        import ray
-        import ray.exceptions
+        import ray  # type: ignore[import-not-found]
+        import ray.exceptions  # type: ignore[import-not-found]
     except ImportError as error:
         raise ConfigurationError(
             "--ray needs the package ray: pip install 'artiworld[cluster]'"
