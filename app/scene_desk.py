@@ -22,6 +22,7 @@ from app.scene_accepting import Accepting
 from app.scene_rows import STATUSES, Row, Status, Work, drawn_by
 from app.scene_saving import Saving
 from app.scene_tasks import DrawnParts, OpenedScene, Prepared, SceneItem, Shape
+from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
 from model.progress import Cancelled
 from sessions import commands as cmd
@@ -39,7 +40,7 @@ FACES = 900_000
 """Triangles of a whole scene that a browser draws smoothly."""
 
 
-class SceneDesk:
+class SceneDesk(Watched):
     """The scene of a server, shared by all its tabs."""
 
     def __init__(
@@ -60,8 +61,7 @@ class SceneDesk:
         self._max_faces = FACES
         self._lock = threading.RLock()
         self._running: dict[str, Any] = {}
-        self._listeners: list[Callable[[], None]] = []
-        self._notices: list[Callable[[str, str, str], None]] = []
+        super().__init__()
         self.accepting = Accepting(self)
         self.saving = Saving(self)
         self.live.subscribe(lambda state, command: self._decided(command))
@@ -70,32 +70,6 @@ class SceneDesk:
             on_progress=self.progress("read"), priority=9,
         )  # fmt: skip
         self.start("read", job, self._opened)
-
-    # --- who looks
-
-    def watch(
-        self, listener: Callable[[], None], notice: Callable[[str, str, str], None]
-    ) -> Callable[[], None]:
-        """Call ``listener`` on every change, ``notice(title, body, colour)`` with news."""
-        self._listeners.append(listener)
-        self._notices.append(notice)
-
-        def stop() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
-                self._notices.remove(notice)
-
-        return stop
-
-    def changed(self) -> None:
-        """Redraw in all the tabs."""
-        for listener in list(self._listeners):
-            listener()
-
-    def tell(self, title: str, body: str, color: str = "blue") -> None:
-        """Show a note in all the tabs."""
-        for notice in list(self._notices):
-            notice(title, body, color)
 
     # --- where each object stands
 

@@ -22,6 +22,7 @@ from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
 from app.judging import Judging
 from app.review_order import ReviewOrder
+from app.watched import Listener, Watched
 from model.errors import ArtiworldError, CommandError
 from model.gate.report import GateReport
 from model.geometry.asset import Source
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
 
 log = logging.getLogger(__name__)
-Listener = Callable[[], None]
-Notice = Callable[[str, str, str], None]
 TOOL_SECONDS = 120.0
 
 
@@ -162,7 +161,7 @@ class Workbench:
             worker.close()
 
 
-class OpenObject:
+class OpenObject(Watched):
     """One object as all its tabs see it: asset, session, labels, running jobs."""
 
     def __init__(self, bench: Workbench, record: ObjectRecord) -> None:
@@ -179,34 +178,9 @@ class OpenObject:
         self._frame: tuple[Any, ...] | None = None
         self._jobs: dict[str, Job[Any]] = {}
         self._lock = threading.RLock()
-        self._listeners: list[Listener] = []
-        self._notices: list[Notice] = []
+        super().__init__()
         self.judging = Judging(self)
         self.live.subscribe(lambda state, command: self._state_changed())
-
-    # --- who looks
-
-    def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
-        """Call ``listener`` on every change, ``notice(title, body, colour)`` with news."""
-        self._listeners.append(listener)
-        self._notices.append(notice)
-
-        def stop() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
-                self._notices.remove(notice)
-
-        return stop
-
-    def changed(self) -> None:
-        """Redraw in all the tabs."""
-        for listener in list(self._listeners):
-            listener()
-
-    def tell(self, title: str, body: str, color: str = "blue") -> None:
-        """Show a note in all the tabs."""
-        for notice in list(self._notices):
-            notice(title, body, color)
 
     # --- state
 

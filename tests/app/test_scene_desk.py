@@ -90,6 +90,23 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     world.close()
 
 
+@pytest.fixture(scope="module")
+def accepted(world: World) -> World:
+    """The decision is on disk, the server dies at once: the next one carries it out."""
+    desk = world.desk
+    wait(lambda: desk.work("first") is not None, "the first is predicted")
+    first = desk.work("first")
+    assert first is not None
+    world.close()
+    store = Store(world.folder / "workspace")
+    record = store.open_object(world.scene, None, "home")
+    store.append(record.id, DecideObjects("accept", (first.id,), above=0.1), "ann", record.seq)
+    store.close()
+    desk = world.open()
+    wait(lambda: not desk.accepting.waiting, "it is carried out")
+    return world
+
+
 def statuses(desk: SceneDesk) -> dict[str, str]:
     return {r.id: r.status for r in desk.rows()}
 
@@ -147,17 +164,8 @@ def test_rejecting_and_taking_it_back(world: World) -> None:
     assert desk.document.decided == ()
 
 
-def test_what_was_decided_survives_the_end_of_the_server(world: World) -> None:
-    """The decision is on disk, the server dies at once: the next one carries it out."""
-    first = world.desk.work("first")
-    assert first is not None
-    world.close()
-    store = Store(world.folder / "workspace")
-    record = store.open_object(world.scene, None, "home")
-    store.append(record.id, DecideObjects("accept", (first.id,), above=0.1), "ann", record.seq)
-    store.close()
-    desk = world.open()
-    wait(lambda: not desk.accepting.waiting, "it is carried out")
+def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> None:
+    desk = accepted.desk
     work = desk.work("first")
     assert work is not None
     assert not desk.accepting.why_refused(work), desk.accepting.why_refused(work)
@@ -167,9 +175,9 @@ def test_what_was_decided_survives_the_end_of_the_server(world: World) -> None:
     assert told["gate"] and told["review"]["by"] == "ann"
 
 
-def test_the_saved_scene_loads_and_holds_what_was_accepted(world: World) -> None:
+def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> None:
     mujoco = pytest.importorskip("mujoco")
-    desk = world.desk
+    world, desk = accepted, accepted.desk
     desk.saving.save(False, "ann")
     wait(lambda: desk.document.saved, "the scene is saved")
     world.settle()
@@ -190,8 +198,9 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(world: World) -> None
     np.testing.assert_allclose(base, [1.5, 0.5, 0.4], atol=0.02)  # its box has a handle in front
 
 
-def test_the_report_holds_everything_and_runs_nothing(world: World) -> None:
+def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:
     done: list[Path] = []
+    world = accepted
     world.desk.saving.report(done.append)
     wait(lambda: done, "the report")
     page = done[0].read_text(encoding="utf-8")
