@@ -16,7 +16,7 @@ from app.scene_desk import SceneDesk
 from app.workbench import Workbench
 from model.errors import CommandError
 from sessions import commands as cmd
-from sessions.scene_commands import DecideObjects
+from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.store import Store
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
@@ -178,6 +178,7 @@ def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> Non
 def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> None:
     mujoco = pytest.importorskip("mujoco")
     world, desk = accepted, accepted.desk
+    desk.do(SetArticulable("small", False), "ann")
     desk.saving.save(False, "ann")
     wait(lambda: desk.document.saved, "the scene is saved")
     world.settle()
