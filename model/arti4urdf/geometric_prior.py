@@ -8,8 +8,9 @@ import numpy.typing as npt
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
 from model.geometric.motion_scores import motion_scores
+from model.geometric.motion_words import CATEGORY_MOTIONS
 from model.geometric.roles import CATEGORY_BONUS
-from model.geometric.vocabulary import CATEGORY_MOTIONS, mechanism_of
+from model.geometric.vocabulary import mechanism_of
 
 Array = npt.NDArray[np.float64]
 

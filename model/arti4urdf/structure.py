@@ -20,12 +20,13 @@ from model.geometric.hypothesis import Hypothesis
 from model.geometric.looks import Looks, look
 from model.geometric.mechanisms import BUILDERS, SWEPT, find_front
 from model.geometric.motion_scores import motion_scores
+from model.geometric.motion_words import MECHANISMS as ALL_MECHANISMS
+from model.geometric.motion_words import Mechanism
 from model.geometric.roles import guess_mechanisms
 from model.geometric.scene import SAMPLE_BUDGET, Scene, make_scene
 from model.geometric.shape import rotation
 from model.geometric.tree import root_scores, spanning_parents
-from model.geometric.vocabulary import MECHANISMS as ALL_MECHANISMS
-from model.geometric.vocabulary import Mechanism, mechanism_of
+from model.geometric.vocabulary import mechanism_of
 from model.kinematics.articulated_object import SegmentedObject
 from model.progress import Progress, no_progress
 

@@ -11,6 +11,7 @@ from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import with_swept_limits
 from model.geometric.edges import edge_hypotheses
 from model.geometric.hypothesis import Hypothesis, unit
+from model.geometric.motion_words import Mechanism
 from model.geometric.pivots import (
     lever_hypotheses,
     pivot_hypotheses,
@@ -25,7 +26,6 @@ from model.geometric.slides import (
     slide_out_hypotheses,
 )
 from model.geometric.spins import screw_hypotheses, spin_hypotheses, swivel_hypotheses
-from model.geometric.vocabulary import Mechanism
 
 Array = npt.NDArray[np.float64]
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from model.geometric.context import PartContext
 from model.geometric.looks import Looks
+from model.geometric.motion_words import Mechanism
 from model.geometric.pivots import alike
 from model.geometric.scene import TOUCHING
 from model.geometric.shape import blades
-from model.geometric.vocabulary import Mechanism
 
 Scores = dict[Mechanism, float]
 

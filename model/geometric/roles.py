@@ -7,7 +7,8 @@ import numpy as np
 from model.geometric.context import Assembly, PartContext
 from model.geometric.looks import Looks, look
 from model.geometric.motion_scores import motion_scores, passes_sibling
-from model.geometric.vocabulary import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism, mechanism_of
+from model.geometric.motion_words import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
+from model.geometric.vocabulary import mechanism_of
 
 CATEGORY_BONUS = 1.2
 """Score for what parts of the object's category usually do."""

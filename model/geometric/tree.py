@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.geometric.motion_words import CATEGORY_PARENTS
 from model.geometric.scene import TOUCHING, Scene
 from model.geometric.shape import blades
-from model.geometric.vocabulary import (
-    CATEGORY_PARENTS,
-    base_score,
-    category_key,
-    known_word,
-    words,
-)
+from model.geometric.vocabulary import base_score, category_key, known_word, words
 
 Array = npt.NDArray[np.float64]
 

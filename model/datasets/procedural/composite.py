@@ -13,6 +13,7 @@ from model.datasets.procedural import controls
 from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
+from model.datasets.procedural.legs import LegStyle, legs
 from model.datasets.procedural.materials import (
     Palette,
     appliance_palette,
@@ -39,8 +40,8 @@ def random_composite(rng: np.random.Generator) -> ProceduralObject:
     if wheeled:
         _wheels(b, body, w, d, lift - 0.012 * scale, palette, rng)
     elif lift > 0.02:
-        style: m.LegStyle = ("block", "taper", "round", "plinth")[rng.integers(4)]
-        m.legs(body, w, d, lift, style, palette.body)
+        style: LegStyle = ("block", "taper", "round", "plinth")[rng.integers(4)]
+        legs(body, w, d, lift, style, palette.body)
     m.carcass(body, (w, d, h), wall, palette, bottom=lift)
     free = _fronts(b, body, m.Opening(-w / 2, w / 2, lift, lift + h), d, wall, palette, rng)
     _top(b, body, w, d, lift + h, palette, rng)

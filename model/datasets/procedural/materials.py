@@ -218,3 +218,8 @@ def average_color(material: Material) -> npt.NDArray[np.float64]:
         return base
     pixel = np.asarray(material.texture.resize((1, 1), Image.Resampling.BOX).convert("RGBA"))[0, 0]
     return base * pixel / 255.0
+
+
+def any_plastic(rng: np.random.Generator) -> Surface:
+    """A plastic of any colour."""
+    return plain("plastic", PLASTICS[rng.integers(len(PLASTICS))])

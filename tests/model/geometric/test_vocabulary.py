@@ -5,17 +5,8 @@ from __future__ import annotations
 import pytest
 
 from model.geometric.mechanisms import BUILDERS
-from model.geometric.vocabulary import (
-    CATEGORY_WORDS,
-    MECHANISMS,
-    SLIDING,
-    TURNING,
-    WORDS,
-    base_score,
-    category_key,
-    mechanism_of,
-    words,
-)
+from model.geometric.motion_words import CATEGORY_WORDS, MECHANISMS, SLIDING, TURNING, WORDS
+from model.geometric.vocabulary import base_score, category_key, mechanism_of, words
 
 
 @pytest.mark.parametrize(

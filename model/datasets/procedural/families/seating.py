@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from model.datasets.procedural import controls
-from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
+from model.datasets.procedural.legs import legs
 from model.datasets.procedural.materials import (
     PLASTICS,
     Surface,
@@ -153,7 +153,7 @@ def four_legged_chair(rng: np.random.Generator) -> ProceduralObject:
     surface = wood("oak") if rng.random() < 0.6 else metal("dark")
     base = b.base("leg")
     w, d, z = (float(v) for v in rng.uniform((0.36, 0.36, 0.4), (0.46, 0.46, 0.75)))
-    m.legs(base, w, d, z - 0.03, ("taper", "round", "block")[rng.integers(3)], surface)
+    legs(base, w, d, z - 0.03, ("taper", "round", "block")[rng.integers(3)], surface)
     for side in (-1, 1):
         base.add(
             s.box((0.02, 0.86 * d, 0.03), (side * (w / 2 - 0.035), 0, 0.45 * z), 0.002),

@@ -11,6 +11,7 @@ import numpy as np
 from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
+from model.datasets.procedural.legs import LegStyle, legs
 from model.datasets.procedural.materials import Palette, furniture_palette, wood
 
 Use = Literal["door", "two_doors", "drawer", "open", "flap"]
@@ -41,7 +42,7 @@ class Cupboard:
     cells: tuple[Cell, ...]
     wall: float = 0.018
     gap: float = 0.003
-    leg: m.LegStyle = "taper"
+    leg: LegStyle = "taper"
     leg_height: float = 0.12
     front: m.PanelStyle = "plain"
     handle: m.HandleStyle | None = "bar"
@@ -101,7 +102,7 @@ def cupboard(
     body = b.base("furniture_body")
     bottom = spec.leg_height
     m.carcass(body, spec.size, spec.wall, palette, bottom=bottom, top_overhang=spec.overhang)
-    m.legs(
+    legs(
         body,
         w,
         d,
@@ -238,7 +239,7 @@ def storage_furniture(rng: np.random.Generator) -> ProceduralObject:
     )[kind]
     size = rng.uniform(low, high)
     w, _, h = (float(v) for v in size)
-    leg: m.LegStyle = ("block", "taper", "round", "plinth", "sled", "hairpin")[rng.integers(6)]
+    leg: LegStyle = ("block", "taper", "round", "plinth", "sled", "hairpin")[rng.integers(6)]
     tall = float(rng.uniform(0.05, 0.1) if leg == "plinth" else rng.uniform(0.06, 0.22))
     cells = tuple(split(m.Opening(-w / 2, w / 2, tall, tall + h), rng))
     if all(c.use == "open" for c in cells):

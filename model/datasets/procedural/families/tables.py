@@ -12,6 +12,7 @@ from model.datasets.procedural import modules as m
 from model.datasets.procedural import shapes as s
 from model.datasets.procedural.families.storage import Cell
 from model.datasets.procedural.grammar import Body, Builder, ProceduralObject
+from model.datasets.procedural.legs import LegStyle, legs
 from model.datasets.procedural.materials import (
     Palette,
     furniture_palette,
@@ -30,9 +31,9 @@ def table(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("table_body")
     t = 0.025
     base.add(s.box((w, d, t), (0, 0, h - t / 2), 0.004), palette.front, "tabletop", grain=0)
-    style: m.LegStyle = ("block", "taper", "round")[rng.integers(3)]
+    style: LegStyle = ("block", "taper", "round")[rng.integers(3)]
     pedestals = [side for side in (-1, 1) if rng.random() < 0.4]
-    m.legs(base, w, d, h - t, style, palette.body)
+    legs(base, w, d, h - t, style, palette.body)
     tall = float(rng.uniform(0.09, 0.13))
     low = h - t - tall
     left, right = -w / 2 + 0.09, w / 2 - 0.09
