@@ -172,5 +172,6 @@ def _tree_of(urdf: str, problems: list[str]) -> KinematicTree | None:
         except ArtiworldError as error:
             problems.append(str(error).replace(str(path), "the URDF"))
             return None
-    problems.extend(model.notes)
+    # A model writes few decimals of an axis.
+    problems.extend(n for n in model.notes if n not in model.rescaled)
     return model.tree

@@ -60,7 +60,7 @@ class FullPredictor:
             lambda fraction, message: progress(0.1 + 0.9 * fraction, message),
         )
         tree, problems = parse_answer(text)
-        told += [p for p in problems if "was normalised" not in p]
+        told += problems
         if tree is not None:
             tree = _fitted(tree, segmented, locked, told)
         confidence = {} if tree is None else {j.child: likely(j.child) for j in tree.joints}

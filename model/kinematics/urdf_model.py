@@ -47,6 +47,7 @@ class UrdfModel:
         tree: joints in the object's rest frame, which is the root link's frame.
         visuals: geometry in the file's order.
         notes: what was changed on reading, for people.
+        rescaled: those of the notes that tell of an axis whose length wasn't 1: it means the same.
         faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
         swapped: joints whose lower limit was written above the upper one; here they are in order.
     """
@@ -58,6 +59,7 @@ class UrdfModel:
     notes: tuple[str, ...] = ()
     faulty: tuple[str, ...] = ()
     swapped: tuple[str, ...] = ()
+    rescaled: tuple[str, ...] = ()
 
     @cached_property
     def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:

@@ -83,6 +83,7 @@ class _Reader:
         self.path, self.root, self.lenient = path, root, lenient
         self.faulty: list[str] = []
         self.swapped: list[str] = []
+        self.rescaled: list[str] = []
         self.problems: list[str] = []
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
@@ -121,8 +122,8 @@ class _Reader:
             for v in geometry
         )
         name = robot.get("name") or self.path.stem
-        notes, faulty, swapped = (tuple(v) for v in (self.notes, self.faulty, self.swapped))
-        return UrdfModel(self.path, name, tree, visuals, notes, faulty, swapped)
+        told = (tuple(v) for v in (self.notes, self.faulty, self.swapped, self.rescaled))
+        return UrdfModel(self.path, name, tree, visuals, *told)
 
     def _raise(self) -> None:
         if self.problems:
@@ -221,7 +222,8 @@ class _Reader:
         if length < 1e-9:
             self.problems.append(f"{where}: the axis must not be zero")
         elif abs(length - 1.0) > 1e-4:
-            self.notes.append(f"{where}: axis of length {length:g} was normalised")
+            self.rescaled.append(f"{where}: axis of length {length:g} was normalised")
+            self.notes += self.rescaled[-1:]
         return axis
 
     def _joint_type(self, element: Element, where: str) -> JointType:

@@ -129,7 +129,7 @@ def test_whatever_is_chosen_parses() -> None:
         if index % 2:
             locked = tuple(j for j in tree.joints if rng.random() < 0.4)
         found, problems = parse_answer(write(Author(segmented, locked), at_random(rng)))
-        assert [p for p in problems if "was normalised" not in p] == []
+        assert not problems
         assert found is not None
         ArticulatedObject(segmented.name, segmented.parts, found)
         for joint in locked:
