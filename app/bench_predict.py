@@ -1,8 +1,11 @@
 """``artiworld bench predict``: how long an answer takes, and where the time goes.
 
 The network is timed twice in the same run with the same weights: forced spans appended in one
-pass, and token by token as plain generation does. A KD-tree over 100k points stands beside them:
-ratios to it can be compared between machines.
+pass, and token by token as plain generation does. Passes are compared with both: with as many as
+plain generation of the same compact tokens takes ("fewer than compact"), and with as many as the
+answer's text has tokens, which a language model without the compact vocabulary has to write ("fewer
+than text"). A KD-tree over 100k points stands beside them: ratios to it can be compared between
+machines.
 """
 
 from __future__ import annotations
@@ -75,6 +78,7 @@ def _decoding(segmented: SegmentedObject, network: Predictor) -> dict[str, Any]:
         "passes": spans.passes,
         "token by token passes": single.passes,
         "text tokens": text_tokens(text),
+        "fewer than compact": round(single.passes / max(1, spans.passes), 1),
         "fewer than text": round(text_tokens(text) / max(1, spans.passes), 1),
     }
 
