@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from model.geometric.denoising import denoised
 from model.geometric.shape import Shape, rotation
-from model.geometric.surface import dominant_yaw, part_surface
+from model.geometric.surface import Noise, dominant_yaw, part_surface
 from model.kinematics.articulated_object import Part, SegmentedObject
 
 Array = npt.NDArray[np.float64]
@@ -205,15 +206,14 @@ def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPL
     share = np.sqrt(rough + 1e-12)
     counts = np.clip(budget * share / share.sum(), 160, 6000).astype(int)
     sampled = [part_surface(p, int(c), seed) for p, c in zip(parts, counts, strict=True)]
+    noise = _common_noise([s.noise for s in sampled])
+    sampled = [denoised(s, noise) for s in sampled]
     normals = np.concatenate([s.normals for s in sampled])
     weights = np.concatenate(
         [np.full(len(s.points), s.area / max(1, len(s.points))) for s in sampled]
     )
     yaw = dominant_yaw(normals, weights, [s.points for s in sampled])
     frame = WorkingFrame(center, yaw, diagonal)
-    # One scanner, one noise: parts with few points can't tell theirs.
-    each = sorted((s.noise, len(s.points)) for s in sampled if s.noise)
-    noise = each[len(each) // 2][0] if each else 0.0
     shapes = tuple(
         Shape(
             part.link,
@@ -223,11 +223,18 @@ def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPL
             frame.to_working(s.outline),
             s.area / diagonal**2,
             part.mesh is None or not len(part.mesh.faces),
-            max(s.noise, noise) / diagonal if s.noise else 0.0,
+            max(s.noise.sigma, noise) / diagonal if s.noise.sigma else 0.0,
         )
         for part, s in zip(parts, sampled, strict=True)
     )
     return Scene(segmented.name, segmented.category, shapes, frame, parts)
+
+
+def _common_noise(each: list[Noise]) -> float:
+    """One scanner, one noise: small parts and rods can't tell theirs."""
+    told = sorted(n.sigma for n in each if n.told)
+    found = told or sorted(n.sigma for n in each if n.sigma)
+    return found[len(found) // 2] if found else 0.0
 
 
 def _rough_area(bounds: Array) -> float:

@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from model.kinematics.articulated_object import Part
 
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How far points lie off their surface.
+
+    Attributes:
+        sigma: standard deviation across the surface (m), or no less than it where it isn't told.
+        told: the points lie along a surface, so that ``sigma`` is their noise (and what is bent of
+            the surface).
+        coarse: the noise is larger than the spacing of the points.
+    """
+
+    sigma: float = 0.0
+    told: bool = False
+    coarse: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,14 +40,14 @@ class Sampled:
         points: (N, 3). normals: (N, 3) unit, sign unknown.
         outline: (M, 3) points that give the extents.
         area: m², of clouds an estimate.
-        noise: standard deviation of the points across the surface (m); 0 for meshes.
+        noise: see :class:`Noise` (m); of meshes 0 and not told.
     """
 
     points: Array
     normals: Array
     outline: Array
     area: float
-    noise: float = 0.0
+    noise: Noise
 
 
 def part_surface(part: Part, count: int, seed: int) -> Sampled:
@@ -48,7 +68,7 @@ def part_surface(part: Part, count: int, seed: int) -> Sampled:
         total = float(area.sum())
         if total <= 0:
             points = mesh.vertices[np.unique(mesh.faces)][:count]
-            return Sampled(points, np.zeros_like(points), points, 0.0)
+            return Sampled(points, np.zeros_like(points), points, 0.0, Noise())
         # Stratified along the cumulated area: even cover from few points.
         at = (np.arange(count) + rng.random(count)) / count * total
         face = np.minimum(np.searchsorted(np.cumsum(area), at), len(area) - 1)
@@ -56,7 +76,7 @@ def part_surface(part: Part, count: int, seed: int) -> Sampled:
         w = np.stack([1 - s, s * (1 - t), s * t], 1)
         points = np.einsum("nk,nkd->nd", w, mesh.triangles[face])
         used = mesh.vertices[np.unique(mesh.faces[area > 0])]
-        return Sampled(points, mesh.face_normals[face], used, total)
+        return Sampled(points, mesh.face_normals[face], used, total, Noise())
     assert part.cloud is not None
     cloud = part.cloud
     points = cloud.points.astype(np.float64)
@@ -71,19 +91,68 @@ def part_surface(part: Part, count: int, seed: int) -> Sampled:
     return Sampled(kept, normals, outline, float(len(kept) * spacing**2), noise)
 
 
-def cloud_normals(points: Array, neighbours: int = 14) -> tuple[Array, float, float]:
+NEIGHBOURS = (14, 40, 100)
+"""Neighbourhoods in which noise is sought, smallest first."""
+ROUNDISH = (0.62, 0.35)
+"""Thin over middle and over long spread of neighbourhoods above which they are more noise than
+surface (of pure noise .74 and .55; of surfaces below .55, also at edges)."""
+
+
+def cloud_normals(points: Array) -> tuple[Array, float, Noise]:
     """(N, 3) normals from the nearest neighbours' plane, the point spacing, and the noise."""
     from scipy.spatial import KDTree
 
     if len(points) < 4:
-        return np.zeros_like(points), 0.0, 0.0
-    k = min(neighbours, len(points))
-    distance, index = KDTree(points).query(points, k=k)
-    local = points[index] - points[index].mean(1, keepdims=True)
-    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local) / k)
+        return np.zeros_like(points), 0.0, Noise()
+    tree = KDTree(points)
+    k = min(NEIGHBOURS[0], len(points))
+    distance, index = tree.query(points, k=k)
+    spreads, vectors = _spreads(points[index])
     spacing = float(np.median(distance[:, min(2, k - 1)]))
-    noise = float(np.sqrt(max(0.0, np.median(values[:, 0]))))
-    return vectors[:, :, 0], spacing, noise
+    return vectors[:, :, 0], spacing, _noise(points, tree, spreads)
+
+
+def _spreads(neighbours: Array) -> tuple[Array, Array]:
+    """(N, K, 3) → standard deviations (N, 3), smallest first, and their directions (N, 3, 3)."""
+    local = neighbours - neighbours.mean(1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local) / local.shape[1])
+    return np.sqrt(np.maximum(values, 0.0)), vectors
+
+
+BOARD = 2.2
+"""Kurtosis of the places across a surface below which they lie on two faces of a board; of noise
+it is 3, of two faces 1."""
+
+
+def _noise(points: Array, tree: KDTree, spreads: Array) -> Noise:
+    """The thin spread of the smallest neighbourhoods that are flat."""
+    some = points[:: max(1, len(points) // 300)]
+    for step, k in enumerate(NEIGHBOURS):
+        across = None
+        if step:
+            if k > len(points) // 3:
+                break
+            near = points[tree.query(some, k=k)[1]]
+            spreads, directions = _spreads(near)
+            across = np.einsum("nki,ni->nk", near - near.mean(1, keepdims=True), directions[..., 0])
+        thin, middle, long = np.median(spreads, axis=0)
+        flat, round_ = thin <= ROUNDISH[0] * middle, thin > ROUNDISH[1] * long
+        if flat and across is not None:
+            return _flat_noise(across)
+        if flat or not round_:
+            return Noise(float(thin), bool(flat), step > 0)
+    return Noise(float(np.median(spreads[:, 0])), False, True)
+
+
+def _flat_noise(across: Array) -> Noise:
+    """From the places (N, K) across flat neighbourhoods: noise on one face, or a board's two."""
+    variance = float(np.median((across**2).mean(1)))
+    fourth = float(np.median((across**4).mean(1)))
+    if variance <= 0 or fourth > BOARD * variance**2:
+        return Noise(variance**0.5, True, True)
+    # Two faces at a distance of 2 a: variance a² + sigma², fourth cumulant -2 a⁴.
+    apart = np.sqrt((3 * variance**2 - fourth) / 2)
+    return Noise(float(np.sqrt(max(variance - apart, 0.0))), True, False)
 
 
 def dominant_yaw(normals: Array, weights: Array, points: list[Array]) -> float:

@@ -84,9 +84,9 @@ def test_two_hundred_parts_in_bounded_time() -> None:
         cube(f"link_{i}", (*rng.uniform(-1.9, 1.9, 2), 0.52), size=(0.1, 0.1, 0.05))
         for i in range(199)
     ]
-    start = time.perf_counter()
+    start = time.process_time()
     obj = check(SegmentedObject("many", tuple(parts)))
-    assert time.perf_counter() - start < 30
+    assert time.process_time() - start < 30
     assert obj.tree.root == "link_base"
 
 

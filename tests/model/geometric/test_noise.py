@@ -1,0 +1,79 @@
+"""Noise of clouds: how much there is, and what is left of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from model.datasets.procedural_set import ProceduralSet
+from model.geometric.denoising import denoised
+from model.geometric.predictor import GeometricPredictor
+from model.geometric.surface import Noise, cloud_normals, part_surface
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import Part
+
+
+def _box(size, count: int = 1024) -> np.ndarray:
+    """Points on the surface of a box about the origin."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (count, 3))
+    area = np.prod(size) / np.asarray(size)
+    face = rng.choice(3, count, p=area / area.sum())
+    points[np.arange(count), face] = rng.choice([-0.5, 0.5], count)
+    return points * size
+
+
+def _sampled(points: np.ndarray, sigma: float):
+    noisy = points + sigma * np.random.default_rng(1).standard_normal(points.shape)
+    return part_surface(Part("link_0", cloud=PointCloud(noisy.astype(np.float32))), 6000, 0)
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.01, 0.02])
+def test_the_noise_of_a_surface_is_told(sigma: float) -> None:
+    """Below the points' spacing (here .02) and above it."""
+    noise = _sampled(_box((0.7, 0.6, 0.5), 4000), sigma).noise
+    assert noise.told
+    assert noise.sigma == pytest.approx(sigma, rel=0.45)
+
+
+def test_small_parts_and_rods_do_not_tell_theirs() -> None:
+    button = _sampled(_box((0.04, 0.04, 0.02)), 0.01).noise
+    assert button.coarse and not button.told
+    rod = np.zeros((500, 3))
+    rod[:, 0] = np.linspace(0, 1, 500)
+    assert not _sampled(rod, 0.0005).noise.told
+    assert cloud_normals(np.zeros((3, 3)))[2] == Noise()
+
+
+def test_a_clean_cloud_stays_as_it_is() -> None:
+    sampled = _sampled(_box((0.5, 0.4, 0.02)), 0.0)
+    assert denoised(sampled, sampled.noise.sigma) is sampled
+
+
+def test_surfaces_are_smoothed() -> None:
+    """A noisy panel's points come nearer to the panel by a third and more."""
+    flat = _box((0.6, 0.5, 1e-6))
+    sampled = _sampled(flat, 0.02)
+    assert sampled.noise.told and sampled.noise.coarse
+    after = denoised(sampled, sampled.noise.sigma).points
+    assert np.abs(after[:, 2]).mean() < 0.65 * np.abs(sampled.points[:, 2]).mean()
+    assert len(after) == len(flat)
+
+
+def test_a_button_gets_its_size_back() -> None:
+    clean = _box((0.05, 0.05, 0.03))
+    sampled = _sampled(clean, 0.01)
+    after = denoised(sampled, 0.01)
+    spread, wanted, found = (p.std(0) for p in (sampled.points, clean, after.points))
+    assert np.abs(found - wanted).max() < 0.15 * np.abs(spread - wanted).max()
+    assert np.median(KDTree(after.points).query(clean)[0]) < 0.01
+
+
+def test_noisy_keys_are_pressed_not_turned() -> None:
+    """Noise makes balls of small things."""
+    truth = ProceduralSet(seed=2, families=("Remote",), fault="noise").load("Remote_2_0")
+    predicted = GeometricPredictor().predict(truth.segmented(names=False)).tree
+    assert predicted is not None
+    right = [predicted.joint_of[j.child].type == j.type for j in truth.object.tree.joints]
+    assert np.mean(right) > 0.8
