@@ -11,6 +11,9 @@ from model.geometric.surface import NEIGHBOURS, Sampled, cloud_normals
 
 Array = npt.NDArray[np.float64]
 
+LEFT = {True: 0.5, False: 0.6}
+"""Share of the noise that is left, where the surface told it and where it didn't."""
+
 
 def denoised(sampled: Sampled, sigma: float) -> Sampled:
     """The same part with less noise.
@@ -19,18 +22,24 @@ def denoised(sampled: Sampled, sigma: float) -> Sampled:
     hardly larger than the noise only shrinks to the extents that it has without it.
 
     Args:
-        sampled: of a cloud. sigma: standard deviation of the noise (m).
+        sampled: any part; one without noise (a mesh) stays as it is.
+        sigma: standard deviation of the scanner's noise (m); the part's own counts where it is
+            larger.
     """
     noise = sampled.noise
-    if not noise.coarse or len(sampled.points) < NEIGHBOURS[1]:
+    if not noise.sigma:
         return sampled
+    worst = max(noise.sigma, sigma)
+    if not noise.coarse or len(sampled.points) < NEIGHBOURS[1]:
+        return replace(sampled, noise=replace(noise, sigma=worst))
     move = _flattened if noise.told else _shrunk
     points = move(sampled.points, sampled.points, sigma)
     outline = points
     if len(sampled.outline) != len(sampled.points):
         outline = move(sampled.outline, sampled.points, sigma)
     normals, _, _ = cloud_normals(points)
-    return replace(sampled, points=points, outline=outline, normals=normals)
+    left = replace(noise, sigma=LEFT[noise.told] * worst)
+    return replace(sampled, points=points, outline=outline, normals=normals, noise=left)
 
 
 def _shrunk(points: Array, reference: Array, sigma: float) -> Array:

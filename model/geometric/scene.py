@@ -223,7 +223,7 @@ def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPL
             frame.to_working(s.outline),
             s.area / diagonal**2,
             part.mesh is None or not len(part.mesh.faces),
-            max(s.noise.sigma, noise) / diagonal if s.noise.sigma else 0.0,
+            s.noise.sigma / diagonal,
         )
         for part, s in zip(parts, sampled, strict=True)
     )

@@ -48,7 +48,9 @@ def test_small_parts_and_rods_do_not_tell_theirs() -> None:
 
 def test_a_clean_cloud_stays_as_it_is() -> None:
     sampled = _sampled(_box((0.5, 0.4, 0.02)), 0.0)
-    assert denoised(sampled, sampled.noise.sigma) is sampled
+    after = denoised(sampled, sampled.noise.sigma)
+    assert after.points is sampled.points and after.outline is sampled.outline
+    assert after.noise == sampled.noise
 
 
 def test_surfaces_are_smoothed() -> None:
