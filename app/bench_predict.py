@@ -49,6 +49,12 @@ def measure(progress: Progress = no_progress) -> dict[str, Any]:
     return {"rows": rows, "peak memory MiB": round(peak * scale / 2**20)}
 
 
+def upright(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row a figure and one column a size: there are more figures than a console is wide."""
+    names = [name for name in rows[0] if name != "parts"]
+    return [{"": name, **{f"{row['parts']} parts": row[name] for row in rows}} for name in names]
+
+
 def _row(segmented: SegmentedObject, geometric: Predictor, network: Predictor) -> dict[str, Any]:
     whole = _median_ms(lambda: network.predict(segmented))
     yardstick = _median_ms(_yardstick)
