@@ -48,12 +48,13 @@ def bench_segment(
     data: Path | None,
     sets: list[str] | None,
     segmenters: list[str] | None,
-    limit: int | None,
     progress: Progress = no_progress,
-    *,
-    points: int | None = None,
+    **settings: Any,
 ) -> Bench:
-    """Segmentation by simulated clicks, see :mod:`model.segmentation.bench`."""
+    """Segmentation by simulated clicks, see :mod:`model.segmentation.bench`.
+
+    ``settings`` are those of its ``BenchConfig``; None leaves the default.
+    """
     from typing import get_args
 
     from model.segmentation.bench import BenchConfig, DataSet, run
@@ -67,26 +68,20 @@ def bench_segment(
             raise ConfigurationError(f"the data set {name!r} needs --data DIR")
     if data is not None and not data.is_dir():
         raise ConfigurationError(f"--data {data} is no folder")
-    settings: dict[str, Any] = {"sets": tuple(chosen)}
-    if data is not None:
-        settings["data"] = data
-    if segmenters:
-        settings["segmenters"] = tuple(segmenters)
-    if limit is not None:
-        settings["limit"] = limit
-    if points is not None:
-        settings["points"] = points
-    report = run(BenchConfig(**settings), progress)
+    settings |= {"sets": tuple(chosen), "data": data}
+    settings["segmenters"] = tuple(segmenters) if segmenters else None
+    given = {k: v for k, v in settings.items() if v is not None}
+    report = run(BenchConfig(**given), progress)
     return Bench(json.loads(report.to_json()), report.print_table)
 
 
 def bench_predict(progress: Progress = no_progress) -> Bench:
     """Prediction by number of parts, see :mod:`app.bench_predict`."""
-    from app.bench_predict import measure
+    from app.bench_predict import measure, upright
 
     report = measure(progress)
-    title = "Prediction, a chest of drawers (milliseconds; medians)"
-    return Bench(report, lambda: _show(title, report["rows"]))
+    title = "Prediction, a chest of drawers (milliseconds, medians; forward passes)"
+    return Bench(report, lambda: _show(title, upright(report["rows"])))
 
 
 def _nothing() -> None:

@@ -305,6 +305,9 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     add("--clicks", type=_count, metavar="N", help="ui: clicks on each object")
     add("--objects", type=_count, metavar="N", help="scene: how many (default: 200)")
     add("--limit", type=int, help="segment: objects of each set")
+    add("--offset", type=int, metavar="N", help="segment: with which object the subset begins")
+    add("--parts", type=_count, metavar="N", help="segment: parts asked for in an object at most")
+    add("--first", choices=("deepest", "random"), help="segment: where the first click goes")
     _add_json(parser)
 
 
@@ -409,7 +412,14 @@ def _bench(args: argparse.Namespace) -> int:
         ),
         "scene": lambda: bench.bench_scene(args.objects),
         "segment": lambda: bench.bench_segment(
-            args.data, args.sets, args.segmenter, args.limit, show.progress
+            args.data,
+            args.sets,
+            args.segmenter,
+            show.progress,
+            limit=args.limit,
+            offset=args.offset,
+            parts=args.parts,
+            first=args.first,
         ),
         "predict": lambda: bench.bench_predict(show.progress),
     }

@@ -13,6 +13,7 @@ import time
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -30,10 +31,11 @@ from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
 
-FIRST_SCORER = "segmentation/first_click.npz"
-LATER_SCORER = "segmentation/later_click.npz"
+FIRST_SCORER = "first_click.npz"
+LATER_SCORER = "later_click.npz"
 _STATES = 256
 _SPECK = 0.002
+_SPECK_OF_PART = 0.1
 _FAR_LARGER = 0.5
 _ALTERNATIVES = 5
 
@@ -58,11 +60,16 @@ class _State:
 @lru_cache(maxsize=1)
 def shipped_scorers() -> tuple[Mlp | None, Mlp | None]:
     """The trained scorers of the first and of later clicks, None where they are not there."""
-    found = []
-    for name in (FIRST_SCORER, LATER_SCORER):
-        path = static_assets() / name
-        found.append(load_mlp(path, FEATURE_NAMES) if path.is_file() else None)
-    return found[0], found[1]
+    return read_scorers(static_assets() / "segmentation")
+
+
+def read_scorers(folder: Path) -> tuple[Mlp | None, Mlp | None]:
+    """The scorers in ``folder``."""
+    first, later = folder / FIRST_SCORER, folder / LATER_SCORER
+    return (
+        load_mlp(first, FEATURE_NAMES) if first.is_file() else None,
+        load_mlp(later, FEATURE_NAMES) if later.is_file() else None,
+    )
 
 
 class DefaultSession:
@@ -189,8 +196,8 @@ class DefaultSession:
         """
         size = self.encoding.cells.size
         total = size.sum()
-        least = _SPECK * total
         assert own.mask is not None
+        least = min(_SPECK * total, _SPECK_OF_PART * size[own.mask].sum())
         if size[mask & ~own.mask].sum() >= least:
             return mask
         most = max(_FAR_LARGER * size[own.mask].sum(), 20 * least)

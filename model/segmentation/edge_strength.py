@@ -21,7 +21,7 @@ MAX_STRENGTH = 9.0
 
 _INSIDE = 0.75
 _LEAST_SHIFT, _MOST_SHIFT = 3.0, 8.0
-_SHELL_CUT = 3.0
+_SHELL_CUT = 5.0
 _MATERIAL_CUT = 1.0
 
 
@@ -55,7 +55,7 @@ def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[
         # which are inside of parts for certain, set the zero.
         shift = np.clip(-np.quantile(logit, _INSIDE), _LEAST_SHIFT, _MOST_SHIFT)
         strength = logit + np.float32(shift)
-    strength = strength.astype(np.float32)
+    strength = np.clip(strength, 0, MAX_STRENGTH).astype(np.float32)
     a, b = graph.a, graph.b
     strength += _SHELL_CUT * (nodes.shell[a] != nodes.shell[b])
     strength += _MATERIAL_CUT * (nodes.material[a] != nodes.material[b])

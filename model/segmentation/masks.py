@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.cells import Cells
+from model.segmentation.hierarchy import Hierarchy
+from model.segmentation.repeats import Repeats
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
@@ -33,7 +35,7 @@ FEATURE_NAMES = (
     "has_color", "bounds_filled", "closest_larger",
     *(f"from_{s}" for s in SOURCES),
     "change_size", "change_depth", "change_depth_relative", "change_depth_rank",
-    "change_of_mask", "change_border", "change_border_weak", "change_normal",
+    "change_of_mask", "change_border", "change_border_weak", "change_normal", "repeats",
 )  # fmt: skip
 
 
@@ -113,7 +115,7 @@ def _words(masks: Bool) -> npt.NDArray[np.uint64]:
 class MaskDescriber:
     """Computes the features of many masks at once."""
 
-    def __init__(self, cells: Cells) -> None:
+    def __init__(self, cells: Cells, hierarchy: Hierarchy) -> None:
         links = cells.links
         self._cells = cells
         self._a, self._b = links.a, links.b
@@ -152,6 +154,7 @@ class MaskDescriber:
         one = np.ones((len(x), 1))
         moments = np.concatenate([one, x, outer, cells.normal, color, square], axis=1)
         self._cell = np.concatenate([moments * size[:, None], incident], axis=1).astype(np.float32)
+        self._repeats = Repeats(cells, hierarchy, x)
         self._has_color = float(np.ptp(cells.color) > 1e-6)
 
     def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
@@ -204,8 +207,10 @@ class MaskDescriber:
         ]
         flags = candidates.source[:, None] == np.arange(len(SOURCES))
         change = self._change(words, masks, clicked, area)
+        repeats = self._repeats(sums[:, [0, 1, 2, 3, 4, 7, 9]])[:, None]
         return np.concatenate(
-            [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags, change], axis=1
+            [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags, change, repeats],
+            axis=1,
         ).astype(np.float32)
 
     def _change(

@@ -50,6 +50,12 @@ class ElementMap:
         start = np.searchsorted(node[order], np.arange(self.node_count + 1))
         return element[order], start
 
+    @property
+    def element_of_node(self) -> npt.NDArray[np.int32]:
+        """(N,) one of the elements that each node stands for."""
+        element, start = self._by_node
+        return element[start[:-1]]
+
     def prepare(self) -> None:
         """Build the way from nodes to elements now, so that no click pays for it."""
         _ = self._by_node, self._multi

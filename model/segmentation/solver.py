@@ -26,6 +26,7 @@ _THINNING = 1.06
 _BIASES = (-0.02, -0.1, -0.25)
 _CHAIN = 40
 _IDLE_CELLS = 2
+_IDLE_SHARE = 0.1
 _IDLE_PENALTY = 3.0
 _LOSS_PENALTY = 3.0
 _USUAL_OVERLAP = 0.8
@@ -72,7 +73,7 @@ class PartSolver:
         later_scorer: Mlp | None,
     ) -> None:
         self.cells = cells
-        self.describe = MaskDescriber(cells)
+        self.describe = MaskDescriber(cells, hierarchy)
         self._walk = walk
         self._first = first_scorer
         self._later = later_scorer
@@ -163,7 +164,9 @@ class PartSolver:
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
         # Nobody clicks early to change a cell or two; later that may be all that is wrong.
-        idle = (both.masks ^ state.mask).sum(1) <= _IDLE_CELLS
+        size = self.cells.size
+        changed = (both.masks ^ state.mask).astype(np.float32) @ size.astype(np.float32)
+        idle = changed <= min(_IDLE_CELLS * size.mean(), _IDLE_SHARE * size[state.mask].sum())
         said = len(after.positive) + len(after.negative)
         early = np.exp(-(said - 2) / 2)
         # And nobody clicks late to throw away most of what is there.

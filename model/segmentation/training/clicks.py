@@ -9,14 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometry.asset import Asset
+from model.segmentation.default import read_scorers, shipped_scorers
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.simulate import deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
-from model.segmentation.training.fit import fit_ranker
-from model.segmentation.training.scans import random_scan
+from model.segmentation.training.fit import averaged, fit_ranker
+from model.segmentation.training.scans import SMALL_PARTED, build, random_scan
 
 Float = npt.NDArray[np.floating]
 
@@ -26,50 +27,59 @@ class ClickTraining:
     """What is needed to train the shipped scorers again.
 
     Attributes:
-        objects, held_out: numbers of objects to train and to measure on.
-        parts_per_object: parts asked for in each, the base among them.
-        first_clicks: first clicks of each part.
+        objects: of the first round, of all families, played by ``start``.
+        small_objects: of the second round, of families with small parts, played by the scorers
+            of the first.
+        held_out: every n-th object of both rounds measures in a fit of its own.
+        parts: asked for in each object, spread over the logarithm of their sizes.
+        first_clicks: first clicks of each part, one of them on its deepest point.
         clicks: length of a simulated session.
         explore: probability of following a hypothesis that is not the best one.
-        first_seed: of the objects; other ones than the edge model has seen.
+        mesh_share: of the objects that are met as meshes, the others as clouds.
+        networks: that are fitted and averaged.
+        first_seed, small_seed: of the objects of the two rounds.
+        start: folder with the scorers that play the first round; None: those that ship.
         workers: processes.
     """
 
-    objects: int = 200
-    held_out: int = 16
-    parts_per_object: int = 6
-    first_clicks: int = 6
+    objects: int = 250
+    small_objects: int = 150
+    held_out: int = 5
+    parts: int = 4
+    first_clicks: int = 4
     clicks: int = 8
-    explore: float = 0.25
-    first_seed: int = 10_000
+    explore: tuple[float, float] = (0.3, 0.2)
+    mesh_share: float = 0.3
+    networks: int = 3
+    first_seed: int = 60_000
+    small_seed: int = 70_000
+    start: Path | None = None
     workers: int = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Hypotheses of many clicks: features, true IoU, and which click each belongs to."""
+    """Hypotheses of many clicks.
+
+    Attributes:
+        features: (N, F). overlap: (N,) true IoU.
+        click: (N,) which click each belongs to, ascending.
+        share: (clicks,) of the object's surface that each click's true part has.
+    """
 
     features: Float
     overlap: Float
     click: npt.NDArray[np.int64]
-
-    @classmethod
-    def empty(cls) -> Rows:
-        """No rows."""
-        return cls(
-            np.zeros((0, len(FEATURE_NAMES)), np.float32), np.zeros(0, np.float32), np.zeros(0, int)
-        )
+    share: Float
 
 
 def _joined(parts: list[Rows]) -> Rows:
-    offset, clicks = 0, []
-    for rows in parts:
-        clicks.append(rows.click + offset)
-        offset += int(rows.click.max()) + 1 if len(rows.click) else 0
+    begin = np.cumsum([0, *(len(r.share) for r in parts)])
     return Rows(
         np.concatenate([r.features for r in parts]),
         np.concatenate([r.overlap for r in parts]),
-        np.concatenate(clicks),
+        np.concatenate([r.click + n for r, n in zip(parts, begin[:-1], strict=True)]),
+        np.concatenate([r.share for r in parts]),
     )
 
 
@@ -84,69 +94,103 @@ def overlaps(encoding: Encoding, ranked: Ranked, truth: npt.NDArray[np.bool_]) -
 
 class _Log:
     def __init__(self) -> None:
-        self._rows: list[tuple[Float, Float]] = []
+        self._rows: list[tuple[Float, Float, float]] = []
 
-    def add(self, ranked: Ranked, overlap: Float) -> None:
-        self._rows.append((ranked.features, overlap.astype(np.float32)))
+    def add(self, ranked: Ranked, overlap: Float, share: float) -> None:
+        self._rows.append((ranked.features, overlap.astype(np.float32), share))
 
     def rows(self) -> Rows:
-        if not self._rows:
-            return Rows.empty()
-        counts = [len(o) for _, o in self._rows]
+        none = np.zeros((0, len(FEATURE_NAMES)), np.float32)
+        counts = [len(o) for _, o, _ in self._rows]
         return Rows(
-            np.concatenate([f for f, _ in self._rows]),
-            np.concatenate([o for _, o in self._rows]),
+            np.concatenate([none, *(f for f, _, _ in self._rows)]),
+            np.concatenate([none[:, 0], *(o for _, o, _ in self._rows)]),
             np.repeat(np.arange(len(counts)), counts),
+            np.array([s for _, _, s in self._rows], np.float32),
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """An encoded object with the true part of every node."""
+
+    encoding: Encoding
+    labels: npt.NDArray[np.int16]
+
+
+def _scene(seed: int, config: ClickTraining, small: bool, rng: np.random.Generator) -> _Scene:
+    families = SMALL_PARTED if small else None
+    if rng.random() < config.mesh_share:
+        shape = build(seed, families)
+        labels, asset = shape.part, Asset("object", mesh=shape.mesh)
+    else:
+        counts = (60_000, 100_000) if small else (30_000, 40_000, 100_000)
+        data = random_scan(seed, counts[seed % len(counts)], families)
+        labels, asset = data.labels, Asset("object", cloud=data.cloud)
+    encoding = encode(asset, shipped_edge_model())
+    return _Scene(encoding, labels[encoding.nodes.elements.element_of_node])
+
+
+def asked_by_size(
+    rng: np.random.Generator, labels: npt.NDArray[np.integer], most: int, least: int = 12
+) -> list[int]:
+    """Parts spread evenly over the logarithm of their sizes, so that small ones are not rare."""
+    ids, counts = np.unique(labels[labels >= 0], return_counts=True)
+    ids, size = ids[counts >= least], np.log(counts[counts >= least])
+    out: list[int] = []
+    while len(ids) and len(out) < most:
+        wanted = rng.uniform(size.min() - 0.1, size.max() + 0.1)
+        nearest = int(np.abs(size - wanted).argmin())
+        out.append(int(ids[nearest]))
+        ids, size = np.delete(ids, nearest), np.delete(size, nearest)
+    return out
+
+
 def play(
-    seed: int, config: ClickTraining, first: Mlp | None, later: Mlp | None
+    seed: int, config: ClickTraining, small: bool, first: Mlp | None, later: Mlp | None
 ) -> tuple[Rows, Rows]:
     """Simulated sessions on one object; rows of first and of later clicks."""
-    data = random_scan(seed, (25_000, 60_000)[seed % 2])
-    encoding = encode(Asset("object", cloud=data.cloud), shipped_edge_model())
-    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, first, later)
     rng = np.random.default_rng([seed, 3])
-    points, labels, of_node = data.cloud.points, data.labels, encoding.cells.of_node
-    ids, counts = np.unique(labels, return_counts=True)
-    ids = ids[counts >= 15]
+    scene = _scene(seed, config, small, rng)
+    encoding, points = scene.encoding, scene.encoding.nodes.points
+    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, first, later)
+    of_node = encoding.cells.of_node
     first_log, later_log = _Log(), _Log()
-    if len(ids) < 2:
-        return first_log.rows(), later_log.rows()
-    for part in rng.permutation(ids)[: config.parts_per_object]:
-        truth = labels == part
+    for part in asked_by_size(rng, scene.labels, config.parts):
+        truth = scene.labels == part
         inside = np.nonzero(truth)[0]
         starts = [deepest(points, truth), *rng.choice(inside, config.first_clicks - 1)]
         answers = []
         for start in starts:
             ranked = solver.answer(PartState(), int(of_node[start]), True, None)
-            first_log.add(ranked, overlaps(encoding, ranked, truth))
+            first_log.add(ranked, overlaps(encoding, ranked, truth), truth.mean())
             answers.append(ranked)
-        begin = int(rng.integers(len(starts)))
-        _session(solver, encoding, points, truth, starts[begin], answers[begin], config, rng,
-                 later_log)  # fmt: skip
+        # Half of the sessions begin on the deepest point.
+        begin = int(rng.integers(0, 2)) * int(rng.integers(1, len(starts)))
+        explore = config.explore[small]
+        _session(solver, encoding, truth, starts[begin], answers[begin], config.clicks, explore,
+                 rng, later_log)  # fmt: skip
     return first_log.rows(), later_log.rows()
 
 
 def _session(
     solver: PartSolver,
     encoding: Encoding,
-    points: npt.NDArray[np.float32],
     truth: npt.NDArray[np.bool_],
     start: int,
     ranked: Ranked,
-    config: ClickTraining,
+    clicks: int,
+    explore: float,
     rng: np.random.Generator,
     log: _Log,
 ) -> None:
-    of_node = encoding.cells.of_node
+    of_node, points = encoding.cells.of_node, encoding.nodes.points
     state = with_click(PartState(), int(of_node[start]), True)
-    for step in range(config.clicks):
+    for step in range(clicks):
         if step:
-            log.add(ranked, overlaps(encoding, ranked, truth))
+            log.add(ranked, overlaps(encoding, ranked, truth), truth.mean())
         mask = ranked.best
-        if rng.random() < config.explore:
+        if rng.random() < explore:
             near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 2]
             mask = ranked.candidates.masks[int(rng.choice(near))]
         state = PartState(state.positive, state.negative, mask)
@@ -161,25 +205,48 @@ def _session(
 
 
 def collect(
-    seeds: range, config: ClickTraining, first: Mlp | None, later: Mlp | None
-) -> tuple[Rows, Rows]:
-    """Rows of many objects; the order does not depend on ``workers``."""
+    seeds: range, config: ClickTraining, small: bool, first: Mlp | None, later: Mlp | None
+) -> list[tuple[Rows, Rows]]:
+    """Rows of each object; they do not depend on ``workers``."""
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
     if config.workers <= 1:
-        pairs = [play(seed, config, first, later) for seed in seeds]
-    else:
-        context = get_context("spawn")
-        with ProcessPoolExecutor(config.workers, mp_context=context) as pool:
-            n = len(seeds)
-            pairs = list(pool.map(play, seeds, [config] * n, [first] * n, [later] * n, chunksize=4))
-    return _joined([p[0] for p in pairs]), _joined([p[1] for p in pairs])
+        return [play(seed, config, small, first, later) for seed in seeds]
+    n, context = len(seeds), get_context("spawn")
+    with ProcessPoolExecutor(config.workers, mp_context=context) as pool:
+        same = ([config] * n, [small] * n, [first] * n, [later] * n)
+        return list(pool.map(play, seeds, *same, chunksize=4))
 
 
-def fit_scorer(rows: Rows, seed: int = 0) -> Mlp:
-    """A network that ranks the hypotheses of a click by IoU."""
-    return fit_ranker(FEATURE_NAMES, rows.features, rows.overlap, rows.click, seed=seed)
+def fit_scorer(rows: Rows, networks: int = 1) -> Mlp:
+    """The mean of ``networks`` networks that rank the hypotheses of a click by IoU."""
+    told = np.maximum.reduceat(rows.overlap, _starts(rows)) - np.minimum.reduceat(
+        rows.overlap, _starts(rows)
+    )
+    # Clicks whose hypotheses are all alike teach nothing.
+    keep = (told > 0.01)[rows.click]
+    weight = _evened(rows.share)
+    return averaged(
+        [
+            fit_ranker(FEATURE_NAMES, rows.features[keep], rows.overlap[keep], rows.click[keep],
+                       weight, seed=seed)
+            for seed in range(networks)
+        ]
+    )  # fmt: skip
+
+
+def _starts(rows: Rows) -> npt.NDArray[np.int64]:
+    return np.nonzero(np.r_[True, np.diff(rows.click) != 0])[0]
+
+
+def _evened(share: Float) -> Float:
+    """(clicks,) weights by the root of how rare a size is, on a logarithmic scale."""
+    edges = np.linspace(np.log(1e-5), 0, 15)
+    bin_of = np.clip(np.digitize(np.log(np.maximum(share, 1e-5)), edges) - 1, 0, 13)
+    number = np.bincount(bin_of, minlength=14).astype(np.float64)
+    weight = (number + 0.02 * number.sum())[bin_of] ** -0.5
+    return (weight / weight.mean()).astype(np.float32)
 
 
 def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
@@ -193,23 +260,30 @@ def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
 
 
 def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
-    """Two rounds; the second is longer and plays with the scorers of the first.
+    """Two rounds; the second, on small parts, plays with the scorers of the first.
 
-    Writes both networks into ``folder`` and returns the scores on held-out objects.
+    Writes both networks, fitted on all objects, into ``folder``; returns the scores that a fit
+    without every n-th object has on those objects.
     """
-    a, b = config.first_seed + config.objects // 4, config.first_seed + config.objects
-    c = b + config.held_out
-    first_1, later_1 = collect(range(config.first_seed, a), config, None, None)
-    first, later = fit_scorer(first_1), fit_scorer(later_1)
-    print("round 1", chosen_overlap(first, first_1), chosen_overlap(later, later_1), flush=True)
-    first_2, later_2 = collect(range(a, b), config, first, later)
-    first, later = fit_scorer(_joined([first_1, first_2])), fit_scorer(_joined([later_1, later_2]))
-    quiet = ClickTraining(**{**asdict(config), "explore": 0.0})
-    first_t, later_t = collect(range(b, c), quiet, first, later)
-    scores = {}
-    for name, model, rows in (("first", first, first_t), ("later", later, later_t)):
-        scores[f"{name}_iou"], scores[f"{name}_best_possible"] = chosen_overlap(model, rows)
-    notes: dict[str, object] = {"training": asdict(config), "scores": scores}
-    save_mlp(first, folder / "first_click.npz", notes)
-    save_mlp(later, folder / "later_click.npz", notes)
+    scorers = shipped_scorers() if config.start is None else read_scorers(config.start)
+    seeds = range(config.first_seed, config.first_seed + config.objects)
+    played = collect(seeds, config, False, *scorers)
+    scorers = tuple(fit_scorer(_joined([p[k] for p in played]), config.networks) for k in (0, 1))
+    seeds = range(config.small_seed, config.small_seed + config.small_objects)
+    played += collect(seeds, config, True, *scorers)
+    scores: dict[str, float] = {}
+    models = []
+    for k, name in enumerate(("first", "later")):
+        rows = [p[k] for p in played]
+        test = _joined(rows[:: config.held_out])
+        rest = _joined([r for i, r in enumerate(rows) if i % config.held_out])
+        model = fit_scorer(rest, config.networks)
+        scores[f"{name}_iou"], scores[f"{name}_best_possible"] = chosen_overlap(model, test)
+        models.append(fit_scorer(_joined(rows), config.networks))
+    notes: dict[str, object] = {
+        "training": {**asdict(config), "start": config.start and config.start.name},
+        "scores": scores,
+    }
+    save_mlp(models[0], folder / "first_click.npz", notes)
+    save_mlp(models[1], folder / "later_click.npz", notes)
     return scores

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from model.segmentation.mlp import Mlp
 
@@ -59,15 +60,18 @@ def fit_ranker(
     features: Float,
     value: Float,
     group: npt.NDArray[np.integer],
+    weight: Float,
     *,
     hidden: tuple[int, ...] = (64, 32),
-    epochs: int = 40,
+    epochs: int = 20,
+    dropout: float = 0.2,
     seed: int = 0,
 ) -> Mlp:
     """A network whose softmax over a group expects the largest value.
 
     Args:
         features: (N, D). value: (N,) in [0, 1]. group: (N,) ascending ids.
+        weight: (G,) of each group, by its id.
     """
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -77,10 +81,11 @@ def fit_ranker(
     y = torch.from_numpy(value.astype(np.float32))
     start = np.nonzero(np.r_[True, np.diff(group) != 0])[0]
     size = np.diff(np.r_[start, len(group)])
-    net = torch.nn.Sequential(*_layers(features.shape[1], hidden))
+    share = torch.from_numpy(weight[group[start]].astype(np.float32))
+    net = torch.nn.Sequential(*_layers(features.shape[1], hidden, dropout))
     batch = 128
     steps = epochs * (len(start) // batch + 1)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=1e-3)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=0.05)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps)
     rng = np.random.default_rng(seed)
     for _ in range(epochs):
@@ -97,8 +102,11 @@ def fit_ranker(
             total = torch.zeros(len(chosen)).index_add(0, number, power)
             expected = torch.zeros(len(chosen)).index_add(0, number, power / total[number] * target)
             # The second term keeps the output a calibrated score, comparable between clicks.
-            calibrated = torch.nn.functional.binary_cross_entropy_with_logits(logit, target**2)
-            loss = (1 - expected).mean() + 0.3 * calibrated
+            heavy = share[torch.from_numpy(chosen)]
+            calibrated = torch.nn.functional.binary_cross_entropy_with_logits(
+                logit, target**2, heavy[number]
+            )
+            loss = (heavy * (1 - expected)).mean() + 0.1 * calibrated
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -106,14 +114,31 @@ def fit_ranker(
     return _plain(names, mean, scale, net)
 
 
-def _layers(width: int, hidden: tuple[int, ...]) -> list[Any]:
+def averaged(models: list[Mlp]) -> Mlp:
+    """One network that answers with the mean of several of the same shape and inputs."""
+    layers = []
+    for parts in zip(*(m.layers for m in models), strict=True):
+        weights, bias = [w for w, _ in parts], np.concatenate([b for _, b in parts])
+        if not layers:
+            joint = np.concatenate(weights)
+        elif len(layers) < len(models[0].layers) - 1:
+            joint = np.asarray(block_diag(*weights), np.float32)
+        else:
+            joint, bias = np.concatenate(weights, axis=1), bias.sum(keepdims=True)
+            joint, bias = joint / np.float32(len(models)), bias / np.float32(len(models))
+        layers.append((joint, bias))
+    return Mlp(models[0].names, models[0].mean, models[0].scale, tuple(layers))
+
+
+def _layers(width: int, hidden: tuple[int, ...], dropout: float = 0.0) -> list[Any]:
     import torch  # pyright: ignore[reportMissingImports]
 
-    sizes = (width, *hidden, 1)
+    sizes = (width, *hidden)
     layers: list[Any] = []
-    for i in range(len(sizes) - 1):
+    for i in range(len(hidden)):
         layers += [torch.nn.Linear(sizes[i], sizes[i + 1]), torch.nn.ReLU()]
-    return layers[:-1]
+        layers += [torch.nn.Dropout(dropout)] if dropout else []
+    return [*layers, torch.nn.Linear(sizes[-1], 1)]
 
 
 def _plain(names: tuple[str, ...], mean: Float, scale: Float, net: Any) -> Mlp:

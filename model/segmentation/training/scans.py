@@ -1,25 +1,44 @@
-"""Procedural objects sampled into labelled clouds: clean, noisy, one-sided."""
+"""Procedural objects sampled into labelled clouds: clean, noisy, one-sided, seen by a camera.
+
+Half of the objects are the data set's families and composites, half are plain assemblies of
+simple solids that look less tidy. The families of ``HELD_OUT`` are never trained on.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from model.datasets.procedural.examples import joined
+from model.datasets.procedural.families import HELD_OUT
+from model.datasets.procedural.generate import family_names, make
+from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.geometry.sampling import sample_surface
+from model.kinematics.articulated_object import ArticulatedObject
 from model.segmentation.normals import sphere_directions
 from model.segmentation.training import furniture, gadgets
 from model.segmentation.training.primitives import Builder
 
 Mode = Literal["surface", "outside", "one-sided"]
-FAMILIES = (*furniture.FAMILIES, *gadgets.FAMILIES)
+ASSEMBLIES = (*furniture.FAMILIES, *gadgets.FAMILIES)
+FAMILIES = tuple(name for name in family_names() if name not in HELD_OUT)
+SMALL_PARTED = ("Keyboard", "Remote", "Phone", "Switch", "Microwave", "WashingMachine",
+                "CoffeeMachine", "Camera", "Printer", "Dispenser", "Lamp", "Safe")  # fmt: skip
+"""Families with keys, knobs and buttons."""
+
+_FAMILY_SHARE = 0.6
+_COMPOSITE_SHARE = 0.12
+_CAMERA_SHARE = 0.12
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledCloud:
-    """A cloud with the true part of each point; ``family`` says what was built."""
+    """A cloud with the true part of each point (-1: stray); ``family`` says what was built."""
 
     cloud: PointCloud
     labels: npt.NDArray[np.int16]
@@ -27,44 +46,62 @@ class LabelledCloud:
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
-    """(T, 3, 3) triangles, (T,) part of each, (T, 3) colour of each."""
+class Shape:
+    """A mesh and the (F,) part of each of its faces; ``object`` where a family made it."""
 
-    triangles: npt.NDArray[np.float64]
+    mesh: Mesh
     part: npt.NDArray[np.int16]
-    color: npt.NDArray[np.float64]
     family: str
+    object: ArticulatedObject | None = None
 
 
-def build(seed: int) -> Solid:
-    """A random object of a random family, stretched and turned a little."""
+def build(seed: int, families: tuple[str, ...] | None = None) -> Shape:
+    """A random object of a random kind, or of ``families``, stretched and turned a little."""
     rng = np.random.default_rng(seed)
-    family = FAMILIES[rng.integers(len(FAMILIES))]
+    if families is not None:
+        shape = family_shape(str(rng.choice(families)), seed)
+    elif rng.random() < _FAMILY_SHARE:
+        shape = family_shape(_family(rng), seed)
+    else:
+        shape = _assembly(rng)
+    stretch = np.exp(rng.normal(0, 0.12, 3))
+    angle = rng.choice([0.0, rng.uniform(0, 2 * np.pi)])
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
+                     [0, 0, 1]])  # fmt: skip
+    return replace(shape, mesh=replace(shape.mesh, vertices=shape.mesh.vertices * stretch @ turn.T))
+
+
+def _family(rng: np.random.Generator) -> str:
+    if rng.random() < _COMPOSITE_SHARE / _FAMILY_SHARE:
+        return family_names()[-1]
+    return str(rng.choice(FAMILIES))
+
+
+def family_shape(name: str, seed: int) -> Shape:
+    """An object of the data set's family ``name``, as it is made."""
+    made = make(name, seed).object
+    mesh, part = joined(made)
+    return Shape(mesh, part.astype(np.int16), name, made)
+
+
+def _assembly(rng: np.random.Generator) -> Shape:
+    family = ASSEMBLIES[rng.integers(len(ASSEMBLIES))]
     builder = Builder(rng)
     family(builder)
     triangles = np.concatenate([s[0] for s in builder.solids])
     counts = [len(s[0]) for s in builder.solids]
     part = np.repeat([s[1] for s in builder.solids], counts).astype(np.int16)
-    color = np.repeat(np.array([s[2] for s in builder.solids]), counts, axis=0)
-    stretch = np.exp(rng.normal(0, 0.12, 3))
-    angle = rng.choice([0.0, rng.uniform(0, 2 * np.pi)])
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
-                     [0, 0, 1]])  # fmt: skip
-    return Solid(triangles * stretch @ turn.T, part, color, family.__name__)
-
-
-def _sample(
-    solid: Solid, count: int, rng: np.random.Generator
-) -> tuple[npt.NDArray, npt.NDArray[np.int64], npt.NDArray]:
-    t = solid.triangles
-    cross = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    face = rng.choice(len(t), count, p=area / area.sum())
-    u, v = rng.random((2, count, 1))
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    points = t[face, 0] + u * (t[face, 1] - t[face, 0]) + v * (t[face, 2] - t[face, 0])
-    return points, face, (cross / np.maximum(area, 1e-300)[:, None])[face]
+    materials = tuple(
+        Material(f"solid_{i}", base_color=(int(red), int(green), int(blue), 255))
+        for i, (red, green, blue) in enumerate(np.clip(s[2], 0, 255) for s in builder.solids)
+    )
+    mesh = Mesh(
+        triangles.reshape(-1, 3),
+        np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3),
+        np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        materials,
+    )
+    return Shape(mesh, part, family.__name__)
 
 
 def visible_from(
@@ -85,8 +122,8 @@ def visible_from(
     return seen
 
 
-def scan(solid: Solid, count: int, mode: Mode, noise: float, seed: int) -> LabelledCloud:
-    """Sample ``solid``.
+def scan(shape: Shape, count: int, mode: Mode, noise: float, seed: int) -> LabelledCloud:
+    """Sample ``shape``.
 
     Args:
         count: points wanted; fewer come back where little is visible.
@@ -94,9 +131,12 @@ def scan(solid: Solid, count: int, mode: Mode, noise: float, seed: int) -> Label
         noise: standard deviation along all axes, in parts of the bounding box's diagonal.
     """
     rng = np.random.default_rng(seed)
-    low, high = solid.triangles.reshape(-1, 3).min(0), solid.triangles.reshape(-1, 3).max(0)
+    low, high = shape.mesh.vertices.min(0), shape.mesh.vertices.max(0)
     diagonal = float(np.linalg.norm(high - low))
-    points, face, normal = _sample(solid, count if mode == "surface" else 3 * count, rng)
+    cloud, face = sample_surface(shape.mesh, count if mode == "surface" else 3 * count, rng)
+    assert cloud.colors is not None and cloud.normals is not None
+    points, normal = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
+    keep = np.arange(len(points))
     if mode != "surface":
         if mode == "outside":
             directions = sphere_directions(32)
@@ -115,24 +155,21 @@ def scan(solid: Solid, count: int, mode: Mode, noise: float, seed: int) -> Label
                 hole = points[rng.integers(len(points))]
                 seen &= np.linalg.norm(points - hole, axis=1) > rng.uniform(0.01, 0.05) * diagonal
         keep = np.nonzero(seen)[0][:count]
-        points, face, normal = points[keep], face[keep], normal[keep]
-    colors = _paint(solid, points, face, normal, diagonal, rng)
-    points = points + rng.normal(0, noise * diagonal, points.shape)
-    labels = solid.part[face]
-    cloud = PointCloud(points.astype(np.float32), colors=None if rng.random() < 0.2 else colors)
-    return LabelledCloud(cloud, labels, solid.family)
+    colors = _painted(cloud.colors[keep], points[keep], normal[keep], diagonal, rng)
+    noisy = points[keep] + rng.normal(0, noise * diagonal, (len(keep), 3))
+    out = PointCloud(noisy.astype(np.float32), colors=None if rng.random() < 0.2 else colors)
+    return LabelledCloud(out, shape.part[face[keep]], shape.family)
 
 
-def _paint(
-    solid: Solid,
+def _painted(
+    colors: npt.NDArray[np.uint8],
     points: npt.NDArray,
-    face: npt.NDArray[np.int64],
     normal: npt.NDArray,
     diagonal: float,
     rng: np.random.Generator,
 ) -> npt.NDArray[np.uint8]:
     """Colours with grain, shading and sensor noise, so that flat colour is no sure sign."""
-    color = solid.color[face].copy()
+    color = colors.astype(np.float64)
     wave = rng.normal(0, 1, 3) * rng.choice([3, 15, 60]) / diagonal
     color *= 1 + rng.choice([0, 0.05, 0.15]) * np.sin(points @ wave)[:, None]
     light = rng.normal(size=3)
@@ -142,10 +179,34 @@ def _paint(
     return np.clip(color, 0, 255).astype(np.uint8)
 
 
-def random_scan(seed: int, count: int | None = None) -> LabelledCloud:
-    """A random object in a random mode, 20k to 100k points."""
+def _photographed(
+    shape: Shape, count: int, noise: float, rng: np.random.Generator
+) -> LabelledCloud:
+    """What one to four simulated depth cameras before the object saw."""
+    assert shape.object is not None
+    around = rng.uniform(-0.9, 0.9, rng.integers(1, 5))
+    views = tuple(View(float(a), float(rng.uniform(0.05, 0.7))) for a in around)
+    size = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
+    settings = ScanSettings(
+        views,
+        count,
+        # Depths are about 1.6 diagonals, and the noise grows with their square.
+        depth_noise=noise * size / max((1.6 * size) ** 2, 1e-6),
+        misalignment=0.3 * noise * size,
+    )
+    seen = simulate_scan(shape.object, settings, rng)
+    return LabelledCloud(seen.cloud, seen.part.astype(np.int16), shape.family)
+
+
+def random_scan(
+    seed: int, count: int | None = None, families: tuple[str, ...] | None = None
+) -> LabelledCloud:
+    """A random object in a random mode, 20k to 80k points; see :func:`build`."""
     rng = np.random.default_rng([seed, 1])
     mode: Mode = rng.choice(["surface", "surface", "outside", "one-sided"])  # type: ignore[assignment]
     noise = float(rng.choice([0, 0.0003, 0.001, 0.002]))
     count = int(rng.choice([20_000, 40_000, 80_000])) if count is None else count
-    return scan(build(seed), count, mode, noise, seed)
+    shape = build(seed, families)
+    if shape.object is not None and rng.random() < _CAMERA_SHARE / _FAMILY_SHARE:
+        return _photographed(shape, count, noise, rng)
+    return scan(shape, count, mode, noise, seed)

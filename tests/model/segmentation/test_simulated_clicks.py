@@ -7,12 +7,15 @@ import json
 import numpy as np
 import pytest
 
+from model.datasets.procedural.families import HELD_OUT
 from model.errors import InputFileError
 from model.segmentation.bench import BenchConfig, run
+from model.segmentation.default import read_scorers
 from model.segmentation.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.simulate import deepest, next_click, next_part_click
-from model.segmentation.training.fit import area_under_curve
-from model.segmentation.training.scans import FAMILIES, build, random_scan, scan
+from model.segmentation.training.clicks import ClickTraining, train_scorers
+from model.segmentation.training.fit import area_under_curve, averaged, fit_ranker
+from model.segmentation.training.scans import SMALL_PARTED, build, random_scan, scan
 
 LINE = np.c_[np.arange(20.0), np.zeros(20), np.zeros(20)]
 
@@ -47,11 +50,12 @@ def test_next_part_click_names_the_true_part():
 def test_procedural_objects_are_sound():
     seen = set()
     for seed in range(60):
-        solid = build(seed)
-        seen.add(solid.family)
-        assert np.isfinite(solid.triangles).all()
-        assert solid.part.min() == 0 and len(solid.part) == len(solid.triangles)
-    assert len(seen) >= 0.6 * len({f.__name__ for f in FAMILIES})
+        shape = build(seed)
+        seen.add(shape.family)
+        assert np.isfinite(shape.mesh.vertices).all()
+        assert shape.part.min() == 0 and len(shape.part) == len(shape.mesh.faces)
+    assert len(seen) >= 25 and not seen & set(HELD_OUT)
+    assert build(1, SMALL_PARTED).family in SMALL_PARTED
     data = random_scan(4, 3000)
     assert np.array_equal(data.cloud.points, random_scan(4, 3000).cloud.points)
     front = scan(build(3), 4000, "one-sided", 0.001, 3)
@@ -106,3 +110,26 @@ def test_bench_on_real_objects(shared_data):
         )
     )
     assert report.rows[0].summary()["parts"] >= 2
+
+
+def test_the_scorers_can_be_trained_again(tmp_path):
+    config = ClickTraining(2, 1, held_out=3, parts=2, first_clicks=2, clicks=3, mesh_share=1.0,
+                           networks=2)  # fmt: skip
+    scores = train_scorers(config, tmp_path)
+    assert 0 < scores["first_iou"] <= scores["first_best_possible"] <= 1
+    first, later = read_scorers(tmp_path)
+    assert first is not None and later is not None
+    x = np.random.default_rng(0).normal(size=(5, len(first.names))).astype(np.float32)
+    assert np.isfinite(first(x)).all() and np.isfinite(later(x)).all()
+
+
+def test_an_average_answers_with_the_mean():
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(60, 3)).astype(np.float32), rng.random(60)
+    group = np.repeat(np.arange(12), 5)
+    models = [
+        fit_ranker(("a", "b", "c"), x, y, group, np.ones(12), hidden=(4, 3), epochs=2, seed=seed)
+        for seed in range(3)
+    ]
+    mean = np.mean([m(x) for m in models], axis=0)
+    np.testing.assert_allclose(averaged(models)(x), mean, atol=1e-6)
