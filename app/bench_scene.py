@@ -22,6 +22,8 @@ from app.config import ServeConfig
 
 FACES = 2000
 """Triangles of each block, and of each cabinet."""
+PICTURE_BYTES = 200_000
+"""More than panels and backdrop take: what comes beyond is the scene."""
 
 
 @dataclass
@@ -30,10 +32,11 @@ class SceneFigures:
 
     Attributes:
         opening: "first", or "again" with pictures kept.
-        first_ms: until something of the scene was sent.
+        first_ms: until something of the scene was received.
         first_cpu_ms: processor time of the server and its workers until then.
         whole_ms: until every object was sent.
         sent_mb: megabytes sent to the browser.
+        memory_mb: most memory that the server and its worker held, MiB together.
         loop_held_ms: the longest that one callback held the event loop.
         pick_ms: processor time to find the object under a click, the median of 20.
     """
@@ -44,6 +47,7 @@ class SceneFigures:
     first_cpu_ms: float = 0.0
     whole_ms: float = 0.0
     sent_mb: float = 0.0
+    memory_mb: float = 0.0
     loop_held_ms: float = 0.0
     pick_ms: float = 0.0
 
@@ -125,15 +129,17 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigure
         wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
         figures = SceneFigures(opening, objects)
-        wait_for(lambda: app.in_scene.picture.shown, "something of the scene")
+        picture, least = app.in_scene.picture, min(PICTURE_BYTES, 10 * FACES * objects)
+        wait_for(lambda: picture.shown and browser.received > least, "something of the scene")
         figures.first_ms = 1000 * (time.perf_counter() - start)
         worker = server.bench.geometry.pid
         figures.first_cpu_ms = 1000 * (
             _cpu(os.getpid()) - used + (0.0 if worker is None else _cpu(worker))
         )
-        wait_for(lambda: len(app.in_scene.picture.shown) == objects, "the whole scene")
-        figures.whole_ms = 1000 * (time.perf_counter() - start)
+        wait_for(lambda: len(picture.shown) == objects, "the whole scene")
         figures.sent_mb = browser.quiet() / 1e6
+        figures.whole_ms = 1000 * (browser.last - start)
+        figures.memory_mb = sum(_most_memory(p) for p in (os.getpid(), worker) if p)
         figures.loop_held_ms = 1000 * watch.worst
         watch.stop()
         figures.pick_ms = _pick(app, objects)
@@ -147,6 +153,14 @@ def _cpu(pid: int) -> float:
     """Processor seconds of a process so far."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _most_memory(pid: int) -> float:
+    """MiB that a process held at most."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) / 1024
+    return 0.0
 
 
 def _pick(app: Any, objects: int) -> float:
@@ -174,6 +188,7 @@ def show(figures: list[SceneFigures]) -> None:
         "processor",
         "whole scene",
         "sent",
+        "memory",
         "loop held",
         "pick",
     ):
@@ -182,6 +197,7 @@ def show(figures: list[SceneFigures]) -> None:
         table.add_row(
             f.opening, str(f.objects), f"{f.first_ms / 1000:.1f} s",
             f"{f.first_cpu_ms / 1000:.1f} s", f"{f.whole_ms / 1000:.1f} s",
-            f"{f.sent_mb:.1f} MB", f"{f.loop_held_ms:.0f} ms", f"{f.pick_ms:.0f} ms",
+            f"{f.sent_mb:.1f} MB", f"{f.memory_mb:.0f} MiB",
+            f"{f.loop_held_ms:.0f} ms", f"{f.pick_ms:.0f} ms",
         )  # fmt: skip
     Console(width=140).print(table)

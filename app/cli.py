@@ -189,8 +189,14 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     add("--assets", type=Path, action="append", default=[], metavar="DIR",
         help="open PATH as a scene with the assets in this folder; may be repeated "
              "(a scene description without it: those beside it)")  # fmt: skip
+    add("--scene", action="store_true",
+        help="open PATH as a scene even where it is a mesh or a scan, such as a scanned room "
+             "out of which objects are picked")  # fmt: skip
     add("--finder", default="lexicon", metavar="NAME",
-        help="who says what in a scene can be articulated (default: lexicon)")  # fmt: skip
+        help="who says what in a scene can be articulated, as scene convert takes it "
+             "(default: lexicon)")  # fmt: skip
+    add("--finder-url", metavar="URL",
+        help="openai finder: address of the server, such as http://localhost:11434/v1")  # fmt: skip
     add("--workspace", type=Path, default=Path("workspace"), metavar="DIR",
         help="where sessions and accepted assets are kept (default: ./workspace)")  # fmt: skip
     add("--database", metavar="URL", help="SQLAlchemy URL (default: SQLite in the workspace)")

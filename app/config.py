@@ -40,7 +40,7 @@ class ServeConfig:
         allowed_origins: addresses under which a proxy shows the server, besides its own.
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
-        finder: who says what in it can be articulated.
+        finder, finder_url: who says what in it can be articulated, and where that is asked.
     """
 
     paths: tuple[Path, ...] = ()
@@ -59,3 +59,4 @@ class ServeConfig:
     scene: Path | None = None
     assets: tuple[Path, ...] = ()
     finder: str = "lexicon"
+    finder_url: str | None = None

@@ -14,6 +14,8 @@ from model.errors import CommandError
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 
+GRID = 128.0
+"""Origins are multiples of 1/128 m: taking one off a float32 coordinate loses next to nothing."""
 Elements = npt.NDArray[np.int64]
 
 
@@ -34,6 +36,14 @@ class Crop:
     elements: str
     count: int
     position: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Picked:
+    """A part as an object of its own, and the file of all the others, whose frame stayed."""
+
+    crop: Crop
+    rest: Path
 
 
 def floor_and_walls(
@@ -101,7 +111,6 @@ def cut_out(
     Raises:
         CommandError: where the part is empty, or is all there is.
     """
-    from model.geometry.writers import write_cloud, write_mesh
     from model.segmentation.crop import crop
 
     asset = tasks.asset_of(folder)
@@ -113,20 +122,55 @@ def cut_out(
     progress(0.1, "Cutting it out")
     cut = crop(asset, mine)
     low, high = cut.bounds
-    origin = np.array([*((low + high) / 2)[:2], low[2]])
+    middle = np.array([*((low + high) / 2)[:2], low[2]])
+    origin = np.rint(middle * GRID) / GRID
     elements = in_source(workspace, np.flatnonzero(mine), left_out)
     ref = tasks.arrays_of(workspace).put(elements)
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:60] or "object"
     target = workspace / "crops" / ref[:16]
     target.mkdir(parents=True, exist_ok=True)
     progress(0.6, "Writing it")
-    if cut.mesh is not None:
-        path = target / f"{plain}.glb"
-        write_mesh(replace(cut.mesh, vertices=cut.mesh.vertices - origin), path)
-    else:
-        assert cut.cloud is not None
-        path = target / f"{plain}.ply"
-        points = cut.cloud.points.astype(np.float64) - origin
-        write_cloud(replace(cut.cloud, points=points.astype(np.float32)), path)
+    path = _write(cut, target / plain, origin)
     x, y, z = (float(v) for v in origin)
     return Crop(plain, path, ref, int(mine.sum()), (x, y, z))
+
+
+def pick_out(
+    copy: Path,
+    folder: Path,
+    workspace: Path,
+    labels: str,
+    part: int,
+    left_out: str | None,
+    name: str,
+    progress: Progress = no_progress,
+) -> Picked:
+    """As :func:`cut_out`; all of the working copy that isn't the part is written too.
+
+    Raises:
+        CommandError: where the part is empty, or is all there is.
+    """
+    from model.segmentation.crop import crop
+
+    cut = cut_out(folder, workspace, labels, part, left_out, name, progress)
+    progress(0.7, "Writing what is left")
+    whole, _ = tasks.working_copy(copy, workspace, tasks.ReadOptions())
+    kept = np.ones(whole.element_count, bool)
+    kept[tasks.arrays_of(workspace).get(cut.elements)] = False
+    rest = _write(crop(whole, kept), cut.path.with_name(f"without_{cut.name}"), np.zeros(3))
+    return Picked(cut, rest)
+
+
+def _write(asset: Asset, stem: Path, origin: npt.NDArray[np.float64]) -> Path:
+    """The asset about ``origin``; a cloud that stays where it is keeps its very numbers."""
+    from model.geometry.writers import write_cloud, write_mesh
+
+    if asset.mesh is not None:
+        path = stem.with_name(f"{stem.name}.glb")
+        write_mesh(replace(asset.mesh, vertices=asset.mesh.vertices - origin), path)
+        return path
+    assert asset.cloud is not None
+    path = stem.with_name(f"{stem.name}.ply")
+    points = asset.cloud.points.astype(np.float64) - origin
+    write_cloud(replace(asset.cloud, points=points.astype(np.float32)), path)
+    return path

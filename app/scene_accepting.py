@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from app import tasks
+from app.judging_tasks import judge_joints
 from app.workbench import acceptance_record, asset_folder
 from model.gate.report import GateReport
 from sessions import commands as cmd
@@ -125,7 +126,7 @@ class Accepting:
         desk, doc = self._desk, work.document
         assert doc.tree is not None
         source = self._source(work)
-        job = desk.bench.prediction.submit(tasks.judge_joints, source, doc.tree, priority=6)
+        job = desk.bench.prediction.submit(judge_joints, source, doc.tree, priority=6)
 
         def keep(report: GateReport) -> None:
             if work.document.tree != doc.tree:

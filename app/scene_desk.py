@@ -16,18 +16,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app import scene_tasks
+from app import scene_shapes, scene_tasks
 from app.review_order import confidence
 from app.scene_accepting import Accepting
+from app.scene_picking import Picking
 from app.scene_rows import STATUSES, Row, Status, Work, drawn_by
 from app.scene_saving import Saving
-from app.scene_tasks import DrawnParts, OpenedScene, Prepared, SceneItem, Shape
+from app.scene_shapes import DrawnParts, Shape
+from app.scene_tasks import OpenedScene, Prepared, SceneItem
 from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
 from model.progress import Cancelled
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.scene_commands import SetArticulable
+from sessions.scene_commands import PickOut, SetArticulable
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
@@ -38,6 +40,8 @@ WHO = "scene"
 """Who is written beside what was found out without a person."""
 FACES = 900_000
 """Triangles of a whole scene that a browser draws smoothly."""
+MOST_FACES = 60_000
+"""Of one asset."""
 
 
 class SceneDesk(Watched):
@@ -51,11 +55,13 @@ class SceneDesk(Watched):
         self.live = bench.hub.session(self.record.id)
         self.scene: OpenedScene | None = None
         self.problem: str | None = None
+        self.read: tuple[SceneItem, ...] = ()
         self.items: dict[str, SceneItem] = {}
         self.shapes: dict[Path, Shape | str] = {}
         self.works: dict[int, Work] = {}
         self.busy: dict[str, tuple[float, str]] = {}
         self.paused = False
+        self._preferred: int | None = None
         self._closed = False
         self._work_of: dict[Path, Work] = {}
         self._max_faces = FACES
@@ -64,10 +70,11 @@ class SceneDesk(Watched):
         super().__init__()
         self.accepting = Accepting(self)
         self.saving = Saving(self)
+        self.picking = Picking(self)
         self.live.subscribe(lambda state, command: self._decided(command))
         job = bench.geometry.submit(
-            scene_tasks.read, path, folders, format, bench.config.finder, bench.workspace,
-            on_progress=self.progress("read"), priority=9,
+            scene_tasks.read, path, folders, format, bench.config.finder, bench.config.finder_url,
+            bench.workspace, on_progress=self.progress("read"), priority=9,
         )  # fmt: skip
         self.start("read", job, self._opened)
 
@@ -153,6 +160,11 @@ class SceneDesk(Watched):
         same = articulable == item.decision.articulable
         self.do(SetArticulable(id, None if same else articulable), who)
 
+    def prefer(self, id: str | None) -> None:
+        """Look at this object next: somebody has chosen it."""
+        work = None if id is None else self.work(id)
+        self._preferred = None if work is None else work.id
+
     def open_work(self, id: str, done: Callable[[Work], None]) -> None:
         """Call ``done`` once the working copy of an object is there to be opened."""
         work = self.work(id)
@@ -168,11 +180,10 @@ class SceneDesk(Watched):
     # --- opening
 
     def _opened(self, scene: OpenedScene) -> None:
-        with self._lock:
-            self.items = {item.obj.id: item for item in scene.items}
-            paths = {item.path for item in scene.items if item.path is not None}
-            self._max_faces = int(np.clip(FACES / max(1, len(paths)), 1500, 20_000))
-        self._find_works()
+        self.read = scene.items
+        paths = {item.path for item in scene.items if item.path is not None}
+        self._max_faces = int(np.clip(FACES / max(1, len(paths)), 1500, MOST_FACES))
+        self._arrange()
         self.scene = scene  # last: from here on its objects are told
         with self._lock:
             self.accepting.take_up()
@@ -181,6 +192,14 @@ class SceneDesk(Watched):
     def close(self) -> None:
         """Start nothing more: the workers end."""
         self._closed = True
+
+    def _arrange(self) -> None:
+        """The objects as the scene's session has them now."""
+        with self._lock:
+            self.items = self.picking.arranged(self.read)
+            for work in self.works.values():
+                work.ids = [i for i, item in self.items.items() if item.copy == work.item.copy]
+        self._find_works()
 
     def _find_works(self) -> None:
         """A session for each working copy that is wanted and has none yet."""
@@ -204,8 +223,8 @@ class SceneDesk(Watched):
     def _decided(self, command: cmd.Command) -> None:
         if self.scene is None:
             return
-        if isinstance(command, (SetArticulable, cmd.Undo, cmd.Redo)):
-            self._find_works()
+        if isinstance(command, (SetArticulable, PickOut, cmd.Undo, cmd.Redo)):
+            self._arrange()
         with self._lock:
             self.accepting.follow()
         self.go_on()
@@ -234,7 +253,7 @@ class SceneDesk(Watched):
         if not paths:
             return
         job = self.bench.geometry.submit(
-            scene_tasks.shapes, paths, self.bench.workspace, self._max_faces, priority=7
+            scene_shapes.shapes, paths, self.bench.workspace, self._max_faces, priority=7
         )
 
         def keep(made: Mapping[Path, Shape | str]) -> None:
@@ -253,7 +272,7 @@ class SceneDesk(Watched):
                 continue
             assert work.item.copy is not None
             job = self.bench.geometry.submit(
-                scene_tasks.drawn_parts, work.item.copy, self.bench.workspace, ref,
+                scene_shapes.drawn_parts, work.item.copy, self.bench.workspace, ref,
                 self._max_faces, priority=4,
             )  # fmt: skip
 
@@ -270,7 +289,7 @@ class SceneDesk(Watched):
         waiting = [w for w in works if not w.prepared and w.document.tree is None]
         if not waiting:
             return
-        work = waiting[0]
+        work = next((w for w in waiting if w.id == self._preferred), waiting[0])
         job = self.bench.prediction.submit(
             scene_tasks.prepare, work.item, self.bench.workspace, self.bench.config.segmenter,
             self.bench.config.predictor, priority=-5,

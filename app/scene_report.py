@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from app import tasks
-from app.scene_tasks import SceneItem, Shape
+from app.scene_shapes import Shape
+from app.scene_tasks import SceneItem
 from model.errors import ArtiworldError, InputFileError
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree

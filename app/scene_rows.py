@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from app.scene_tasks import DrawnParts, SceneItem
+from app.scene_shapes import DrawnParts
+from app.scene_tasks import SceneItem
 from sessions.document import Document
 from sessions.live import LiveSession
 

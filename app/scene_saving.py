@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from app import tasks
 from app.scene_report import ReportRow, write_report
-from app.scene_tasks import SceneItem
+from app.scene_tasks import OpenedScene, SceneItem
 from model.errors import ArtiworldError, CommandError
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
@@ -63,12 +63,12 @@ class Saving:
         desk = self._desk
         if desk.running("save"):
             return
-        items, copies = self._plan(loose)
+        scene, items, copies = self._plan(loose)
         record = desk.record
         out = desk.bench.workspace / "scenes" / f"saved-{record.id}"
         job = desk.bench.geometry.submit(
-            save_scene, record.path, items, copies, out, on_progress=desk.progress("save"),
-            priority=6,
+            save_scene, record.path, scene.reader, tuple(i.obj.id for i in desk.read), items,
+            copies, out, on_progress=desk.progress("save"), priority=6,
         )  # fmt: skip
 
         def keep(summary: dict[str, Any]) -> None:
@@ -79,7 +79,9 @@ class Saving:
         desk.start("save", job, keep)
         desk.changed()
 
-    def _plan(self, loose: bool) -> tuple[tuple[SceneItem, ...], dict[Path, MovingCopy]]:
+    def _plan(
+        self, loose: bool
+    ) -> tuple[OpenedScene, tuple[SceneItem, ...], dict[Path, MovingCopy]]:
         desk = self._desk
         if desk.scene is None:
             raise CommandError("the scene is still being read")
@@ -91,7 +93,7 @@ class Saving:
         items = [replace(i, copy=i.copy if desk.articulable(i) else None,
                          decision=replace(i.decision, articulable=desk.articulable(i)))
                  for i in desk.items.values()]  # fmt: skip
-        return tuple(items), copies
+        return desk.scene, tuple(items), copies
 
     def _moving(self, work: Work, loose: bool) -> MovingCopy | None:
         doc, desk = work.document, self._desk
@@ -155,12 +157,19 @@ class Saving:
 
 def save_scene(
     path: Path,
+    format: str,
+    ids: Sequence[str],
     items: Sequence[SceneItem],
     copies: Mapping[Path, MovingCopy],
     out: Path,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Write the scene and its assets into ``out``; what stands there already isn't made again.
+
+    Args:
+        format, ids: how the scene's file was read, and the objects that it held then.
+        items: its objects now, those that were picked out of others among them.
+        copies: working copy → what moves.
 
     Returns:
         The summary, as ``artiworld scene convert`` gives it.
@@ -171,9 +180,10 @@ def save_scene(
     from model.scenes.results import write_results
 
     progress(0.0, "reading")
-    scene = read_scene(path)
-    if [o.id for o in scene.objects] != [i.obj.id for i in items]:
+    scene = read_scene(path, format)
+    if [o.id for o in scene.objects] != list(ids):
         raise CommandError(f"{path} was changed since it was opened: start the server anew")
+    scene = replace(scene, objects=tuple(i.obj for i in items))
     (out / ASSETS).mkdir(parents=True, exist_ok=True)
     made: dict[str, dict[str, Any]] = {}
     outcomes: list[Outcome] = []
@@ -192,8 +202,11 @@ def save_scene(
                 outcome.state, outcome.reason, outcome.key = FAILED, str(error), None
     shorten_limits(outcomes, out, progress)
     progress(0.97, "writing")
-    summary = write_results(scene, outcomes, out, free_bases=False)
+    summary = write_results(scene, outcomes, out, free_bases=True)
     write_json(out / "summary.json", summary)
+    for folder in (out / ASSETS).iterdir():
+        if folder.name not in made:  # of a scene that was saved before
+            shutil.rmtree(folder, ignore_errors=True)
     return summary
 
 
@@ -222,7 +235,7 @@ def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> di
     from model.scenes.protocol import Decision
 
     assert item.path is not None
-    settings = ConvertSettings(seconds=SECONDS)
+    settings = ConvertSettings(seconds=SECONDS, collision=True)
     rigid = Outcome(item.obj, Decision(False), item.path)
     job = asset_job(rigid, asset_digest(item.path), settings)
     report = made.get(job.key) or read_done(out, job.key)
@@ -235,18 +248,20 @@ def _moving_asset(key: str, moving: MovingCopy, out: Path) -> dict[str, Any]:
 
     from model.exporters.asset_folder import load_object, write_asset
     from model.exporters.mjcf import MjcfExporter
-    from model.exporters.physics import plain_physics
+    from model.exporters.physics import physics_of
 
     folder = out / ASSETS / key
+    store = moving.source.workspace / "collision"
     shutil.rmtree(folder, ignore_errors=True)
     if moving.accepted is not None and Path(moving.accepted).is_dir():
         shutil.copytree(moving.accepted, folder)
     else:
-        write_asset(tasks.articulated_object(moving.source, moving.tree), folder,
+        made = tasks.articulated_object(moving.source, moving.tree)
+        write_asset(made, folder, physics=physics_of(made, store=store),
                     provenance={"source": key, "review": "predicted, not accepted"})  # fmt: skip
     obj = load_object(folder)
     (folder / MJCF).mkdir(exist_ok=True)
-    MjcfExporter().export(obj, folder / MJCF, physics=plain_physics(obj))
+    MjcfExporter().export(obj, folder / MJCF, physics=physics_of(obj, store=store))
     joints = [{**asdict(j), "confidence": moving.confidence.get(j.child)}
               for j in obj.tree.joints if j.moves]  # fmt: skip
     state = PREDICTED if moving.accepted is None else ACCEPTED

@@ -11,7 +11,6 @@ import hashlib
 import json
 import secrets
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,17 +19,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app import tasks
-from model.errors import ArtiworldError, CommandError
-from model.geometry.asset import Asset, Source
+from app import room_tasks, tasks
+from model.errors import CommandError
+from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
 from model.progress import Progress, no_progress
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 
-BATCH_SECONDS = 0.4
-"""Work on pictures after which a job hands over what it has, so that the scene fills up."""
 PROMPTS = ".prompts.json"
 """Clicks kept beside an asset."""
 
@@ -73,38 +70,6 @@ class OpenedScene:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """What the browser draws of something rigid, in its own frame, metres.
-
-    Attributes:
-        bounds: (2, 3) of the whole, not of the drawn copy.
-        vertices: (V, 3), of a cloud its points.
-        faces: (F, 3); None of a cloud.
-    """
-
-    bounds: FloatArray
-    vertices: npt.NDArray[np.float32]
-    faces: npt.NDArray[np.uint32] | None
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnParts:
-    """The parts of a working copy as the browser draws them.
-
-    Attributes:
-        labels: reference of the labels they were cut by.
-        folder: the arrays of the working copy.
-        source: of the working copy.
-        shapes: link → shape.
-    """
-
-    labels: str
-    folder: Path
-    source: Source
-    shapes: dict[str, Shape]
-
-
-@dataclass(frozen=True, eq=False)
 class Prepared:
     """What was found out about a working copy before a person looks at it.
 
@@ -136,6 +101,7 @@ def read(
     folders: Sequence[Path],
     format: str | None,
     finder: str,
+    finder_url: str | None,
     workspace: Path,
     progress: Progress = no_progress,
 ) -> OpenedScene:
@@ -147,9 +113,11 @@ def read(
     from model.scenes.registry import read_scene
 
     progress(0.1, "reading")
+    if format is None and path.suffix.lower() == ".ply":
+        format = "scan"  # also one that nobody has labelled
     scene = read_scene(path, format)
     index = index_assets(folders)
-    asked = load_finder(finder, FinderOptions(cache=default_cache()), progress)
+    asked = load_finder(finder, FinderOptions(finder_url, cache=default_cache()), progress)
     stamps: dict[Path, Any] = {}
     items: list[SceneItem] = []
     home = workspace / "scenes" / f"inside-{_name_of(path)}"
@@ -182,76 +150,6 @@ def _name_of(path: Path) -> str:
 
 def _plain(stem: str) -> str:
     return "".join(c if c.isalnum() and c.isascii() else "_" for c in stem)[:40]
-
-
-# --- pictures ---------------------------------------------------------------------------------
-
-
-def shapes(
-    paths: Sequence[Path], workspace: Path, max_faces: int, progress: Progress = no_progress
-) -> dict[Path, Shape | str]:
-    """Pictures of as many assets as there is time for; of one that can't be read, why."""
-    end = time.perf_counter() + BATCH_SECONDS
-    out: dict[Path, Shape | str] = {}
-    for path in paths:
-        progress(len(out) / len(paths), path.name)
-        try:
-            out[path] = _shape_of(path, workspace, max_faces)
-        except ArtiworldError as error:
-            out[path] = str(error)
-        if time.perf_counter() > end:
-            break
-    return out
-
-
-def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
-    from model.scenes.asset_parts import whole
-
-    told = (str(path.resolve()), tasks.stamp(path), max_faces)
-    key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
-    kept = workspace / "cache" / "shapes" / f"{key}.npz"
-    try:
-        with np.load(kept, allow_pickle=False) as data:
-            faces = data.get("faces")
-            return Shape(data["bounds"], data["vertices"], faces)
-    except (OSError, ValueError, KeyError, EOFError):
-        pass
-    shape = shape_of_part(whole(path), max_faces)
-    arrays: dict[str, Any] = {"bounds": shape.bounds, "vertices": shape.vertices}
-    if shape.faces is not None:
-        arrays["faces"] = shape.faces
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    draft = kept.with_name(f".{key}.{secrets.token_hex(4)}.npz")
-    np.savez(draft, **arrays)
-    draft.replace(kept)
-    return shape
-
-
-def shape_of_part(part: Part, max_faces: int) -> Shape:
-    """A part as the browser draws it from afar: without materials, at most ``max_faces``."""
-    from model.geometry.display import decimate, thin
-
-    bounds = np.asarray(part.bounds, np.float64)
-    if part.mesh is None:
-        assert part.cloud is not None
-        points = part.cloud.points
-        return Shape(bounds, np.asarray(points[thin(points, 2 * max_faces)], np.float32), None)
-    mesh = part.mesh if len(part.mesh.faces) <= max_faces else decimate(part.mesh, max_faces)[0]
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    vertices = np.asarray(mesh.vertices[used], np.float32)
-    return Shape(bounds, vertices, faces.reshape(-1, 3).astype(np.uint32))
-
-
-def drawn_parts(copy: Path, workspace: Path, labels: str, max_faces: int) -> DrawnParts:
-    """The parts of a working copy by stored labels."""
-    from model.geometry.parts import split
-
-    asset, folder = tasks.working_copy(copy, workspace, tasks.ReadOptions())
-    assert asset.source is not None
-    cut = split(asset, tasks.arrays_of(workspace).get(labels))
-    budget = max(200, max_faces // max(1, len(cut)))
-    made = {part.link: shape_of_part(part, budget) for part in cut}
-    return DrawnParts(labels, folder, asset.source, made)
 
 
 # --- working copies ---------------------------------------------------------------------------
@@ -309,6 +207,23 @@ def _write_copy(
     if category:
         said["category"] = category
     (folder / "object.json").write_text(json.dumps(said), encoding="utf-8")
+
+
+def for_picking(
+    item: SceneItem, workspace: Path, progress: Progress = no_progress
+) -> room_tasks.Removal | None:
+    """Lay down a working copy to pick objects out of; floor and walls where it is a room."""
+    from model.segmentation.crop import ROOM_METRES
+
+    assert item.copy is not None
+    lay_down(item)
+    asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions(), progress)
+    if np.ptp(np.asarray(asset.bounds)[:, :2], axis=0).max() <= ROOM_METRES:
+        return None
+    try:
+        return room_tasks.floor_and_walls(folder, workspace, None, progress)
+    except CommandError:
+        return None  # there are none
 
 
 def prepare(

@@ -84,6 +84,7 @@ def make_config(args: argparse.Namespace) -> ServeConfig:
         scene=scene,
         assets=tuple(args.assets) or (() if scene is None else (scene.parent,)),
         finder=args.finder,
+        finder_url=args.finder_url,
         **settings,
     )
 
@@ -98,7 +99,7 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
     from model.scenes.registry import recognised
 
     first: Path | None = args.paths[0] if args.paths else None
-    if not args.assets and (
+    if not (args.assets or args.scene) and (
         first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or not recognised(first)
     ):
         return None
@@ -116,9 +117,9 @@ def _check_names(args: argparse.Namespace) -> None:
 
     check_segmenter(args.segmenter)
     if args.finder != "lexicon":
-        from model.scenes.finder_registry import load_finder
+        from model.scenes.finder_registry import FinderOptions, load_finder
 
-        load_finder(args.finder)
+        load_finder(args.finder, FinderOptions(args.finder_url))
     check_predictor(args.predictor)
 
 

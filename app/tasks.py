@@ -522,15 +522,6 @@ def predict(
     return load_predictor(predictor).predict(segmented, locked=locked, seed=seed, progress=progress)
 
 
-def judge_joints(
-    source: PartSource, tree: KinematicTree, progress: Progress = no_progress
-) -> GateReport:
-    """Ask the gate about every joint."""
-    from model.gate.gate import run_gate
-
-    return run_gate(articulated_object(source, tree), progress=progress)
-
-
 def checks_of(report: GateReport) -> list[JointCheck]:
     """The collisions of a gate's answer as the views mark them."""
     return [

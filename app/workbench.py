@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app import room_tasks, saving_tasks, tasks, tool_tasks
+from app import judging_tasks, room_tasks, saving_tasks, tasks, tool_tasks
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
 from app.judging import Judging
@@ -376,20 +376,7 @@ class OpenObject(Watched):
     def cut_out(self, part: int, who: str, done: Callable[[int], None]) -> None:
         """Make one part an object of its own in the queue; ``done`` gets its id."""
         asset, doc = self._opened_asset(), self.document
-        if not doc.segmentation_current:
-            raise CommandError("the parts are still being computed; try again in a moment")
         name = f"{asset.name}_{doc.part_names.get(part) or f'part_{part}'}"
-        job = self.bench.geometry.submit(
-            room_tasks.cut_out,
-            asset.folder,
-            self.bench.workspace,
-            self.source(doc).labels,
-            part,
-            None if doc.left_out is None else doc.left_out.elements,
-            name,
-            on_progress=self._progress("room"),
-            priority=6,
-        )
 
         def keep(crop: room_tasks.Crop) -> None:
             new = self.bench.add_paths([crop.path])[0]
@@ -399,6 +386,41 @@ class OpenObject(Watched):
             self.do(out, who)
             done(new)
 
+        self._cut(room_tasks.cut_out, (), part, name, keep)
+
+    def pick_out(
+        self, copy: Path, part: int, name: str, keep: Callable[[room_tasks.Picked], None]
+    ) -> None:
+        """Write one part, and all but it, for the scene around; ``keep`` gets both.
+
+        Args:
+            copy: what is open here, in the scene's workspace.
+        """
+        self._cut(room_tasks.pick_out, (copy,), part, name, keep)
+
+    def _cut(
+        self,
+        function: Callable[..., Any],
+        first: tuple[Any, ...],
+        part: int,
+        name: str,
+        keep: Callable[[Any], None],
+    ) -> None:
+        asset, doc = self._opened_asset(), self.document
+        if not doc.segmentation_current:
+            raise CommandError("the parts are still being computed; try again in a moment")
+        job = self.bench.geometry.submit(
+            function,
+            *first,
+            asset.folder,
+            self.bench.workspace,
+            self.source(doc).labels,
+            part,
+            None if doc.left_out is None else doc.left_out.elements,
+            name,
+            on_progress=self._progress("room"),
+            priority=6,
+        )
         self._start("room", job, keep)
         self.changed()
 
@@ -455,7 +477,7 @@ class OpenObject(Watched):
     def start_gate(self, tree: KinematicTree, keep: Callable[[GateReport], None]) -> None:
         """Judge the joints of ``tree`` in the background."""
         job = self.bench.prediction.submit(
-            tasks.judge_joints,
+            judging_tasks.judge_joints,
             self.source(),
             tree,
             on_progress=self._progress("check"),

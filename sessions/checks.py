@@ -11,6 +11,7 @@ from model.segmentation.prompts import MAX_PARTS
 from sessions.text import clean_text
 
 NAME_LIMIT = 80
+PATH_LIMIT = 1000
 
 _ARRAY_REF = re.compile(r"[0-9a-f]{64}")
 
@@ -47,3 +48,14 @@ def check_finite(values: Iterable[float], what: str) -> None:
     """Refuse NaN and infinity."""
     if not all(math.isfinite(v) for v in values):
         raise CommandError(f"{what} must be finite numbers, got {tuple(values)}")
+
+
+def check_pose(
+    position: tuple[float, float, float], wxyz: tuple[float, float, float, float]
+) -> None:
+    """Refuse what is no finite position with a unit quaternion."""
+    check_finite(position, "position")
+    check_finite(wxyz, "wxyz")
+    length = sum(v * v for v in wxyz)
+    if abs(length - 1.0) > 1e-6:
+        raise CommandError(f"wxyz must be a unit quaternion, got one of squared length {length:g}")

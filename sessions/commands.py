@@ -20,7 +20,7 @@ from model.kinematics.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clean_name, put_field
 from sessions.review import REJECT_REASONS, RejectReason
-from sessions.scene_commands import DecideObjects, SetArticulable
+from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.text import clean_text
 from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 
@@ -286,6 +286,7 @@ Command = (
     | Placed
     | SetArticulable
     | DecideObjects
+    | PickOut
     | RemovePrompt
     | ClearPrompts
     | AddPart
@@ -316,6 +317,7 @@ KINDS: Mapping[str, type[Command]] = {
     "placed": Placed,
     "set_articulable": SetArticulable,
     "decide_objects": DecideObjects,
+    "pick_out": PickOut,
     "remove_prompt": RemovePrompt,
     "clear_prompts": ClearPrompts,
     "add_part": AddPart,

@@ -27,7 +27,7 @@ from sessions.commands import (
     Undo,
     kind_of,
 )
-from sessions.scene_commands import DecideObjects, SetArticulable
+from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 
 
@@ -53,6 +53,8 @@ def describe(command: Command) -> str:
         case DecideObjects(decision=decision, objects=objects, above=above):
             what = f"{len(objects)} object{'s'[: len(objects) != 1]}"
             return f"{decision} {what}" + ("" if above is None else f" above {100 * above:.0f} %")
+        case PickOut(name=name, object=source):
+            return f"pick {name} out of {source}"
         case AddPart(part=part) | DeletePart(part=part):
             return f"{'add' if isinstance(command, AddPart) else 'delete'} part {part}"
         case NamePart(part=part, name=name):

@@ -13,7 +13,7 @@ from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.review import RejectReason, ReviewState
-from sessions.scene_commands import Decided
+from sessions.scene_commands import Decided, PickOut
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,7 @@ class Document:
         placement: where the object stood in the scan it was cut out of, or None.
         articulable: of a scene: object id → whether it is articulated, where a person said so.
         decided: of a scene: what was decided for its objects, in order.
+        picked: of a scene: objects that were picked out of others, in order.
     """
 
     prompts: tuple[Click | RegionRef, ...] = ()
@@ -196,6 +197,7 @@ class Document:
     placement: Placement | None = None
     articulable: Mapping[str, bool] = field(default_factory=dict)
     decided: tuple[DecisionRecord, ...] = ()
+    picked: tuple[PickOut, ...] = ()
 
     @cached_property
     def key(self) -> str:

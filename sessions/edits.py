@@ -47,7 +47,7 @@ from sessions.document import (
     acceptance_problems,
 )
 from sessions.review import Action, Role, transition
-from sessions.scene_commands import DecideObjects, SetArticulable
+from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
 from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
 
@@ -124,6 +124,8 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             return _set_articulable(document, command), "adjust"
         case DecideObjects():
             return _decide_objects(document, command, context), "adjust"
+        case PickOut():
+            return _pick_out(document, command), "adjust"
         case RemovePrompt(index=index):
             return _remove_prompt(document, index), "annotate"
         case ClearPrompts(part=part):
@@ -389,3 +391,9 @@ def _decide_objects(document: Document, command: DecideObjects, context: Context
         command.decision, command.objects, command.above, command.reason, context.who, context.at
     )
     return replace(document, decided=(*document.decided, record))
+
+
+def _pick_out(document: Document, command: PickOut) -> Document:
+    if any(p.id == command.id for p in document.picked):
+        raise CommandError(f"{command.id} was picked out already")
+    return replace(document, picked=(*document.picked, command))

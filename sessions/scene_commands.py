@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 from model.errors import CommandError
+from sessions.checks import NAME_LIMIT, PATH_LIMIT, check_count, check_pose, put_field
 from sessions.review import REJECT_REASONS, RejectReason
+from sessions.text import clean_text
 
 ID_LIMIT = 1000
 MOST_OBJECTS = 100_000
 
 Decided = Literal["accept", "reject"]
+Position = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -61,3 +65,43 @@ class DecideObjects:
             raise CommandError("objects must be different ones, and at least one")
         if self.above is not None and not (math.isfinite(self.above) and 0 <= self.above <= 1):
             raise CommandError(f"above must be 0..1, got {self.above}")
+
+
+@dataclass(frozen=True)
+class PickOut:
+    """A piece of an object of this scene becomes an object of its own, what is left stays.
+
+    Attributes:
+        object: the object's id in the scene.
+        id: of the new object, which no other has.
+        name: what it is, in people's words.
+        path: file of the new object.
+        rest: file of what is left of the old one.
+        count: elements of the new one, for people.
+        position, wxyz: pose of the new file's origin in the scene; metres, a unit quaternion.
+        rest_position, rest_wxyz: of the rest's.
+    """
+
+    object: str
+    id: str
+    name: str
+    path: str
+    rest: str
+    count: int
+    position: Position
+    wxyz: Quaternion
+    rest_position: Position
+    rest_wxyz: Quaternion
+
+    def __post_init__(self) -> None:
+        for id in (self.object, self.id):
+            if not 0 < len(id) <= ID_LIMIT:
+                raise CommandError(f"an object's id must have 1 to {ID_LIMIT} characters")
+        if self.object == self.id:
+            raise CommandError(f"the new object needs an id of its own, not {self.id!r}")
+        put_field(self, "name", clean_text(self.name, NAME_LIMIT, "the object's name"))
+        for field in ("path", "rest"):
+            put_field(self, field, clean_text(getattr(self, field), PATH_LIMIT, "the path"))
+        check_count(self.count)
+        check_pose(self.position, self.wxyz)
+        check_pose(self.rest_position, self.rest_wxyz)

@@ -8,16 +8,15 @@ from model.errors import CommandError
 from model.segmentation.prompts import BASE
 from sessions.checks import (
     NAME_LIMIT,
+    PATH_LIMIT,
     check_count,
-    check_finite,
     check_part,
+    check_pose,
     check_ref,
     clean_name,
     put_field,
 )
 from sessions.text import clean_text
-
-PATH_LIMIT = 1000
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ class CropOut:
         put_field(self, "path", clean_text(self.path, PATH_LIMIT, "the object's path"))
         check_ref(self.elements, "elements")
         check_count(self.count)
-        _check_pose(self.position, self.wxyz)
+        check_pose(self.position, self.wxyz)
 
 
 @dataclass(frozen=True)
@@ -143,14 +142,4 @@ class Placed:
         put_field(self, "scene", clean_text(self.scene, PATH_LIMIT, "the scan's path"))
         put_field(self, "scene_sha256", clean_text(self.scene_sha256, NAME_LIMIT, "the digest"))
         check_ref(self.elements, "elements")
-        _check_pose(self.position, self.wxyz)
-
-
-def _check_pose(
-    position: tuple[float, float, float], wxyz: tuple[float, float, float, float]
-) -> None:
-    check_finite(position, "position")
-    check_finite(wxyz, "wxyz")
-    length = sum(v * v for v in wxyz)
-    if abs(length - 1.0) > 1e-6:
-        raise CommandError(f"wxyz must be a unit quaternion, got one of squared length {length:g}")
+        check_pose(self.position, self.wxyz)

@@ -258,7 +258,10 @@ class AnnotatePanel:
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and np.ptp(obj.asset.bounds[:, :2], axis=0).max() > ROOM_METRES
-        if wide and doc.left_out is None and not doc.prompts:
+        desk = self._app.bench.desk
+        if desk is not None and self._app.in_scene.picking:
+            text = "Whatever is part 1 can be taken out; the tools below help where clicks don't."
+        elif wide and doc.left_out is None and not doc.prompts:
             text = (
                 "**A room?** Leave out the floor and the walls first (*Room or table top*, below). "
                 "Then click or box one thing and cut it out as an object."

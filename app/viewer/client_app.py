@@ -99,6 +99,7 @@ class ClientApp:
                 "Back to the scene (Backspace)", icon=viser.Icon.ARROW_LEFT, color="dark"
             )
             back.on_click(lambda _: self.act(self.in_scene.leave))
+            self._in_scene.build_pick_panel()
         self.status = gui.add_markdown("")
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self.cancel_button = gui.add_button(

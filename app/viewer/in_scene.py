@@ -8,6 +8,7 @@ import numpy as np
 
 from app.scene_desk import SceneDesk
 from app.scene_rows import Row, Work
+from app.viewer.pick_panel import PickPanel
 from app.viewer.scene_card import SceneCard
 from app.viewer.scene_list import SceneList, order
 from app.viewer.scene_motion import SceneMotion
@@ -28,6 +29,7 @@ class InScene:
     Attributes:
         selected: the chosen object, or None.
         inside: the object that is worked on in place, or None.
+        picking: whether that is to have an object picked out of it.
         rows: all objects as they were drawn last.
     """
 
@@ -35,12 +37,17 @@ class InScene:
         self._app, self.desk = app, desk
         self.selected: str | None = None
         self.inside: str | None = None
+        self.picking = False
         self.rows: list[Row] = []
         self._wanted: str | None = None
         self.picture = ScenePicture(app.client, desk)
         self.motion = SceneMotion(self.picture.pose)
         self.list = SceneList(app, desk)
         self.unwatch = desk.watch(app.invalidate, app.notify)
+
+    def build_pick_panel(self) -> None:
+        """Make the widgets above the tools for one object."""
+        self.pick_panel = PickPanel(self._app)
 
     def build_card(self) -> None:
         """Make the widgets of the right side."""
@@ -52,6 +59,8 @@ class InScene:
         """Bring picture and panels up to date."""
         desk = self.desk
         self.rows = desk.rows()
+        if self.selected not in desk.items:
+            self.selected = None
         if self._wanted is not None and desk.scene is not None:
             wanted, self._wanted = self._wanted, None
             if wanted in desk.items and desk.work(wanted) is not None:
@@ -59,6 +68,7 @@ class InScene:
                 self._app.act(self.enter)
         self.picture.draw(self.rows, self.selected)
         self.list.draw()
+        self.pick_panel.draw()
         if self.inside is None:
             self.card.draw()
 
@@ -83,6 +93,7 @@ class InScene:
         if self.inside is not None and id is not None and id != self.inside:
             self.leave()
         self.selected = id
+        self.desk.prefer(id)
         if look and id is not None and self.inside is None:
             self.picture.frame([id])
         self._app.invalidate()
@@ -194,20 +205,50 @@ class InScene:
         self.motion.stop()
 
         def opened(work: Work) -> None:
-            app.act(lambda: self._show(id, work))
+            app.act(lambda: self._show(id, work.id))
 
         self.desk.open_work(id, opened)
 
-    def _show(self, id: str, work: Work) -> None:
+    def _show(self, id: str, session: int, *, picking: bool = False) -> None:
         self.inside = self.selected = id
+        self.picking = picking
         self.picture.ghost(id)
-        self._app.open(work.id)
+        self._app.open(session)
+
+    def pick(self) -> None:
+        """Open the chosen object as a whole, to pick another one out of it."""
+        app, id = self._app, self.need()
+        self.motion.stop()
+        self.desk.picking.open(
+            id, lambda session: app.act(lambda: self._show(id, session, picking=True))
+        )
+
+    def take_out(self, name: str) -> None:
+        """The chosen part becomes an object of the scene, and is worked on next.
+
+        Raises:
+            CommandError: where nothing is picked from, or nothing was clicked yet.
+        """
+        app = self._app
+        if self.inside is None or not self.picking:
+            raise CommandError("choose an object of the scene and press “Pick an object out of it”")
+
+        def taken(id: str) -> None:
+            app.act(lambda: self._taken(id))
+
+        self.desk.picking.take_out(app.need_object(), self.inside, app.part, name, app.who, taken)
+
+    def _taken(self, id: str) -> None:
+        self.pick_panel.clear()
+        self.leave()
+        self.choose(id)
+        self.enter()
 
     def leave(self) -> None:
         """Back to the scene."""
         if self.inside is None:
             return
-        self.inside = None
+        self.inside, self.picking = None, False
         self._app.close_object()
         self.picture.unghost()
         self._app.remember()

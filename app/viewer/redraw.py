@@ -68,6 +68,8 @@ class Redraw:
         self._follow_prediction(obj)
         if obj.asset is not None and obj.asset is not self.asset:
             app.scene.show_asset(obj.asset)
+            if app.bench.desk is not None and app.in_scene.picking:
+                app.in_scene.picture.look_as_before()
             self.asset = obj.asset
             app.motion.forget_scene()
             app.pointing.begin()
@@ -108,7 +110,7 @@ class Redraw:
         fraction = 0.0
         if shown:
             fraction, message = obj.busy[shown[0]]
-            lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}*")
+            lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         put(self._app.status, "content", "\n\n".join(lines))
         put(self._app.progress, "visible", bool(shown))
         put(self._app.progress, "value", round(100 * fraction, 1))

@@ -47,6 +47,8 @@ class SceneCard:
             self._about = gui.add_markdown("")
             self._kind = gui.add_button_group("It is", ("Articulable", "Static"), visible=False)
             self._work = gui.add_button("Work on it (Enter)", icon=viser.Icon.PENCIL, visible=False)
+            self._pick = gui.add_button("Pick an object out of it", icon=viser.Icon.SCISSORS,
+                                        color="gray", visible=False)  # fmt: skip
             self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green",
                                           visible=False)  # fmt: skip
             self._reason = gui.add_dropdown("What is wrong", tuple(REASONS), visible=False)
@@ -79,6 +81,7 @@ class SceneCard:
         self._play.on_click(lambda _: app.act(scene.play))
         self._kind.on_click(lambda e: app.act(lambda: scene.say(e.target.value)))
         self._work.on_click(lambda _: app.act(scene.enter))
+        self._pick.on_click(lambda _: app.act(scene.pick))
         self._accept.on_click(lambda _: app.act(scene.accept))
         self._reject.on_click(lambda _: app.act(scene.reject))
         self._step.on_click(
@@ -132,7 +135,7 @@ class SceneCard:
         fraction = 0.0
         if shown:
             fraction, message = desk.busy[shown[0]]
-            lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}*")
+            lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         problems = () if desk.scene is None else desk.scene.problems
         if problems:
             told = "\n".join(
@@ -166,6 +169,7 @@ class SceneCard:
         has_tree = work is not None and work.document.tree is not None
         decided = row is not None and row.status in ("accepted", "rejected")
         waiting = work is not None and work.id in desk.accepting.waiting
+        put(self._pick, "visible", can_work and not has_tree)
         put(self._accept, "visible", has_tree and row is not None and row.status != "accepted")
         put(self._accept, "disabled", waiting)
         put(self._accept, "label", "Accepting…" if waiting else "Accept (Y)")

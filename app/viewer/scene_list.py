@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.scene_desk import SceneDesk
-from app.scene_rows import STATUSES, Row
+from app.scene_rows import STATUSES, Row, Status
 from app.viewer import palette
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -44,6 +44,12 @@ class SceneList:
         with panel.add_tab("Scene", viser.Icon.HOME):
             self._title = gui.add_markdown("")
             self._legend = gui.add_html("")
+            self._own = gui.add_checkbox(
+                "Own colours",
+                False,
+                hint="All objects as their source has them; else only what is static looks so, "
+                "and the others have the colour of their state",
+            )
             self._filter = gui.add_dropdown(
                 "Show", (ALL, *palette.SCENE_WORDS.values()), initial_value=ALL
             )
@@ -55,6 +61,7 @@ class SceneList:
         panel.set_width(250)
         for k, button in enumerate(self._buttons):
             button.on_click(lambda _, k=k: app.act(lambda: self._choose(k)))
+        self._own.on_update(lambda _: app.act(self._recolor))
         self._filter.on_update(lambda _: self._turn(None))
         self._search.on_update(lambda _: self._turn(None))
         self._pages.on_click(lambda e: self._turn(-1 if e.target.value == "◀" else 1))
@@ -69,6 +76,9 @@ class SceneList:
         if who:
             self._app.who = who
             self._app.remember()
+
+    def _recolor(self) -> None:
+        self._app.in_scene.picture.own = self._own.value
 
     def _choose(self, k: int) -> None:
         if k < len(self._ids):
@@ -92,13 +102,14 @@ class SceneList:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
         counts = Counter(r.status for r in rows)
-        now = (tuple(page), current, len(chosen), self._first, tuple(counts.items()))
+        own = scene.picture.own
+        now = (tuple(page), current, len(chosen), self._first, tuple(counts.items()), own)
         if now == self._shown:
             return
         self._shown = now
         name = self._desk.record.name if self._desk.scene is None else self._desk.scene.name
-        put(self._title, "content", f"**{plain(name, 60)}** · {len(rows)} objects")
-        put(self._legend, "content", legend(counts))
+        put(self._title, "content", f"**{plain(name, 60)}** · {_number(len(rows))}")
+        put(self._legend, "content", legend(counts, own))
         self._ids = [r.id for r in page]
         put(self._pages, "visible", len(chosen) > PAGE)
         for k, button in enumerate(self._buttons):
@@ -122,12 +133,19 @@ class SceneList:
         put(button, "hint", f"{plain(row.id)}: {words}")
 
 
-def legend(counts: Counter[Any]) -> str:
-    """Squares in the states' colours with their counts; our own words and numbers only."""
+def legend(counts: Counter[Any], own: bool) -> str:
+    """Squares in the colours of those states that give their objects one, hollow ones for the
+    others, with their counts; our own words and numbers only."""
+
+    def square(state: Status) -> str:
+        if own or state in ("static", "missing"):
+            return "border:1.5px dashed #98a0a8"
+        return f"background:rgb{palette.SCENE_COLORS[state]}"
+
     cells = "".join(
         f'<div style="display:flex;align-items:center;gap:6px">'
-        f'<span style="width:12px;height:12px;border-radius:3px;flex:none;'
-        f'background:rgb{palette.SCENE_COLORS[s]}"></span>'
+        f'<span style="width:12px;height:12px;border-radius:3px;flex:none;box-sizing:border-box;'
+        f'{square(s)}"></span>'
         f"<span>{palette.SCENE_WORDS[s]}</span>"
         f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
         for s in STATUSES
@@ -137,6 +155,10 @@ def legend(counts: Counter[Any]) -> str:
         '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'
         f'margin:2px 12px 6px">{cells}</div>'
     )
+
+
+def _number(count: int) -> str:
+    return f"{count} object{'s'[: count != 1]}"
 
 
 def _short(text: str, limit: int) -> str:

@@ -8,71 +8,51 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import viser
-from viser import transforms as vtf
 
 from app.scene_desk import SceneDesk
-from app.scene_rows import Row, Work
-from app.scene_tasks import SceneItem, Shape
+from app.scene_rows import Row
+from app.scene_shapes import Shape
+from app.scene_tasks import SceneItem
 from app.viewer import palette
-from app.viewer.scene_rays import hit_distance, meets_boxes
+from app.viewer.scene_nodes import (
+    CORNERS,
+    Look,
+    Node,
+    Stand,
+    Surroundings,
+    corners_of,
+    send,
+    wxyz_of,
+)
+from app.viewer.scene_rays import meets_boxes
 from app.viewer.scene_view import FIELD_OF_VIEW, SCENE_ROOT, set_stage
 
 ROOT = SCENE_ROOT
-GHOST_OPACITY = 0.14
-POINT_SHARE = 0.006
 Array = npt.NDArray[np.float64]
-Ids = tuple[str, ...]
 
-_CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float32) - 0.5
 _BOX = Shape(
     np.array([[-0.5] * 3, [0.5] * 3]),
-    _CORNERS,
+    CORNERS,
     np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
               [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
 )  # fmt: skip
 _EDGES = np.array([[a, a | bit] for bit in (1, 2, 4) for a in range(8) if not a & bit])
 
 
-@dataclass(eq=False)
-class Stand:
-    """Where an object stands: a vertex v is at ``world @ (scale * v)``."""
-
-    world: Array
-    scale: Array
-
-
-@dataclass(eq=False)
-class Node:
-    """Something that was sent, with the objects that it draws.
+class ScenePicture:
+    """The scene of one client.
 
     Attributes:
-        handles: one for all instances, or of a cloud one for each.
-        rest: where its instances are while nothing moves.
-        now: where they are.
-        faces: of merged objects, each one's faces.
-        boxes: of merged objects, (N, 2, 3) each one's place.
+        own: whether all objects look as the source has them; else only the static ones do.
+        ghosted: the object that is worked on in place, or None.
+        camera: where it was before that.
     """
-
-    ids: Ids
-    shape: Shape
-    handles: list[Any]
-    rest: list[Stand]
-    now: list[Stand]
-    work: Work | None = None
-    link: str = ""
-    faces: list[slice] | None = None
-    boxes: npt.NDArray[Any] | None = None
-
-
-class ScenePicture:
-    """The scene of one client."""
 
     def __init__(self, client: viser.ClientHandle, desk: SceneDesk) -> None:
         self._client = client
@@ -85,7 +65,9 @@ class ScenePicture:
         self._floor: tuple[float, float] | None = None
         self._outline: list[Any] = []
         self._outlined: Any = None
-        self._looks: Any = None
+        self._looks: Look | None = None
+        self._merged: dict[str, Path | None] = {}
+        self.own = False
         self.ghosted: str | None = None
         self.camera: tuple[Any, ...] | None = None
 
@@ -108,7 +90,7 @@ class ScenePicture:
             if ids is None or id in ids:
                 found = self.stand(item)
                 if found is not None:
-                    every.append(_corners(*found))
+                    every.append(corners_of(*found))
         if not every:
             return None
         points = np.concatenate(every)
@@ -127,7 +109,8 @@ class ScenePicture:
         if self._root is None:
             set_stage(self._client.scene)
             self._root = self._client.scene.add_frame(ROOT, show_axes=False)
-        status = {r.id: r.status for r in rows}
+        items = self._desk.items
+        status = {r.id: r.status for r in rows if r.id in items}
         with self._lock, self._client.atomic():
             self._draw_static({i for i, s in status.items() if s == "static"})
             self._draw_instances(self._wanted(status))
@@ -154,68 +137,40 @@ class ScenePicture:
 
     def _draw_static(self, ids: set[str]) -> None:
         shown: set[str] = set()
-        for key in [k for k in self._nodes if k[0] == "static"]:
-            node = self._nodes[key]
-            gone = [i for i in node.ids if i not in ids]
-            if gone:
-                node = self._nodes[key] = self._without(node, gone)
-            shown |= set(node.ids)
-        fresh = [i for i in self._desk.items if i in ids and i not in shown]
+        for key, node in list(self._nodes.items()):
+            if not isinstance(node, Surroundings):
+                continue
+            kept = [s for s in node.solid if s[0] in ids and self._as_merged(s[0])]
+            if len(kept) < len(node.ids):
+                node.remove()
+                del self._nodes[key]
+                if kept:
+                    self._merge(kept)
+            shown |= {i for i, _, _ in kept}
         solid: list[tuple[str, Shape, Stand]] = []
-        for id in fresh:
+        for id in self._desk.items:
+            if id not in ids or id in shown:
+                continue
             found = self.stand(self._desk.items[id])
             if found is not None and found[0].faces is not None:
                 solid.append((id, *found))
         if solid:
-            self._chunks += 1
-            self._nodes["static", self._chunks] = self._merged(solid)
+            self._merge(solid)
 
-    def _merged(self, solid: list[tuple[str, Shape, Stand]]) -> Node:
-        vertices, faces, slices, boxes = [], [], [], []
-        count = start = 0
-        for _, shape, stand in solid:
-            assert shape.faces is not None
-            at = (shape.vertices * stand.scale) @ stand.world[:3, :3].T + stand.world[:3, 3]
-            vertices.append(at.astype(np.float32))
-            boxes.append([at.min(0), at.max(0)])
-            faces.append(shape.faces + np.uint32(count))
-            slices.append(slice(start, start + len(shape.faces)))
-            count, start = count + len(at), start + len(shape.faces)
-        whole = Shape(np.zeros((2, 3)), np.concatenate(vertices), np.concatenate(faces))
-        assert whole.faces is not None
-        handle = self._client.scene.add_mesh_simple(
-            f"{ROOT}/static/{self._chunks}", whole.vertices, whole.faces,
-            color=palette.SCENE_ALBEDO["static"], flat_shading=True, side="double",
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+    def _as_merged(self, id: str) -> bool:
+        """Whether the object is still what was sent."""
+        return self._merged.get(id) == self._desk.items[id].path
+
+    def _merge(self, solid: list[tuple[str, Shape, Stand]]) -> None:
+        self._chunks += 1
+        name = f"{ROOT}/static/{self._chunks}"
+        self._nodes["static", self._chunks] = Surroundings(self._client, name, solid)
+        self._merged |= {i: self._desk.items[i].path for i, _, _ in solid}
         self._looks = None
-        here = [Stand(np.eye(4), np.ones(3)) for _ in solid]
-        ids = tuple(i for i, _, _ in solid)
-        return Node(ids, whole, [handle], here, here, faces=slices, boxes=np.array(boxes))
-
-    def _without(self, node: Node, gone: list[str]) -> Node:
-        assert node.shape.faces is not None and node.faces is not None
-        kept = [k for k, i in enumerate(node.ids) if i not in gone]
-        faces = [node.shape.faces[node.faces[k]] for k in kept]
-        ends = np.cumsum([0, *map(len, faces)])
-        shape = Shape(
-            node.shape.bounds, node.shape.vertices,
-            np.concatenate(faces) if faces else np.zeros((0, 3), np.uint32),
-        )  # fmt: skip
-        handle = node.handles[0]
-        if faces:
-            handle.faces = shape.faces
-        handle.visible = bool(faces)
-        slices = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-        here = node.rest[: len(kept)]
-        ids, boxes = tuple(node.ids[k] for k in kept), node.boxes
-        boxes = None if boxes is None else boxes[kept]
-        return Node(ids, shape, [handle], here, here, faces=slices, boxes=boxes)
 
     def _draw_instances(self, wanted: dict[tuple[Any, ...], list[str]]) -> None:
         for key in [k for k in self._nodes if k[0] in ("whole", "part") and k not in wanted]:
-            for handle in self._nodes.pop(key).handles:
-                handle.remove()
+            self._nodes.pop(key).remove()
         for key, ids in wanted.items():
             self._draw_group(key, ids)
 
@@ -224,81 +179,33 @@ class ScenePicture:
         if known is not None and known.ids == tuple(ids):
             return
         if known is not None:
-            for handle in known.handles:
-                handle.remove()
-            del self._nodes[key]
-        if not ids:
-            return
+            self._nodes.pop(key).remove()
         stands: list[Stand] = []
         shape: Shape | None = None
-        work = self._desk.works.get(key[1]) if key[0] == "part" else None
+        link, work = "", None
         for id in ids:
             found = self.stand(self._desk.items[id])
             assert found is not None
             shape, stand = found
             stands.append(Stand(stand.world, np.ones(3)) if key[0] == "part" else stand)
-        link = ""
         if key[0] == "part":
-            assert work is not None and work.drawn is not None
-            link = key[3]
+            work, link = self._desk.works[key[1]], key[3]
+            assert work.drawn is not None
             shape = work.drawn.shapes[link]
         assert shape is not None
         self._looks = None
-        handles = self._sent(key[0], shape, stands)
-        self._nodes[key] = Node(tuple(ids), shape, handles, stands, list(stands), work, link)
-
-    def _sent(self, kind: str, shape: Shape, stands: list[Stand]) -> list[Any]:
         self._chunks += 1
-        name = f"{ROOT}/{kind}/{self._chunks}"
-        if shape.faces is None:
-            out = []
-            for k, stand in enumerate(stands):
-                points = (shape.vertices * stand.scale).astype(np.float32)
-                out.append(
-                    self._client.scene.add_point_cloud(
-                        f"{name}/{k}", points, (180, 180, 180), precision="float32",
-                        point_size=POINT_SHARE * float(np.linalg.norm(np.ptp(points, axis=0))),
-                        point_shape="circle", wxyz=_wxyz(stand.world),
-                        position=stand.world[:3, 3],
-                    )
-                )  # fmt: skip
-            return out
-        return [
-            self._client.scene.add_batched_meshes_simple(
-                name, shape.vertices, shape.faces,
-                np.array([_wxyz(s.world) for s in stands], np.float32),
-                np.array([s.world[:3, 3] for s in stands], np.float32),
-                batched_scales=np.array([s.scale for s in stands], np.float32),
-                batched_colors=np.full((len(stands), 3), 180, np.uint8),
-                lod="off", flat_shading=True, side="double", cast_shadow=False,
-                receive_shadow=False,
-            )
-        ]  # fmt: skip
+        name = f"{ROOT}/{key[0]}/{self._chunks}"
+        self._nodes[key] = send(self._client, name, tuple(ids), shape, stands, work, link)
 
     def _draw_looks(self, status: Mapping[str, str]) -> None:
-        """Colours by state; all but one object ghosted while that one is worked on."""
-        looks = (tuple(status.items()), self.ghosted)
-        if looks == self._looks:
+        """Colours by state, or as the source has them; all ghosts while one is worked on."""
+        look = Look(status, self.own, self.ghosted)
+        if look == self._looks:
             return
-        self._looks = looks
-        ghost = self.ghosted is not None
-        for key, node in self._nodes.items():
-            lit = palette.SCENE_COLORS if node.shape.faces is None else palette.SCENE_ALBEDO
-            colors = [palette.SCENE_GHOST if ghost else lit[status[i]] for i in node.ids]
-            if node.shape.faces is None:
-                for id, handle, color in zip(node.ids, node.handles, colors, strict=True):
-                    handle.colors = np.asarray(color, np.uint8)
-                    handle.visible = id != self.ghosted
-                continue
-            handle = node.handles[0]
-            handle.opacity = GHOST_OPACITY if ghost else None
-            if key[0] == "static":
-                handle.color = palette.SCENE_GHOST if ghost else lit["static"]
-                continue
-            handle.batched_colors = np.array(colors, np.uint8)
-            scales = [s.scale * (i != self.ghosted) for i, s in
-                      zip(node.ids, node.now, strict=True)]  # fmt: skip
-            handle.batched_scales = np.array(scales, np.float32)
+        self._looks = look
+        for node in self._nodes.values():
+            node.paint(look)
 
     def _draw_floor(self) -> None:
         bounds = self.bounds()
@@ -331,7 +238,7 @@ class ScenePicture:
         self._outline = []
         if stand is None:
             return
-        corners = _corners(*stand, margin=0.012)
+        corners = corners_of(*stand, margin=0.012)
         size = float(np.linalg.norm(np.ptp(corners, axis=0)))
         self._outline = [
             self._client.scene.add_line_segments(
@@ -355,8 +262,17 @@ class ScenePicture:
         world = self._desk.world_from_copy(self._desk.items[id])
         if world is not None and self._root is not None:
             object_from_world = np.linalg.inv(world)
-            self._root.wxyz = _wxyz(object_from_world)
+            self._root.wxyz = wxyz_of(object_from_world)
             self._root.position = object_from_world[:3, 3]
+
+    def look_as_before(self) -> None:
+        """Look at the object that is worked on from where the camera was in the scene."""
+        if self.camera is None or self.ghosted is None:
+            return
+        world = self._desk.world_from_copy(self._desk.items[self.ghosted])
+        if world is not None:
+            position, look_at = ((p - world[:3, 3]) @ world[:3, :3] for p in self.camera)
+            self._aim(position, look_at)
 
     def unghost(self) -> None:
         """Back to the scene's frame and to where the camera was."""
@@ -384,7 +300,9 @@ class ScenePicture:
         aspect = max(min(camera.aspect or 1.5, 2.5), 0.4)
         half = min(FIELD_OF_VIEW / 2, np.arctan(np.tan(FIELD_OF_VIEW / 2) * aspect))
         close = 0.5 * size / np.sin(half)
-        distance = close * (0.82 if ids is None else 1.9)
+        whole = self.bounds()
+        alone = whole is None or size > 0.6 * float(np.linalg.norm(np.ptp(whole, axis=0)))
+        distance = close * (0.82 if ids is None or alone else 1.9)
         self._aim(center + distance * direction, center)
         self.camera = (center + distance * direction, center)
 
@@ -405,21 +323,8 @@ class ScenePicture:
         """Move parts: session id → link → posed_from_rest; those not named rest."""
         with self._lock, self._client.atomic():
             for node in self._nodes.values():
-                if node.work is None:
-                    continue
-                posed = moved.get(node.work.id, {}).get(node.link)
-                at = [s if posed is None else Stand(s.world @ posed, s.scale) for s in node.rest]
-                if posed is None and all(a is b for a, b in zip(at, node.now, strict=True)):
-                    continue
-                node.now = at
-                if node.shape.faces is None:
-                    for handle, stand in zip(node.handles, at, strict=True):
-                        handle.wxyz = _wxyz(stand.world)
-                        handle.position = stand.world[:3, 3]
-                    continue
-                handle = node.handles[0]
-                handle.batched_wxyzs = np.array([_wxyz(s.world) for s in at], np.float32)
-                handle.batched_positions = np.array([s.world[:3, 3] for s in at], np.float32)
+                if node.work is not None:
+                    node.move(moved.get(node.work.id, {}).get(node.link))
 
     # --- picking
 
@@ -429,30 +334,8 @@ class ScenePicture:
         with self._lock:
             nodes = list(self._nodes.values())
         for node in nodes:
-            boxes = node.boxes
-            if boxes is None:
-                corners = np.stack([_corners(node.shape, s) for s in node.now])
-                boxes = np.stack([corners.min(1), corners.max(1)], axis=1)
-            for k in np.flatnonzero(meets_boxes(origin, direction, boxes)):
-                stand, faces = node.now[k], node.shape.faces
-                if node.faces is not None and faces is not None:
-                    faces = faces[node.faces[k]]
-                turn = stand.world[:3, :3]
-                local = ((origin - stand.world[:3, 3]) @ turn) / stand.scale
-                along = (direction @ turn) / stand.scale
-                t = hit_distance(local, along, node.shape.vertices, faces)
+            for k in np.flatnonzero(meets_boxes(origin, direction, node.boxes())):
+                t = node.hit(int(k), origin, direction)
                 if t < best:
                     best, hit = t, node.ids[k]
         return hit
-
-
-def _corners(shape: Shape, stand: Stand, margin: float = 0.0) -> npt.NDArray[Any]:
-    """(8, 3) corners of an object's box in the scene's frame, ``margin`` of its size around it."""
-    low, high = shape.bounds * stand.scale
-    reach = margin * float(np.linalg.norm(high - low))
-    local = (low + high) / 2 + _CORNERS.astype(np.float64) * (high - low + 2 * reach)
-    return np.asarray(local @ stand.world[:3, :3].T + stand.world[:3, 3])
-
-
-def _wxyz(transform: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
-    return np.asarray(vtf.SO3.from_matrix(transform[:3, :3]).wxyz, np.float64)

@@ -18,6 +18,7 @@ from viser import transforms as vtf
 from app.tasks import JointCheck, OpenedAsset, PartPayload
 from app.viewer import palette
 from app.viewer.overlays import Overlays
+from model.geometry.display import spacing
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import Click
 
@@ -92,7 +93,7 @@ class SceneView:
                 "/scan",
                 asset.display_points,
                 asset.display_colors,
-                point_size=_point_size(asset.display_points, diagonal),
+                point_size=spacing(asset.display_points),
                 point_shape="circle",
                 precision="float32",
             )
@@ -288,7 +289,7 @@ class SceneView:
         self._moving = False
         size = 0.0
         if self._asset.display_points is not None:
-            size = _point_size(self._asset.display_points, self._asset.diagonal)
+            size = spacing(self._asset.display_points)
         for payload in payloads:
             self._parts[payload.part] = self._draw_part(payload, size)
 
@@ -487,15 +488,3 @@ def _pushed_out(asset: OpenedAsset, distance: float) -> npt.NDArray[np.float32]:
     length = np.linalg.norm(total, axis=1, keepdims=True)
     unit = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     return (v + distance * unit).astype(np.float32)
-
-
-def _point_size(points: npt.NDArray[np.float32], diagonal: float) -> float:
-    """A point size that closes the surface: about the spacing of the points."""
-    from scipy.spatial import KDTree
-
-    if len(points) < 10:
-        return 0.01 * diagonal
-    rng = np.random.default_rng(0)
-    some = points[rng.choice(len(points), min(1500, len(points)), replace=False)]
-    spacing = KDTree(points).query(some, k=4)[0][:, 2:].mean()
-    return float(np.clip(1.1 * spacing, 1e-4 * diagonal, 0.02 * diagonal))

@@ -79,6 +79,19 @@ def thin(points: Array, max_points: int) -> npt.NDArray[np.int32]:
     return np.sort(best).astype(np.int32)
 
 
+def spacing(points: Array) -> float:
+    """Metres between the points of a surface, about: points of this size close it."""
+    from scipy.spatial import KDTree
+
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if len(points) < 10:
+        return 0.01 * diagonal
+    rng = np.random.default_rng(0)
+    some = points[rng.choice(len(points), min(1500, len(points)), replace=False)]
+    near = KDTree(points).query(some, k=4)[0][:, 2:].mean()
+    return float(np.clip(1.1 * near, 1e-4 * diagonal, 0.02 * diagonal))
+
+
 def decimate(mesh: Mesh, max_faces: int) -> tuple[Mesh, npt.NDArray[np.int32]]:
     """At most ``max_faces`` faces by clustering vertices on a grid (Rossignac and Borrel, 1993).
 

@@ -92,6 +92,9 @@ class ConvertAsset:
     def __call__(self, key: str) -> dict[str, Any]:
         """Convert one asset and record it; the record is written last, so a kill loses only it."""
         _end_with(self.parent)
+        done = read_done(self.out, key)
+        if done is not None:  # by a process that died before its answer was heard
+            return done
         job = self.jobs[key]
         start = time.perf_counter()
         try:

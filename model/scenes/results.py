@@ -149,7 +149,7 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
     urdf_of = {o.id: said[o.id]["urdf"] for o in scene.objects if said[o.id].get("urdf")}
     entries = {
         o.place: {"urdf": urdf_of[o.id], "base": said[o.id]["base"]}
-        for o in scene.objects if o.id in urdf_of
+        for o in scene.objects if o.id in urdf_of and o.place
     }  # fmt: skip
     if scene.reader == "gltf":
         from model.scenes.readers.gltf_scene import with_articulation
@@ -213,7 +213,7 @@ def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
     world = root.find("world")
     assert world is not None
     for obj in scene.objects:
-        if obj.id not in urdf_of:
+        if obj.id not in urdf_of or not obj.place:
             continue
         tag, index = obj.place
         element = world.findall(str(tag))[int(index)]

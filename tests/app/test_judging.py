@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from app import judging_tasks
 from app.config import ServeConfig
 from app.workbench import OpenObject, Workbench
 from model.errors import CommandError
+from model.gate import gate
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -128,3 +130,15 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     assert (gate["verdict"], gate["override"]) == ("fine", "")
     assert obj.document.review.problems == ()
     assert np.isfinite(gate["joints"][0]["depth"])
+
+
+def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = cupboard.document.tree
+    assert tree is not None
+    source = cupboard.source()
+    first = judging_tasks.judge_joints(source, tree)
+    monkeypatch.setattr(gate, "run_gate", None)
+    assert judging_tasks.judge_joints(source, tree) == first
+    other = replace(tree, joints=(replace(tree.joints[0], upper=0.7), *tree.joints[1:]))
+    with pytest.raises(TypeError):
+        judging_tasks.judge_joints(source, other)

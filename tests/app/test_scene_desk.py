@@ -10,15 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+from app import scene_tasks, tasks
+from app.cli import make_parser
 from app.config import ServeConfig
 from app.scene_desk import SceneDesk
+from app.serve_command import make_config
 from app.workbench import Workbench
 from model.errors import CommandError
+from model.geometry.readers import read_asset
 from sessions import commands as cmd
 from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.store import Store
-from tests.model.scenes.scenes_made import make_assets, own, write_scene
+from tests.model.scenes.chat_server import chat_server
+from tests.model.scenes.saved import points_in_place
+from tests.model.scenes.scenes_made import POSITION, make_assets, own, write_scan, write_scene
 
 EVIL = "rock <script>alert(1)</script>"
 
@@ -52,10 +59,10 @@ OBJECTS = [
 class World:
     """A folder with a scene, and the desks that are opened on it one after the other."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, scene: Path | None = None) -> None:
         self.folder = folder
         self.assets = make_assets(folder / "assets")
-        self.scene = write_scene(folder / "home.json", own(OBJECTS))
+        self.scene = scene or write_scene(folder / "home.json", own(OBJECTS))
         self.bench: Workbench | None = None
         self.open()
 
@@ -127,6 +134,21 @@ def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
     assert work.document.part_names[1] == "door" and work.document.category == "cabinet"
 
 
+def test_a_language_model_decides_where_its_address_is_given(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("openai")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with chat_server() as chat:
+        words = ["serve", str(world.scene), "--finder", "openai:m", "--finder-url", chat.url]
+        config = make_config(make_parser().parse_args(words))
+        opened = scene_tasks.read(
+            world.scene, (world.assets,), None, config.finder, config.finder_url, tmp_path
+        )
+        assert chat.requests
+    assert opened.items[0].decision.reason == "cabinet seen"
+
+
 def test_drawn_parts_stand_where_the_object_stands(world: World) -> None:
     desk = world.desk
     work, item = desk.work("small"), desk.items["small"]
@@ -193,10 +215,63 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     moving = [model.joint(i).name for i in range(model.njnt)]
     assert len(moving) == 4 and sum(n.startswith("first/") for n in moving) == 2
+    solid = {model.geom(i).bodyid[0] for i in range(model.ngeom) if model.geom_contype[i]}
+    assert solid == set(range(1, model.nbody))  # every body can be touched
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     base = data.body("twin/link_0").xpos
     np.testing.assert_allclose(base, [1.5, 0.5, 0.4], atol=0.02)  # its box has a handle in front
+
+
+def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    path = write_scan(tmp_path / "room.ply")
+    (tmp_path / "room_labels.npz").unlink()
+    whole = read_asset(path).cloud
+    assert whole is not None
+    room = World(tmp_path, path)
+    desk, bench = room.desk, room.bench
+    assert bench is not None and statuses(desk) == {"room": "static"}
+    opened: list[int] = []
+    desk.picking.open("room", opened.append)
+    obj = bench.object(wait(lambda: opened, "the room is open")[0])
+    asset = wait(lambda: obj.asset, "its picture")
+    # The cabinet stands round made.POSITION; a box round it is what a person would draw.
+    world = desk.world_from_copy(desk.items["room"])
+    points = read_asset(desk.items["room"].copy).cloud.points  # type: ignore[union-attr, arg-type]
+    points = points + world[:3, 3]  # type: ignore[index]
+    kept = np.ones(len(points), bool)
+    if obj.document.left_out is not None:
+        kept[tasks.arrays_of(bench.workspace).get(obj.document.left_out.elements)] = False
+    inside = np.flatnonzero((np.abs(points[kept][:, :2] - POSITION[:2]) < 0.5).all(1))
+    ref = tasks.arrays_of(bench.workspace).put(inside.astype(np.int64))
+    obj.do(cmd.AddRegion(1, ref, True, len(inside), "box"), "ann")
+    wait(lambda: obj.document.segmentation_current and asset is obj.asset, "its parts")
+    taken: list[str] = []
+    told: list[tuple[str, str, str]] = []
+    with pytest.raises(CommandError, match="part 0"):
+        desk.picking.take_out(obj, "room", 0, "cabinet", "ann", taken.append)
+    desk.picking.take_out(obj, "room", 1, "cabinet", "ann", taken.append)
+    obj.watch(lambda: None, lambda *said: told.append(said))
+    wait(lambda: taken == ["cabinet 1"] or told, "it is taken out")
+    assert not told
+    room.settle()
+    assert statuses(desk) == {"room": "static", "cabinet 1": "todo"}
+    desk.do(cmd.Undo(), "ann")
+    assert statuses(desk) == {"room": "static"}
+    desk.do(cmd.Redo(), "ann")
+    room.close()
+    desk = room.open()
+    assert statuses(desk) == {"room": "static", "cabinet 1": "todo"}
+    desk.saving.save(False, "ann")
+    saved = wait(lambda: desk.document.saved, "the room is saved")
+    room.settle()
+    out = Path(saved.folder)
+    points = points_in_place(out)
+    assert len(points) == len(whole) and KDTree(points).query(whole.points)[0].max() < 1e-6
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    assert model.ngeom and (model.geom_contype[:] > 0).any()
+    room.close()
 
 
 def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:

@@ -83,8 +83,10 @@ def test_open_choose_work_in_place_accept_and_save(
     root = tab.app.client.scene.get_handle_by_name("/world")
     pose = tab.desk.world_from_copy(tab.desk.items["cabinet 1"])
     np.testing.assert_allclose(root.position, np.linalg.inv(pose)[:3, 3], atol=1e-6)
-    ghost = next(n for k, n in tab.scene.picture._nodes.items() if k[0] == "static")
-    wait_until(lambda: (ghost.handles[0].opacity or 1) < 0.5, "what stands around is a ghost")
+    around = next(n for k, n in tab.scene.picture._nodes.items() if k[0] == "static")
+    wait_until(
+        lambda: around.ghost is not None and around.ghost.visible, "its surroundings: ghosts"
+    )
     assert tab.app.stage == "Joints"
     before = tab.app
     tab.page.reload()

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import pytest
 
 from model.errors import CommandError
-from sessions.commands import Undo
+from sessions.commands import Undo, from_json, to_json
 from sessions.document import DecisionRecord
-from sessions.scene_commands import DecideObjects, SetArticulable
+from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
+from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
 
 HERE = Context("ann", "2030-01-01T00:00:00Z")
+PICK = PickOut("room", "oven 1", "oven", "/w/oven.ply", "/w/rest.ply", 70, (1, 2, 0), (1, 0, 0, 0),
+               (0, 0, 0), (1, 0, 0, 0))  # fmt: skip
 
 
 def test_what_a_person_says_of_an_object_stands_until_it_is_taken_back():
@@ -41,6 +47,9 @@ def test_a_decision_for_several_is_one_step():
     ("make", "message"),
     [
         (lambda: SetArticulable("", True), "id"),
+        (lambda: replace(PICK, id="room"), "of its own"),
+        (lambda: replace(PICK, wxyz=(2, 0, 0, 0)), "unit quaternion"),
+        (lambda: replace(PICK, position=(float("nan"), 0, 0)), "finite"),
         (lambda: DecideObjects("accept", ()), "at least one"),
         (lambda: DecideObjects("accept", (1, 1)), "different"),
         (lambda: DecideObjects("accept", (1,), above=1.5), "0..1"),
@@ -51,3 +60,13 @@ def test_a_decision_for_several_is_one_step():
 def test_nonsense_is_refused(make, message):
     with pytest.raises(CommandError, match=message):
         make()
+
+
+def test_what_is_picked_out_is_one_step_and_is_written():
+    state = apply(SessionState(), PICK, HERE)
+    assert state.present.picked == (PICK,) and state.present.label == "pick oven out of room"
+    assert from_json(json.loads(json.dumps(to_json(PICK)))) == PICK
+    assert state_from_json(json.loads(json.dumps(state_to_json(state)))) == state
+    assert apply(state, Undo(), HERE).present.picked == ()
+    with pytest.raises(CommandError, match="already"):
+        apply(state, PICK, HERE)

@@ -1,7 +1,7 @@
 """Holodeck and ProcTHOR: an AI2-THOR house as JSON.
 
 Metres, degrees, y up, left-handed as Unity has it. AI2-THOR puts the middle of an object's bounding
-box at its position.
+box at its position. Floors and walls become one static object, ``building``.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from model.errors import InputFileError
+from model.scenes.embedded import Unpacked, Unpacker
 from model.scenes.poses import from_unity
+from model.scenes.readers.house import structure_of
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
 _MAX_DEPTH = 16
+BUILDING = "building"
 
 
 class HolodeckReader:
@@ -47,10 +50,29 @@ class HolodeckReader:
         def make(place: Place, entry: Any) -> SceneObject:
             return _object(place, entry, rooms)
 
-        entries = _entries(house["objects"], ("objects",))
+        structure, broken = structure_of(house)
+        entries = [*_entries(house["objects"], ("objects",))]
+        if structure is not None:
+            entries.append(((), _building(path)))
         objects, problems = collect(entries, make, lambda e: maybe_text(e.get("id")))
         frame = SceneFrame("y", 1.0, left_handed=True)
-        return Scene(path.stem, path, self.name, objects, problems, frame)
+        return Scene(path.stem, path, self.name, objects, (*problems, *broken), frame)
+
+    def unpack(self, scene: Scene, folder: Path) -> Unpacked:
+        """See :class:`~model.scenes.embedded.GeometryReader`."""
+        made = Unpacker(folder)
+        structure, _ = structure_of(read_json(scene.path))
+        if structure is not None:
+            asset = _building(scene.path).asset
+            made.add(asset or BUILDING, BUILDING, lambda: [(None, structure)])
+        return made.result()
+
+
+def _building(path: Path) -> SceneObject:
+    """Floors and walls; no entry of the file."""
+    return SceneObject(
+        BUILDING, BUILDING, np.eye(4), np.ones(3), asset=f"{path.name}#{BUILDING}", static=True
+    )
 
 
 def _entries(objects: list[Any], place: Place, depth: int = 0) -> Iterator[tuple[Place, Any]]:
@@ -63,6 +85,8 @@ def _entries(objects: list[Any], place: Place, depth: int = 0) -> Iterator[tuple
 
 
 def _object(place: Place, entry: Any, rooms: dict[str, str]) -> SceneObject:
+    if isinstance(entry, SceneObject):
+        return entry
     if not isinstance(entry, dict):
         raise SceneObjectError(f"is {shown(entry)}; an object with assetId is needed")
     id = text(entry.get("id"), "id")

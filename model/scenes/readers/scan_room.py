@@ -46,7 +46,8 @@ from model.scenes.values import (
 
 Labels = npt.NDArray[np.int64]
 
-BACKGROUND, BUILDING = "background", "building"
+BACKGROUND, BUILDING, ROOM = "background", "building", "room"
+"""What no label names, walls and floor, and a room that nobody has labelled."""
 SCANNET20 = (
     "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf",
     "picture", "counter", "desk", "curtain", "refrigerator", "shower curtain", "toilet", "sink",
@@ -129,6 +130,13 @@ def _instances(
         return _boxed(beside, loaded)
     arrays = columns if beside is None else _read_labels(beside)
     labels = next((arrays[k] for k in PROPERTIES if k in arrays), None)
+    if labels is None and beside is None:
+        told = (
+            "nobody has labelled this room: pick objects out of it in the browser, or put boxes "
+            f"round them into {path.stem}_boxes.json"
+        )
+        everything = Instance(ROOM, None, ROOM, np.arange(len(loaded.vertices)))
+        return [everything], (SceneProblem(ROOM, told, skipped=False),)
     if labels is None:
         raise InputFileError(
             beside or path, "has no array 'instance'",
@@ -213,7 +221,7 @@ def _boxed(path: Path, loaded: Loaded) -> tuple[list[Instance], tuple[SceneProbl
             id = maybe_text(entry.get("id")) if isinstance(entry, dict) else None
             problems.append(SceneProblem(id or f"objects {n}", str(error)))
             continue
-        if any(made.id == i.id for i in found) or made.id in (BACKGROUND, BUILDING):
+        if any(made.id == i.id for i in found) or made.id in (BACKGROUND, BUILDING, ROOM):
             problems.append(SceneProblem(made.id, "the id is there twice; ids must differ"))
             continue
         free[made.points] = False
@@ -260,9 +268,9 @@ def _object(file: str, loaded: Loaded, place: Place, instance: Instance) -> Scen
         scale=np.ones(3),
         asset=f"{file}#{instance.id}",
         category=instance.category,
-        static=True if instance.id in (BACKGROUND, BUILDING) else None,
+        static=True if instance.id in (BACKGROUND, BUILDING, ROOM) else None,
         place=place,
-        obstacle=instance.id != BACKGROUND,
+        obstacle=instance.id not in (BACKGROUND, ROOM),
     )
 
 

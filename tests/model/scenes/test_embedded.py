@@ -226,6 +226,9 @@ def test_labels_that_dont_fit_are_told(tmp_path: Path) -> None:
         read_scene(path)
     beside.unlink()
     assert not recognised(path)
+    bare = read_scene(path, "scan")
+    assert [o.id for o in bare.objects] == ["room"] and bare.objects[0].static
+    assert "pick objects out" in bare.problems[0].reason
     boxes = [{"id": "a"}, {"id": "b", "center": [9, 9, 9], "size": [1, 1, 1]}, 7,
              {"id": "c", "center": [1, 2, 0.5], "size": [1, float("nan"), 1]},
              {"id": "d", "center": [1, 2, 0.5], "size": [2, 2, 2]},

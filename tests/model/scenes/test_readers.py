@@ -8,9 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from model.errors import ConfigurationError, InputFileError
+from model.geometry.readers import read_asset
+from model.scenes.embedded import unpack
 from model.scenes.own_file import scene_to_json
+from model.scenes.readers.house import THICKNESS
 from model.scenes.registry import BUILT_IN, load_reader, read_scene
 from tests.model.scenes import scenes_made as made
 
@@ -150,6 +154,40 @@ def test_what_stands_on_furniture_of_a_house_is_read_too(tmp_path: Path) -> None
     scene = read_scene(made.write_scene(tmp_path / "house.json", house))
     assert [o.place for o in scene.objects] == [("objects", 0), ("objects", 0, "children", 0)]
     assert scene.objects[1].room == "kitchen" and scene.frame.left_handed
+
+
+def corners(*points: tuple[float, float, float]) -> list[dict[str, float]]:
+    return [{"x": x, "y": y, "z": z} for x, y, z in points]
+
+
+def test_floors_and_walls_of_a_house_are_solids_with_openings(tmp_path: Path) -> None:
+    house = made.holodeck()
+    house["rooms"][0]["floorPolygon"] = corners(
+        (0, 0, 0), (0, 0, 4), (2, 0, 4), (2, 0, 2), (5, 0, 2), (5, 0, 0)
+    )
+    wall = corners((0, 0, 0), (0, 2.5, 0), (0, 2.5, 4), (0, 0, 4))
+    house["walls"] = [
+        {"id": "a", "polygon": wall}, {"id": "a|exterior", "polygon": wall},
+        {"id": "b", "polygon": corners((0, 0, 4), (0, 2.5, 4), (2, 2.5, 4), (2, 0, 4))},
+        {"id": "open", "polygon": wall, "empty": True}, {"id": "bad", "polygon": wall[:3]},
+    ]  # fmt: skip
+    house["doors"] = [{"id": "d", "wall0": "a", "wall1": "b",
+                       "holePolygon": corners((0.5, 0, 0), (1.4, 2.1, 0))}]  # fmt: skip
+    scene = read_scene(made.write_scene(tmp_path / "house.json", house))
+    assert [o.id for o in scene.objects] == ["cabinet-0 (kitchen)", "building"]
+    assert [p.object for p in scene.problems] == ["bad"] and scene.objects[1].static
+    found = unpack(scene, tmp_path / "inside").files[scene.objects[1].asset or ""]
+    mesh = read_asset(found).mesh
+    assert mesh is not None
+    hole = 0.9 * 2.1
+    volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume
+    assert volume == pytest.approx(THICKNESS * (14 + 10 - hole + 5 - hole), rel=1e-6)
+    at = np.round(mesh.vertices[mesh.vertices[:, 2] > 0.01], 6)
+    along_a = at[np.abs(at[:, 0]) < THICKNESS, 1]
+    along_b = at[at[:, 1] > 4 - THICKNESS / 2, 0]
+    assert {0.5, 1.4} < set(along_a)
+    # From the far end of wall b, as it is told from behind.
+    assert {0.0, 0.6, 1.5, 2.0} < set(along_b) and not {0.5, 1.4} & set(along_b)
 
 
 def test_unity_turns_the_other_way(tmp_path: Path) -> None:

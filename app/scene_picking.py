@@ -1,0 +1,148 @@
+"""Picking objects out of others: a refrigerator out of a room that nobody has labelled.
+
+The object is worked on in place as any other; the part that was clicked becomes an object of the
+scene, and what is left takes the old one's place. Both are files in the workspace, in their own
+frames, and stand exactly where they stood. The scene's session keeps it as one step.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app import room_tasks, scene_tasks
+from app.scene_tasks import SceneItem
+from model.errors import CommandError
+from model.scenes.finders import LexiconFinder
+from model.scenes.own_file import quaternion_wxyz
+from model.scenes.poses import pose, rotation_from_quaternion
+from model.scenes.protocol import Decision, ObjectDescription
+from model.scenes.scene import FloatArray, SceneObject
+from sessions import commands as cmd
+from sessions.scene_commands import PickOut, Position, Quaternion
+from sessions.text import clean_text
+
+if TYPE_CHECKING:
+    from app.scene_desk import SceneDesk
+    from app.workbench import OpenObject
+
+
+class Picking:
+    """What was picked out of the objects of a desk's scene."""
+
+    def __init__(self, desk: SceneDesk) -> None:
+        self._desk = desk
+        self._finder = LexiconFinder()
+
+    def open(self, id: str, done: Callable[[int], None]) -> None:
+        """Call ``done`` with the session of an object as a whole, once it can be clicked on.
+
+        Floor and walls of a room are left out, which can be undone there.
+
+        Raises:
+            CommandError: where it has no geometry.
+        """
+        desk, item = self._desk, self._desk.items[id]
+        copy = item.copy
+        if copy is None or desk.world_from_copy(item) is None:
+            raise CommandError(desk.missing_reason(item) or "there is nothing to pick out of it")
+
+        (record,) = desk.bench.store.open_objects([(copy, None, id)])
+        live = desk.bench.hub.session(record.id)
+        if live.state.seq:
+            done(record.id)
+            return
+
+        def keep(border: room_tasks.Removal | None) -> None:
+            if border is not None and not live.state.seq:
+                live.do(cmd.LeaveOut(border.elements, border.count, "floor and walls"), "scene")
+            done(record.id)
+
+        job = desk.bench.geometry.submit(
+            scene_tasks.for_picking, item, desk.bench.workspace, on_progress=desk.progress("copy"),
+            priority=8,
+        )  # fmt: skip
+        desk.start("copy", job, keep)
+        desk.changed()
+
+    def take_out(
+        self, obj: OpenObject, id: str, part: int, name: str, who: str, done: Callable[[str], None]
+    ) -> None:
+        """Make a part of the object ``id``, which is open as ``obj``, an object of its own.
+
+        ``done`` gets its id.
+
+        Raises:
+            CommandError: where the part isn't there yet, or the object was read in another frame.
+        """
+        desk, item, doc = self._desk, self._desk.items[id], obj.document
+        world = desk.world_from_copy(item)
+        if item.copy is None or world is None:
+            raise CommandError(f"{id} isn't in the scene any more")
+        if not part:
+            raise CommandError("part 0 is the rest of it: choose the part that you clicked")
+        if doc.up_axis is not None or doc.unit_scale != 1.0:
+            raise CommandError("it was read with other axes or units than the scene has: undo that")
+        words = clean_text(name, 60, "what it is") or "object"
+
+        def keep(found: room_tasks.Picked) -> None:
+            stands = world @ pose(np.asarray(found.crop.position))
+            fresh = self._free(words)
+            command = PickOut(
+                id, fresh, words, str(found.crop.path), str(found.rest), found.crop.count,
+                *_told(stands), *_told(world),
+            )  # fmt: skip
+            desk.do(command, who)
+            done(fresh)
+
+        obj.pick_out(item.copy, part, words, keep)
+
+    def _free(self, name: str) -> str:
+        taken = {*self._desk.items, *(p.object for p in self._desk.document.picked)}
+        return next(i for n in range(1, len(taken) + 2) if (i := f"{name} {n}") not in taken)
+
+    def arranged(self, items: Iterable[SceneItem]) -> dict[str, SceneItem]:
+        """The objects of the scene by id, with those that were picked out of them."""
+        out = {item.obj.id: item for item in items}
+        for pick in self._desk.document.picked:
+            old = out.get(pick.object)
+            if old is None or pick.id in out:
+                continue  # the scene's file isn't the one that it was picked out of
+            rest = replace(
+                old.obj, world_from_object=_pose(pick.rest_position, pick.rest_wxyz),
+                scale=np.ones(3), fit=None, anchor="origin",
+            )  # fmt: skip
+            out[pick.object] = replace(old, obj=rest, path=Path(pick.rest),
+                                       copy=self._copy(pick.rest), truth=None)  # fmt: skip
+            out[pick.id] = SceneItem(
+                SceneObject(
+                    pick.id, pick.name, _pose(pick.position, pick.wxyz), np.ones(3),
+                    asset=f"{self._desk.record.path.name}#{pick.id}", room=old.obj.room,
+                ),
+                self._decision(pick.name), Path(pick.path), self._copy(pick.path),
+            )  # fmt: skip
+        return out
+
+    def _decision(self, name: str) -> Decision:
+        (found,) = self._finder.find([ObjectDescription(name)])
+        return replace(found, articulable=True, reason="a person picked it out", confidence=1.0)
+
+    def _copy(self, path: str) -> Path:
+        key = hashlib.sha256(path.encode()).hexdigest()[:12]
+        return self._desk.bench.workspace / "scenes" / f"{Path(path).stem}-{key}"
+
+
+def _told(world: FloatArray) -> tuple[Position, Quaternion]:
+    x, y, z = world[:3, 3].tolist()
+    a, b, c, d = quaternion_wxyz(world)
+    return (x, y, z), (a, b, c, d)
+
+
+def _pose(position: Position, wxyz: Quaternion) -> FloatArray:
+    w, x, y, z = wxyz
+    return pose(np.asarray(position), rotation_from_quaternion(np.array([x, y, z, w])))

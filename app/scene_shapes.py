@@ -1,0 +1,131 @@
+"""What the browser draws of a scene's assets from afar; made in a worker process and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from app import tasks
+from model.errors import ArtiworldError
+from model.geometry.asset import Source
+from model.kinematics.articulated_object import Part
+from model.progress import Progress, no_progress
+
+BATCH_SECONDS = 0.4
+"""Work on pictures after which a job hands over what it has, so that the scene fills up."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What the browser draws of something rigid, in its own frame, metres.
+
+    Attributes:
+        bounds: (2, 3) of the whole, not of the drawn copy.
+        vertices: (V, 3), of a cloud its points.
+        faces: (F, 3); None of a cloud.
+        colors: (F, 3) of a mesh, (V, 3) of a cloud; None where the source has none.
+        spacing: metres between a cloud's points, about.
+    """
+
+    bounds: FloatArray
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.uint32] | None
+    colors: npt.NDArray[np.uint8] | None = None
+    spacing: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnParts:
+    """The parts of a working copy as the browser draws them.
+
+    Attributes:
+        labels: reference of the labels they were cut by.
+        folder: the arrays of the working copy.
+        source: of the working copy.
+        shapes: link → shape.
+    """
+
+    labels: str
+    folder: Path
+    source: Source
+    shapes: dict[str, Shape]
+
+
+def shapes(
+    paths: Sequence[Path], workspace: Path, max_faces: int, progress: Progress = no_progress
+) -> dict[Path, Shape | str]:
+    """Pictures of as many assets as there is time for; of one that can't be read, why."""
+    end = time.perf_counter() + BATCH_SECONDS
+    out: dict[Path, Shape | str] = {}
+    for path in paths:
+        progress(len(out) / len(paths), path.name)
+        try:
+            out[path] = _shape_of(path, workspace, max_faces)
+        except ArtiworldError as error:
+            out[path] = str(error)
+        if time.perf_counter() > end:
+            break
+    return out
+
+
+def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
+    from model.scenes.asset_parts import whole
+
+    told = ("colors", str(path.resolve()), tasks.stamp(path), max_faces)
+    key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
+    kept = workspace / "cache" / "shapes" / f"{key}.npz"
+    try:
+        with np.load(kept, allow_pickle=False) as data:
+            return Shape(
+                data["bounds"], data["vertices"], data.get("faces"), data.get("colors"),
+                float(data["spacing"]),
+            )  # fmt: skip
+    except (OSError, ValueError, KeyError, EOFError):
+        pass
+    shape = shape_of_part(whole(path), max_faces)
+    arrays = {k: v for k, v in vars(shape).items() if v is not None}
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    draft = kept.with_name(f".{key}.{secrets.token_hex(4)}.npz")
+    np.savez(draft, **arrays)
+    draft.replace(kept)
+    return shape
+
+
+def shape_of_part(part: Part, max_faces: int) -> Shape:
+    """A part as the browser draws it from afar: a colour a face, at most ``max_faces``."""
+    from model.geometry.appearance import face_colors
+    from model.geometry.display import decimate, spacing, thin
+
+    bounds = np.asarray(part.bounds, np.float64)
+    if part.mesh is None:
+        assert part.cloud is not None
+        cloud = part.cloud.take(thin(part.cloud.points, 2 * max_faces))
+        points = np.asarray(cloud.points, np.float32)
+        colors = None if cloud.colors is None else np.asarray(cloud.colors, np.uint8)[:, :3]
+        return Shape(bounds, points, None, colors, spacing(points))
+    mesh = part.mesh if len(part.mesh.faces) <= max_faces else decimate(part.mesh, max_faces)[0]
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = np.asarray(mesh.vertices[used], np.float32)
+    colors = face_colors(mesh)[:, :3]
+    return Shape(bounds, vertices, faces.reshape(-1, 3).astype(np.uint32), colors)
+
+
+def drawn_parts(copy: Path, workspace: Path, labels: str, max_faces: int) -> DrawnParts:
+    """The parts of a working copy by stored labels."""
+    from model.geometry.parts import split
+
+    asset, folder = tasks.working_copy(copy, workspace, tasks.ReadOptions())
+    assert asset.source is not None
+    cut = split(asset, tasks.arrays_of(workspace).get(labels))
+    budget = max(200, max_faces // max(1, len(cut)))
+    made = {part.link: shape_of_part(part, budget) for part in cut}
+    return DrawnParts(labels, folder, asset.source, made)

@@ -1,0 +1,23 @@
+"""What a written scene holds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from model.exporters.asset_folder import load_object
+
+
+def points_in_place(out: Path) -> np.ndarray:
+    """(N, 3) points and vertices of all objects where they stand in the scene."""
+    found = []
+    for entry in json.loads((out / "scene.json").read_text())["objects"]:
+        w, x, y, z = entry["world_from_urdf"]["quaternion_wxyz"]
+        turn = Rotation.from_quat([x, y, z, w]).as_matrix()
+        for part in load_object(out / entry["asset_folder"]).parts:
+            points = part.cloud.points if part.cloud is not None else part.mesh.vertices
+            found.append(points @ turn.T + entry["world_from_urdf"]["position"])
+    return np.concatenate(found)
