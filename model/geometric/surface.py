@@ -83,12 +83,31 @@ def part_surface(part: Part, count: int, seed: int) -> Sampled:
     index = np.arange(len(points))
     if len(points) > count:
         index = np.sort(rng.choice(len(points), count, replace=False))
+    index = index[~strays(points[index])]
     kept = points[index]
     outline = points if len(points) <= 20000 else points[:: len(points) // 20000]
+    outline = outline[~strays(outline)]
     normals, spacing, noise = cloud_normals(kept)
     if cloud.normals is not None:
         normals = cloud.normals[index].astype(np.float64)
     return Sampled(kept, normals, outline, float(len(kept) * spacing**2), noise)
+
+
+STRAY = 4.0
+"""Times the usual distance to its neighbours at which a point is no part of the surface."""
+MOST_STRAYS = 0.1
+"""A larger share of far points is a thinner piece of the part."""
+
+
+def strays(points: Array) -> npt.NDArray[np.bool_]:
+    """(N,) which points float about alone (statistical outlier removal, Rusu et al., 2008)."""
+    from scipy.spatial import KDTree
+
+    if len(points) < 50:
+        return np.zeros(len(points), bool)
+    distance = KDTree(points).query(points, k=7)[0][:, 1:].mean(1)
+    found = distance > STRAY * np.median(distance)
+    return found if found.mean() <= MOST_STRAYS else np.zeros(len(points), bool)
 
 
 NEIGHBOURS = (14, 40, 100)

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from model.datasets.procedural_set import ProceduralSet
 from model.geometric.denoising import denoised
 from model.geometric.predictor import GeometricPredictor
-from model.geometric.surface import Noise, cloud_normals, part_surface
+from model.geometric.surface import Noise, cloud_normals, part_surface, strays
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import Part
 
@@ -51,6 +51,17 @@ def test_a_clean_cloud_stays_as_it_is() -> None:
     after = denoised(sampled, sampled.noise.sigma)
     assert after.points is sampled.points and after.outline is sampled.outline
     assert after.noise == sampled.noise
+
+
+def test_points_that_float_alone_are_left_out() -> None:
+    rng = np.random.default_rng(3)
+    panel = _box((0.6, 0.5, 0.02))
+    stray = rng.uniform(-0.5, 0.5, (20, 3)) + (0, 0, 1.0)
+    sampled = _sampled(np.concatenate([panel, stray]), 0.001)
+    assert len(sampled.points) == len(sampled.outline) == len(panel)
+    assert np.ptp(sampled.outline, axis=0) == pytest.approx((0.6, 0.5, 0.02), abs=0.02)
+    dense = rng.random((2000, 3)) * 0.05
+    assert not strays(np.concatenate([dense, panel])).any()  # a thinner piece, not strays
 
 
 def test_surfaces_are_smoothed() -> None:
