@@ -15,7 +15,7 @@ from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 
 GRID = 128.0
-"""Origins are multiples of 1/128 m: taking one off a float32 coordinate loses next to nothing."""
+"""Origins lie on multiples of 1/128 m: taking one off a float32 loses next to nothing."""
 Elements = npt.NDArray[np.int64]
 
 
@@ -122,8 +122,7 @@ def cut_out(
     progress(0.1, "Cutting it out")
     cut = crop(asset, mine)
     low, high = cut.bounds
-    middle = np.array([*((low + high) / 2)[:2], low[2]])
-    origin = np.rint(middle * GRID) / GRID
+    origin = np.array([*np.rint((low + high)[:2] / 2 * GRID) / GRID, low[2]])
     elements = in_source(workspace, np.flatnonzero(mine), left_out)
     ref = tasks.arrays_of(workspace).put(elements)
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:60] or "object"
