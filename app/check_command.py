@@ -103,7 +103,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         "formats": _formats(obj, physics, task.formats),
         "collision": _collision(obj, physics, seconds, task.coacd_seconds)
         if physics.collision else None,
-        "gate": _gate(obj) if task.gate else None,
+        "gate": _gate(obj, task) if task.gate else None,
     }  # fmt: skip
     row["fine"] = not row["inertia_problems"] and all(f["fine"] for f in row["formats"])
     return row
@@ -161,10 +161,11 @@ def _collision(
     }
 
 
-def _gate(obj: ArticulatedObject) -> dict[str, Any]:
+def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
     from model.gate.gate import run_gate
 
-    return run_gate(obj, mends=False).to_json()
+    report = run_gate(obj, store=task.store, mends=False)
+    return {**report.to_json(), "seconds": round(report.seconds, 3)}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -109,6 +109,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     from model.exporters.readback import read_back
     from model.exporters.registry import load_exporter, write_object
     from model.exporters.saved import load_object
+    from model.exporters.urdf import losses_of
     from model.progress import no_progress
 
     progress = progress or no_progress
@@ -130,6 +131,8 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
         if task.check:
             back = read_back(name, files[0], obj)
             entry |= {"readers": list(back.readers), "problems": list(back.problems)}
+        if name == "urdf" and (lost := losses_of(obj)):
+            entry["notes"] = list(lost)
         written.append(entry)
     shapes = {link: len(held) for link, held in physics.collision.items()}
     return {"asset": str(task.asset), "collision_shapes": shapes, "formats": written}
@@ -156,6 +159,8 @@ def _print_one(report: dict[str, Any]) -> None:
         printing.files_table(entry | {"asset": report["asset"]}, Path(entry["folder"]))
         for problem in entry.get("problems", []):
             printing.console().print(f"wrong: {problem}", style="bold red")
+        for note in entry.get("notes", []):
+            printing.console().print(f"note: {note}", style="yellow", markup=False)
 
 
 def _print_batch(report: dict[str, Any]) -> None:

@@ -21,7 +21,9 @@ SHOWN = 8
 """Joints with buttons; the others are counted."""
 SIGNS: dict[Verdict, str] = {"fine": "✓", "look": "▲", "broken": "✖"}
 WORDS: dict[Verdict, str] = {"fine": "fine", "look": "to look at", "broken": "broken"}
-MENDS: dict[MendKind, str] = {"flip": "Flip", "shift": "Shift axis", "limits": "Fit limits"}
+MENDS: dict[MendKind, str] = {
+    "flip": "Flip", "shift": "Shift axis", "limits": "Fit limits", "shrink": "Shrink colliders",
+}  # fmt: skip
 MEND_KEYS: dict[str, MendKind] = {word: kind for kind, word in MENDS.items()}
 
 

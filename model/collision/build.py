@@ -17,13 +17,15 @@ from model.collision.fitting import primitive_of
 from model.collision.hulls import Hull, hull_of, simplified, thick_hull
 from model.collision.merging import merge
 from model.collision.pieces import cut_into_pieces
-from model.collision.relief import Bodies, in_the_way, relieve
+from model.collision.relief import Bodies, Free, in_the_way, relieve
 from model.collision.shapes import Shape, hull_of_shape
 from model.collision.store import fingerprint, load_shapes, save_shapes
 from model.collision.voxels import Occupancy, occupancy
 from model.errors import GeometryError
 from model.geometry.mesh import Mesh
 from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint
+from model.kinematics.sweep import sweep_joint
 from model.progress import Progress, no_progress
 
 Method = Literal["hollow", "auto", "coacd", "hull"]
@@ -36,6 +38,8 @@ LEAST = 5e-4
 """Metres; no body is thinner."""
 COVERED = 0.05
 """Share of the free space that may be covered before coacd is asked for a better answer."""
+SWEPT_POINTS = 1024
+"""A part, where it is asked whether the parts themselves pass each other."""
 MOST_FACES = 20_000
 """Larger meshes are thinned first."""
 
@@ -96,9 +100,9 @@ def collision_of(
     from model.exporters.part_files import part_mesh
 
     settings = settings or CollisionSettings()
-    ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic)
-              for j in obj.tree.joints]  # fmt: skip
-    key = fingerprint("object", settings, ranges, *(v for p in obj.parts for v in (p.link, p)))
+    ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic,
+               *["gives way"] * j.give_way) for j in obj.tree.joints]  # fmt: skip
+    key = fingerprint("object 2", settings, ranges, *(v for p in obj.parts for v in (p.link, p)))
     kept = load_shapes(store, key)
     if kept is None and key in _recent:
         kept = _recent[key]
@@ -117,14 +121,15 @@ def collision_of(
         bodies[part.link] = _kept_bodies(part, diagonal, settings, store)
     progress(0.9, "making room between the parts")
     slim = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in bodies.items()}
-    free = slim
+    reach = _free_ranges(obj)
+    room = slim
     if settings.relief:
-        cut = relieve(slim, obj.tree, diagonal)
-        free = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in cut.items()}
-    shapes: dict[str, tuple[Shape, ...]] = {k: tuple(v) for k, v in free.items()}
+        cut = relieve(slim, obj.tree, diagonal, reach)
+        room = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in cut.items()}
+    shapes: dict[str, tuple[Shape, ...]] = {k: tuple(v) for k, v in room.items()}
     if settings.primitives:
         fine = {id(s): f for k in slim for s, f in zip(slim[k], bodies[k], strict=True)}
-        shapes = _shapes(obj, free, fine, diagonal)
+        shapes = _shapes(obj, room, fine, diagonal, reach)
     save_shapes(store, key, shapes)
     _remember(key, shapes)
     progress(1.0, "collision shapes are there")
@@ -139,6 +144,21 @@ def _remember(key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
     _recent[key] = shapes
     while len(_recent) > 8:
         _recent.popitem(last=False)
+
+
+def _free_ranges(obj: ArticulatedObject) -> Free:
+    """The range over which a joint's parts run into nothing; all of it where shapes are to give
+    way."""
+    known: dict[str, tuple[float, float]] = {}
+
+    def free(joint: Joint) -> tuple[float, float]:
+        if joint.give_way:
+            return -np.inf, np.inf
+        if joint.name not in known:
+            known[joint.name] = sweep_joint(obj, joint, 9, points=SWEPT_POINTS).free
+        return known[joint.name]
+
+    return free
 
 
 def _kept_bodies(
@@ -257,19 +277,20 @@ def _distinct(faces: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def _shapes(
-    obj: ArticulatedObject, free: Bodies, fine: Mapping[int, Hull], diagonal: float
+    obj: ArticulatedObject, room: Bodies, fine: Mapping[int, Hull], diagonal: float, reach: Free
 ) -> dict[str, tuple[Shape, ...]]:
     """Primitives where a body is like one and nothing else is in the primitive's way.
 
     Args:
+        room: bodies that leave each other room.
         fine: id of a body that was not cut → the one with more corners that it was made from.
     """
     shapes: dict[str, list[Shape]] = {
-        k: [primitive_of(fine.get(id(h), h)) or h for h in hulls] for k, hulls in free.items()
+        k: [primitive_of(fine.get(id(h), h)) or h for h in hulls] for k, hulls in room.items()
     }
     tried = {k: [hull_of_shape(s) for s in held] for k, held in shapes.items()}
-    for link, i in in_the_way(tried, obj.tree, diagonal):
-        shapes[link][i] = free[link][i]
+    for link, i in in_the_way(tried, obj.tree, diagonal, reach):
+        shapes[link][i] = room[link][i]
     return {k: tuple(held) for k, held in shapes.items()}
 
 

@@ -4,13 +4,15 @@ A drawer sits in its cabinet without a gap, a hinge's pin in its hole: bodies th
 push each other away in a simulator and jam the joint. Where two overlap, a plane between them cuts
 one or both; of the ways to cut, the one that loses least. The same is done on the way from rest to
 the joint's limits, in steps that begin small, since corners near a hinge graze their frame as soon
-as the door moves. What goes deeper than a graze before it comes free again stays: it is a
-collision, and for people to mend.
+as the door moves. What goes deeper than a graze is cut where the parts themselves pass each other
+(a tube in a tube, of which bodies are coarse pieces), the deepest first, and what can't be cut
+goes. Elsewhere it stays: it is a collision, and for people to mend, with the range or by saying
+that the shapes are to give way (:attr:`Joint.give_way`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -37,6 +39,8 @@ LEAST = 0.3
 
 FloatArray = npt.NDArray[np.float64]
 Bodies = dict[str, list[Hull]]
+Free = Callable[[Joint], tuple[float, float]]
+"""Joint → the joint values, about 0, between which nothing may be in its way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,28 +105,49 @@ def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:
     return float(np.linalg.norm(np.cross(arm, joint.axis), axis=1).max())
 
 
-def _grazes(
-    bodies: Bodies, tree: KinematicTree, pairs: list[tuple[str, str]], diagonal: float
-) -> Iterator[list[Touching]]:
-    """Pose by pose, each leading joint alone from rest to either limit: what touches but goes no
-    deeper than :data:`GRAZE` until it is free again."""
+def _to_cut(
+    bodies: Bodies, tree: KinematicTree, pairs: list[tuple[str, str]], diagonal: float, free: Free
+) -> Iterator[tuple[list[Touching], bool]]:
+    """What touches while each leading joint alone goes from rest to either limit, and whether it
+    is cut however deep it is.
+
+    All at once what touches where the parts are free, twice, for what the cuts left; pose by pose
+    what goes no deeper than :data:`GRAZE` until it is free again. Bodies may change, and go after
+    what is cut however deep.
+    """
+    most = GRAZE * diagonal
     for joint in tree.joints:
         if not joint.moves or joint.mimic is not None:
             continue
-        moved = frozenset(tree.descendants(joint.child))
-        crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
         for end in limits_of(joint):
-            travel = abs(end) * _travel(bodies, joint, moved) / diagonal
-            if travel < FIRST_STEP:
-                continue
-            poses = joint_poses(tree, joint, end * _steps(travel))
-            near = _meeting(bodies, crossing, poses)
-            if not near:
-                continue
-            count = len(next(iter(poses.values())))
-            found = (overlaps(bodies, near, {k: p[i] for k, p in poses.items()})
-                     for i in range(count))  # fmt: skip
-            yield from _shallow(list(found), GRAZE * diagonal)
+            q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal)
+            for _ in range(2):
+                if max((t.found.depth for each in found for t in each), default=0.0) <= most:
+                    break
+                low, high = free(joint)
+                yield [t for v, each in zip(q, found, strict=True) if low <= v <= high
+                       for t in each], True  # fmt: skip
+                q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal)
+            for touches in _shallow(found, most):
+                yield touches, False
+
+
+def _on_the_way(
+    bodies: Bodies, tree: KinematicTree, joint: Joint, end: float,
+    pairs: list[tuple[str, str]], diagonal: float,
+) -> tuple[FloatArray, list[list[Touching]]]:  # fmt: skip
+    """Joint values from rest to ``end``, and what touches at each."""
+    moved = frozenset(tree.descendants(joint.child))
+    crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
+    travel = abs(end) * _travel(bodies, joint, moved) / diagonal
+    if travel < FIRST_STEP:
+        return np.zeros(0), []
+    q = end * _steps(travel)
+    poses = joint_poses(tree, joint, q)
+    near = _meeting(bodies, crossing, poses)
+    if not near:
+        return np.zeros(0), []
+    return q, [overlaps(bodies, near, {k: p[i] for k, p in poses.items()}) for i in range(len(q))]
 
 
 def _meeting(
@@ -209,8 +234,9 @@ def _boxes(hulls: list[Hull], pose: FloatArray) -> FloatArray:
     return np.stack([np.minimum.reduceat(at, start), np.maximum.reduceat(at, start)], axis=1)
 
 
-def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float) -> Bodies:
-    """Bodies that overlap neither at rest nor, by less than :data:`GRAZE`, over the range.
+def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free) -> Bodies:
+    """Bodies that overlap neither at rest, nor over the range where the parts are free there, nor,
+    by less than :data:`GRAZE`, elsewhere.
 
     Bodies that lie all in another one are dropped; what can't be cut is left.
     """
@@ -221,22 +247,33 @@ def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float) -> Bodies:
     for _ in range(ROUNDS):
         if not _cut_all(bodies, overlaps(bodies, pairs, rest), gap, np.inf):
             break
-    for found in _grazes(bodies, tree, pairs, diagonal):
-        _cut_all(bodies, found, gap, GRAZE * diagonal)
+    for found, deep in _to_cut(bodies, tree, pairs, diagonal, free):
+        if deep:
+            _cut_all(bodies, found, gap, np.inf, 0.0)
+        else:
+            _cut_all(bodies, found, gap, GRAZE * diagonal)
     return bodies
 
 
-def in_the_way(bodies: Bodies, tree: KinematicTree, diagonal: float) -> set[tuple[str, int]]:
-    """Bodies (link, number) that touch others at rest, or graze them over the range."""
+def in_the_way(
+    bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free
+) -> set[tuple[str, int]]:
+    """Bodies (link, number) that touch others where :func:`relieve` lets none touch."""
     pairs = moving_pairs(tree)
     found = overlaps(bodies, pairs, tree.pose({}))
-    for touches in _grazes(bodies, tree, pairs, diagonal):
+    for touches, _ in _to_cut(bodies, tree, pairs, diagonal, free):
         found += touches
     return {one for t in found for one in ((t.a, t.i), (t.b, t.j))}
 
 
-def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> bool:
-    """Whether anything was cut. The deepest come first; bodies change under the later ones."""
+def _cut_all(
+    bodies: Bodies, found: list[Touching], gap: float, most: float, least: float = LEAST
+) -> bool:
+    """Whether anything was cut. The deepest come first; bodies change under the later ones.
+
+    Args:
+        most: metres of overlap that are cut. least: share of a body that must be left.
+    """
     changed = False
     gone: set[tuple[str, int]] = set()
     for touch in sorted(found, key=lambda t: -t.found.depth):
@@ -246,7 +283,7 @@ def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> 
         now = overlap(a, b)
         if now is None or now.depth > most:
             continue
-        answer = _cut(a, b, now, gap)
+        answer = _cut(a, b, now, gap, least)
         if answer is None or (None in answer and np.isfinite(most)):  # dropped at rest alone
             continue
         changed = True
@@ -265,7 +302,9 @@ def _cut_all(bodies: Bodies, found: list[Touching], gap: float, most: float) -> 
     return changed
 
 
-def _cut(a: Hull, b: Hull, found: Overlap, gap: float) -> tuple[Hull | None, Hull | None] | None:
+def _cut(
+    a: Hull, b: Hull, found: Overlap, gap: float, least: float
+) -> tuple[Hull | None, Hull | None] | None:
     """Both bodies after the cut that loses least; None in place of one that is dropped."""
     best: tuple[float, Hull | None, Hull | None] | None = None
     for share in (0.0, 0.5, 1.0):
@@ -274,7 +313,7 @@ def _cut(a: Hull, b: Hull, found: Overlap, gap: float) -> tuple[Hull | None, Hul
         mine = clipped(a, found.axis, at - gap * (1 - share))
         other = clipped(b, -found.axis, -(at + gap * share))
         left = (_left(mine, a), _left(other, b))
-        if min(left) >= LEAST and (best is None or 2 - sum(left) < best[0]):
+        if min(left) >= least and (best is None or 2 - sum(left) < best[0]):
             best = (2 - sum(left), mine, other)
     if best is not None:
         return best[1:]

@@ -77,7 +77,7 @@ def execute(obj: ArticulatedObject | None, *, seed: int = 0, timeout: float = 12
 def _judged(obj: ArticulatedObject, seed: int) -> Execution:
     from model.gate.gate import run_gate
 
-    report = run_gate(obj, seed=seed, physics=True, mends=False)
+    report = run_gate(obj, seed=seed, physics=True, shapes=False, mends=False)
     broken = report.with_verdict("broken")
     said = [f"{v.child}: {v.sentence}" for v in report.joints if v.verdict != "fine"]
     kinds = {f.kind for v in broken for f in v.findings if f.verdict == "broken"}

@@ -13,10 +13,11 @@ when, versions) and an entry ``asset`` of this module::
 
     {"format": 1, "name": str, "category": str | null, "written": ISO 8601 in UTC,
      "parts": [{"link", "name", "mesh": file, "cloud": file | null, "faces", "points", "area"}],
-     "original": {"faces", "points", "area"} | null,
+     "original": {"faces", "points", "area"} | null, "give_way": [joint, ...],
      "files": {file: sha256}, "versions": {package: version}}
 
-Files are relative to the folder, areas in m² are those of the parts' own meshes.
+Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
+the joints whose collision shapes were to be shrunk.
 """
 
 from __future__ import annotations
@@ -238,6 +239,7 @@ def _write_texts(
         "written": _now(),
         "parts": [_entry(p) for p in parts],
         "original": None if original is None else _sums(original),
+        "give_way": [j.name for j in obj.tree.joints if j.give_way],
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }

@@ -72,7 +72,11 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
         if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
             cloud = read_asset(path / entry["cloud"], up_axis="z").cloud
         parts.append(replace(part, cloud=cloud, name=entry.get("name")))
-    return replace(obj, parts=tuple(parts), category=kept.get("category"))
+    gives_way = kept.get("give_way")
+    names = gives_way if isinstance(gives_way, list) else []
+    joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
+    tree = replace(obj.tree, joints=joints)
+    return replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
 
 
 def read_provenance(folder: str | Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from model.exporters.collision_files import write_collision
-from model.exporters.part_files import PartFile, file_stems, write_parts
+from model.exporters.part_files import PartFile, file_stems, is_flat, part_mesh, write_parts
 from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import URDF
 from model.kinematics.articulated_object import ArticulatedObject
@@ -31,6 +31,18 @@ class UrdfExporter:
         parts = write_parts(obj, folder, clouds=False, progress=progress)
         path, shapes = write_urdf_of(obj, parts, folder / URDF, physics)
         return (path, *(folder / p.mesh for p in parts), *shapes)
+
+
+def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
+    """What a reader of the URDF won't show, in words; empty where nothing is lost."""
+    flat = [p.link for p in obj.parts if is_flat(part_mesh(p))]
+    if not flat:
+        return ()
+    named = ", ".join(flat[:5]) + (", …" if len(flat) > 5 else "")
+    return (
+        f"{named} {'is' if len(flat) == 1 else 'are'} flat, which MuJoCo refuses in a URDF: there "
+        "only collision shapes are seen; the format mjcf keeps what is seen in MuJoCo",
+    )
 
 
 def write_urdf_of(

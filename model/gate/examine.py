@@ -26,8 +26,9 @@ STUCK = 0.02
 OFF = 0.03
 """How far a part may come off its parent, in the object's diagonal. Drawers that tilt on their
 rails and lids on threads stay below it."""
-LIFTS = 0.25
-"""Share of the way on which contact is lost by what is lifted off on purpose: lids, caps."""
+LIFTS, PULLED = 0.25, 0.4
+"""Share of the way over which what is lifted off on purpose keeps to its holder: lids, caps; and
+plugs and deep rims, which are worth a look."""
 SLIDE_LIMIT, SLIDE_ABSURD = 1.2, 3.0
 """Travel of a slide in diagonals: longer than the object, and nonsense."""
 TURNS_LIMIT = 2 * math.pi * 1.01
@@ -125,7 +126,7 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
     other = sweep.others[worst]
     depth, q = float(sweep.depth[worst]), float(sweep.q[worst])
     lower, upper = limits_of(joint)
-    way_out = first_open(scene, joint, sweep, other)
+    way_out = None if joint.give_way else first_open(scene, joint, sweep, other)
     at = tuple(float(v) for v in sweep.where[worst])
     what = scene.titled(other) if other else "another part"
     free = interval(joint, *sweep.free)
@@ -133,6 +134,9 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
     if way_out is not None:
         said = f"Free once {scene.titled(way_out.child)} is moved out of the way."
         return Finding("collision", "fine", said, depth, moment, at, other)  # type: ignore[arg-type]
+    if joint.give_way:
+        said = f"Runs {length(depth)} into {what}; its collision shapes give way to it."
+        return Finding("collision", "look", said, depth, moment, at, other)  # type: ignore[arg-type]
     span = upper - lower
     reach = min(sweep.free[1], upper) - max(sweep.free[0], lower)
     shallow = depth <= SHALLOW * scene.diagonal
@@ -227,11 +231,13 @@ def detached_finding(scene: Scene, joint: Joint) -> Finding | None:
     said = f"Comes off {holder}: {length(float(growth[k]))} away at {value(joint, q)}."
     verdict: Verdict = "broken"
     if not joint.rotates:
-        side = np.sign(q) * held.q
-        kept = side[(growth <= OFF * scene.diagonal) & (side >= 0)].max(initial=0.0)
-        if kept < LIFTS * abs(q):
+        # A lid goes away from what it lies on all the while; a drawer that falls out has slid
+        # along its rails first.
+        kept = 1.0 - float(growth[k]) / abs(q)
+        if kept < PULLED:
             said = f"Lifts off {holder}: {length(float(growth[k]))} away at {value(joint, q)}."
-            verdict = "fine" if growth[k] < 0.5 * scene.diagonal else "look"
+            near = kept < LIFTS and growth[k] < 0.5 * scene.diagonal
+            verdict = "fine" if near else "look"
     if verdict == "broken" and not _closed(scene, joint, held.holder):
         verdict = "look"  # a scan doesn't show the rails inside
     at = tuple(float(v) for v in held.where[k])

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from model.exporters.physics import physics_of
 from model.gate.combinations import combination_findings
 from model.gate.examine import Scene, examine
 from model.gate.mends import mends_for
-from model.gate.physics import run_physics
+from model.gate.physics import run_physics, simulator_installed
 from model.gate.physics_report import PhysicsReport
-from model.gate.report import VERDICTS, Finding, GateReport, JointVerdict
+from model.gate.report import VERDICTS, Finding, GateReport, JointVerdict, Verdict
 from model.gate.support import loose_parts
-from model.gate.words import length, title
+from model.gate.words import length, title, value
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.sweep import diagonal_of, surfaces_of, sweep_tolerance
 from model.progress import Progress, no_progress
@@ -24,6 +26,8 @@ TOUCHING = 0.01
 AFLOAT = 0.04
 """Gap above which a part that touches nothing is broken, in the object's diagonal; scans and CAD
 leave smaller ones."""
+STOPPED = 0.5
+"""Share of its range that a joint may fall short of in the simulator to be worth a look only."""
 MANY = 10
 """Moving joints from which on each gets fewer samples."""
 SEVERE = ("geometry", "jammed", "floating", "limits", "collision", "detached", "physics")
@@ -35,6 +39,8 @@ def run_gate(
     *,
     seed: int = 0,
     physics: bool = True,
+    shapes: bool = True,
+    store: Path | None = None,
     mends: bool = True,
     progress: Progress = no_progress,
 ) -> GateReport:
@@ -43,6 +49,9 @@ def run_gate(
     Args:
         seed: of the poses in which joints stand together.
         physics: whether to drive the joints in MuJoCo too, where it is installed.
+        shapes: whether the parts collide there with the shapes that are exported. What is broken
+            already is driven without: it will be changed, and making them takes seconds.
+        store: where collision shapes are kept between runs; None keeps none.
         mends: whether to look for mends of what is wrong.
         progress: told of each step; may stop it.
 
@@ -57,8 +66,10 @@ def run_gate(
         _blame(obj, found, link, Finding("geometry", "broken", why))
     if scene is not None:
         _look(scene, found, seed, progress)
-    said = run_physics(obj, progress=progress) if physics and not unusable else None
-    if said is not None:
+    said = None
+    if physics and not unusable:
+        broken = any(f.verdict == "broken" for each in found.values() for f in each)
+        said = _simulate(obj, shapes and not broken, store, progress)
         _take_physics(obj, said, found)
     joints = []
     for k, (name, findings) in enumerate(found.items()):
@@ -89,7 +100,7 @@ def _look(scene: Scene, found: dict[str, list[Finding]], seed: int, progress: Pr
     )
 
     def tell(fraction: float, message: str) -> None:
-        progress(0.55 + 0.2 * fraction, message)
+        progress(0.55 + 0.15 * fraction, message)
 
     together = combination_findings(scene, known, seed, tell)
     for name, finding in together.items():
@@ -158,6 +169,20 @@ def _floating(scene: Scene, found: dict[str, list[Finding]]) -> None:
         _blame(scene.obj, found, link, Finding("floating", verdict, said, gap, {}, at, other))
 
 
+def _simulate(
+    obj: ArticulatedObject, shapes: bool, store: Path | None, progress: Progress
+) -> PhysicsReport:
+    """Drive the joints with what exporters write, or with masses and joints alone."""
+
+    def tell(start: float) -> Progress:
+        return lambda fraction, message: progress(start + 0.1 * fraction, message)
+
+    made = None
+    if shapes and simulator_installed():
+        made = physics_of(obj, store=store, progress=tell(0.7))
+    return run_physics(obj, made, progress=tell(0.8))
+
+
 def _take_physics(
     obj: ArticulatedObject, said: PhysicsReport, found: dict[str, list[Finding]]
 ) -> None:
@@ -170,8 +195,22 @@ def _take_physics(
             found[name].append(Finding("physics", "look", text))
     for name, share in said.missed.items():
         if name in found and name not in said.exploded:
-            text = f"In MuJoCo it stops {100 * share:.0f} % of its range short of its limit."
-            found[name].append(Finding("physics", "look", text))
+            found[name].append(_stopped(obj, said, name, share, found[name]))
+
+
+def _stopped(
+    obj: ArticulatedObject, said: PhysicsReport, name: str, share: float, known: list[Finding]
+) -> Finding:
+    """A joint that doesn't get to its limit in the simulator."""
+    stop = said.stops[name]
+    text = f"In MuJoCo it stops {100 * share:.0f} % of its range short of its limit"
+    if stop.other is not None:
+        at = value(obj.tree.by_name[name], stop.q[name])
+        text += f", at {at}, where its collision shapes meet those of {title(obj, stop.other)}"
+    verdict: Verdict = "broken" if share > STOPPED else "look"
+    if any(f.kind == "collision" and f.verdict == "fine" for f in known):
+        verdict = "fine"  # free once another part is moved out of the way
+    return Finding("physics", verdict, f"{text}.", 0.0, stop.q, stop.where, stop.other)
 
 
 def _rank(finding: Finding) -> tuple[int, int]:

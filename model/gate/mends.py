@@ -1,4 +1,5 @@
-"""Changes of a joint that cure what the gate found. Each is tried out before it is offered."""
+"""Changes of a joint that cure what the gate found. Each is tried out before it is offered, but
+for shrinking collision shapes: those are cut until nothing is in the way."""
 
 from __future__ import annotations
 
@@ -40,10 +41,15 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def mends_for(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[Mend, ...]:
-    """What would cure a joint, best first: the other direction, another axis, a shorter range."""
-    bad = [f for f in findings if f.verdict != "fine" and f.kind in CURED]
-    if not bad or joint.mimic is not None:
+    """What would cure a joint, best first: the other direction, another axis, a shorter range,
+    smaller collision shapes."""
+    if joint.mimic is not None:
         return ()
+    doubted = [f for f in findings if f.verdict != "fine"]
+    bad = [f for f in doubted if f.kind in CURED]
+    shrink = _shrink(joint, doubted)
+    if not bad:
+        return shrink
     out: list[Mend] = []
     # Where it is only worth a look, axis and direction are hardly what is wrong.
     broken = [f.kind for f in bad if f.verdict == "broken" and f.kind != "limits"]
@@ -52,7 +58,19 @@ def mends_for(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[
     if joint.rotates and broken:
         out += _shift(scene, joint)
     out += _limits(scene, joint)
-    return tuple(out)
+    return (*out, *shrink)
+
+
+def _shrink(joint: Joint, doubted: Iterable[Finding]) -> tuple[Mend, ...]:
+    """Collision shapes that give way, where others are in the way."""
+    blocked = any(
+        f.kind in ("collision", "jammed") or (f.kind == "physics" and f.other is not None)
+        for f in doubted
+    )
+    if joint.give_way or not blocked:
+        return ()
+    said = "Shrink the collision shapes that are in the way; what is seen stays as it is."
+    return (Mend("shrink", replace(joint, give_way=True), said),)
 
 
 def _cured(scene: Scene, joint: Joint) -> bool:

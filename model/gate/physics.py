@@ -5,21 +5,20 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any
 from xml.etree import ElementTree as ET  # only writes
 
 import numpy as np
 import numpy.typing as npt
 
-from model.exporters.inertia import inertials_of
-from model.gate.physics_report import PhysicsReport
+from model.collision.shapes import hull_of_shape
+from model.exporters.physics import Physics, plain_physics
+from model.gate.physics_report import PhysicsReport, Stop
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.urdf import link_origins, vector
 from model.progress import Progress, no_progress
-
-Colliders = Literal["none", "shapes"]
 
 STEP = 0.002
 """Seconds."""
@@ -35,37 +34,51 @@ on a lever of a metre."""
 OUTSIDE = 0.2
 """Share of the range beyond a limit that counts as exploded."""
 DRIFT, MISS = 0.1, 0.1
+HASTE = 0.5 * (1.3 * math.pi / DRIVE) ** 2
+"""1/s²: the greatest acceleration on the way, over the way."""
+SPARE = 4.0
+"""Times the force that the way and the weight ask for; what stands in the way is not torn out."""
+TOUCHING = 1e-3
+"""Metres of gap at which two shapes count as the ones that stop a joint."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 def run_physics(
     obj: ArticulatedObject,
+    physics: Physics | None = None,
     *,
-    colliders: Colliders = "none",
     progress: Progress = no_progress,
 ) -> PhysicsReport:
     """Drive each joint to both ends of its range and back while the others hold still.
 
     Args:
-        colliders: "shapes" lets the links collide as they do in an exported asset, which takes
-            the making of the shapes; "none" drives masses and joints alone.
+        physics: what exporters write: with it the links collide as they do in an exported asset.
+            None drives rough masses and joints alone, which is quick.
     """
-    if importlib.util.find_spec("mujoco") is None:
+    if not simulator_installed():
         return PhysicsReport(False, "MuJoCo is not installed: pip install 'artiworld[physics]'")
     mujoco: Any = importlib.import_module("mujoco")
     joints = [j for j in obj.tree.joints if _drivable(j)]
+    physics = physics or plain_physics(obj)
+    shapes = sum(len(held) for held in physics.collision.values())
     if not joints:
-        return PhysicsReport(True, colliders=colliders)
-    shapes = _shapes(obj) if colliders == "shapes" else {}
+        return PhysicsReport(True, shapes=shapes)
     try:
-        model = mujoco.MjModel.from_xml_string(_xml(obj, joints, shapes))
+        model = mujoco.MjModel.from_xml_string(_xml(obj, joints, physics))
     except ValueError as error:
         return PhysicsReport(False, f"MuJoCo can't load it: {str(error)[:200]}")
-    run = _Run(model, joints)
+    run = _Run(model, joints, obj.tree.order)
     for k, gravity in enumerate((0.0, -9.81)):
-        run.all_joints(gravity, lambda f, k=k: progress(0.75 + 0.075 * (k + f), "Running physics"))
-    return PhysicsReport(True, "", run.exploded, run.drifted, run.missed, colliders, run.seconds)
+        run.all_joints(gravity, lambda f, k=k: progress(0.5 * (k + f), "Running physics"))
+    return PhysicsReport(
+        True, "", run.exploded, run.drifted, run.missed, shapes, run.seconds, run.stops
+    )
+
+
+def simulator_installed() -> bool:
+    """Whether the extra ``artiworld[physics]`` is there."""
+    return importlib.util.find_spec("mujoco") is not None
 
 
 def _drivable(joint: Joint) -> bool:
@@ -74,25 +87,14 @@ def _drivable(joint: Joint) -> bool:
     return not joint.limited or (joint.upper or 0.0) - (joint.lower or 0.0) > 1e-6
 
 
-def _shapes(obj: ArticulatedObject) -> dict[str, list[FloatArray]]:
-    """Link → corners of convex bodies, object frame."""
-    from model.collision.build import collision_of
-    from model.collision.shapes import hull_of_shape
-
-    made = collision_of(obj)
-    return {k: [hull_of_shape(s).vertices for s in shapes] for k, shapes in made.items()}
-
-
-def _xml(
-    obj: ArticulatedObject, joints: Sequence[Joint], shapes: Mapping[str, Sequence[FloatArray]]
-) -> str:
+def _xml(obj: ArticulatedObject, joints: Sequence[Joint], physics: Physics) -> str:
     """The object with its base fixed to the world; names are numbers of links and joints."""
     root = ET.Element("mujoco")
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", balanceinertia="true")
     ET.SubElement(root, "option", timestep=str(STEP), integrator="implicitfast")
     assets = ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")
-    tree, inertials, origins = obj.tree, inertials_of(obj), link_origins(obj.tree)
+    tree, inertials, origins = obj.tree, physics.inertials, link_origins(obj.tree)
     number = {link: k for k, link in enumerate(tree.order)}
     bodies: dict[str, ET.Element] = {}
     for link in tree.order:
@@ -103,16 +105,21 @@ def _xml(
         if joint is not None and joint in joints:
             _joint(body, joint, joints.index(joint))
         _inertial(body, inertials.get(link), origins[link])
-        for k, corners in enumerate(shapes.get(link, ())):
+        for k, shape in enumerate(physics.collision.get(link, ())):
             name = f"m{number[link]}_{k}"
-            flat = " ".join(f"{v:.6g}" for v in (corners - origins[link]).ravel())
+            corners = hull_of_shape(shape).vertices - origins[link]
+            flat = " ".join(f"{v:.9g}" for v in corners.ravel())
             ET.SubElement(assets, "mesh", name=name, vertex=flat)
             ET.SubElement(body, "geom", type="mesh", mesh=name, mass="0")
+    contact = ET.SubElement(root, "contact")
+    for a, b in physics.touching:
+        ET.SubElement(contact, "exclude", body1=f"b{number[a]}", body2=f"b{number[b]}")
     _followers(root, joints)
     drives = ET.SubElement(root, "actuator")
     for k, joint in enumerate(joints):
         if joint.mimic is None:
-            ET.SubElement(drives, "position", name=f"a{k}", joint=f"j{k}", kp="1", kv="1")
+            ET.SubElement(drives, "position", name=f"a{k}", joint=f"j{k}", kp="1", kv="1",
+                          forcerange="-1 1")  # fmt: skip
     return ET.tostring(root, encoding="unicode")
 
 
@@ -150,7 +157,7 @@ def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
 class _Run:
     """The simulation, and what was seen in it."""
 
-    def __init__(self, model: Any, joints: Sequence[Joint]) -> None:
+    def __init__(self, model: Any, joints: Sequence[Joint], links: Sequence[str]) -> None:
         mujoco: Any = importlib.import_module("mujoco")
         self.mujoco, self.model, self.joints = mujoco, model, list(joints)
         self.data = mujoco.MjData(model)
@@ -164,18 +171,29 @@ class _Run:
         self.exploded: dict[str, str] = {}
         self.drifted: dict[str, float] = {}
         self.missed: dict[str, float] = {}
+        self.stops: dict[str, Stop] = {}
+        self.links = list(links)
         self.seconds = 0.0
         self._tune()
 
     def _tune(self) -> None:
         """Drives as strong as what they carry asks for, critically damped."""
-        model = self.model
+        model, data = self.model, self.data
+        self.mujoco.mj_forward(model, data)
         for a, k in enumerate(self.driven):
             address = model.joint(f"j{k}").dofadr[0]
             carried = float(model.dof_M0[address])
             stiff, damp = carried * STIFFNESS**2, 2 * carried * STIFFNESS
             model.actuator_gainprm[a, 0] = stiff
             model.actuator_biasprm[a, 1:3] = (-stiff, -damp)
+            body = model.joint(f"j{k}").bodyid[0]
+            lever = 1.0
+            if self.joints[k].rotates:
+                arm = data.subtree_com[body] - data.xpos[body]
+                lever = float(np.linalg.norm(np.cross(arm, self.joints[k].axis)))
+            weight = 9.81 * float(model.body_subtreemass[body]) * lever
+            most = SPARE * (weight + carried * HASTE * float(self.span[k]))
+            model.actuator_forcerange[a] = (-most, most)
 
     def _rest(self) -> None:
         self.mujoco.mj_resetData(self.model, self.data)
@@ -253,7 +271,30 @@ class _Run:
         for k in group:
             short = (abs(end[k] - q[k]) - self.slack[k]) / self.span[k]
             if short > MISS:
+                if short > self.missed.get(self.joints[k].name, 0.0):
+                    self._stopped(k)
                 self._note(self.missed, k, short)
+
+    def _stopped(self, k: int) -> None:
+        """Remember where a joint stands, and what touches what it moves."""
+        model, data = self.model, self.data
+        moved = np.zeros(model.nbody, bool)
+        moved[model.joint(f"j{k}").bodyid[0]] = True
+        for body in range(1, model.nbody):  # parents come first
+            moved[body] |= moved[model.body_parentid[body]]
+        contact = data.contact
+        bodies = model.geom_bodyid[contact.geom]  # (C, 2)
+        crossing = moved[bodies[:, 0]] != moved[bodies[:, 1]]
+        near = np.flatnonzero(crossing & (contact.dist < TOUCHING))
+        other, where = None, None
+        if len(near):
+            first = near[contact.dist[near].argmin()]
+            hit = bodies[first][0 if moved[bodies[first][1]] else 1]
+            other = self.links[int(model.body(hit).name[1:])]
+            where = tuple(float(v) for v in contact.pos[first])
+        q = {j.name: float(v) for j, v in zip(self.joints, data.qpos[self.place], strict=True)}
+        name = self.joints[k].name
+        self.stops[name] = Stop({name: q[name]}, other, where)  # type: ignore[arg-type]
 
     def _drift(self, group: list[int], before: FloatArray) -> None:
         q = self.data.qpos[self.place]

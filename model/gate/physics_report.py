@@ -8,6 +8,21 @@ from typing import Any
 
 
 @dataclass(frozen=True)
+class Stop:
+    """Where a driven joint stopped short.
+
+    Attributes:
+        q: its joint value there.
+        other: the link whose shapes it touches, or None.
+        where: (3,) that contact, object frame; None where nothing is touched.
+    """
+
+    q: Mapping[str, float]
+    other: str | None = None
+    where: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class PhysicsReport:
     """Each joint driven there and back in a simulator, without gravity and with it.
 
@@ -17,8 +32,9 @@ class PhysicsReport:
         exploded: joint → what happened (not a number, far outside the limits).
         drifted: joint → share of its range by which it moved on its own while others were driven.
         missed: joint → share of its range that it fell short of its target.
-        colliders: what stood for the parts' shapes.
+        shapes: collision shapes that took part; 0 where masses and joints were driven alone.
         seconds: simulated.
+        stops: joint → where it stopped, of those in ``missed``.
     """
 
     ran: bool
@@ -26,8 +42,9 @@ class PhysicsReport:
     exploded: Mapping[str, str] = field(default_factory=dict)
     drifted: Mapping[str, float] = field(default_factory=dict)
     missed: Mapping[str, float] = field(default_factory=dict)
-    colliders: str = ""
+    shapes: int = 0
     seconds: float = 0.0
+    stops: Mapping[str, Stop] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -37,6 +54,6 @@ class PhysicsReport:
             "exploded": dict(self.exploded),
             "drifted": {k: round(v, 4) for k, v in self.drifted.items()},
             "missed": {k: round(v, 4) for k, v in self.missed.items()},
-            "colliders": self.colliders,
+            "shapes": self.shapes,
             "seconds": round(self.seconds, 3),
         }

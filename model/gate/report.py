@@ -13,7 +13,7 @@ Verdict = Literal["fine", "look", "broken"]
 Kind = Literal[
     "collision", "combination", "detached", "jammed", "floating", "limits", "geometry", "physics"
 ]
-MendKind = Literal["flip", "shift", "limits"]
+MendKind = Literal["flip", "shift", "limits", "shrink"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 FREE = "Moves freely over its range."
@@ -50,7 +50,7 @@ class Mend:
     """A changed joint with which the gate finds nothing wrong any more (of what it mends).
 
     Attributes:
-        kind: flip the direction, shift the axis, or set the limits.
+        kind: flip the direction, shift the axis, set the limits, or shrink the collision shapes.
         joint: takes the place of its child's joint.
         sentence: for people.
     """
@@ -67,7 +67,7 @@ class JointVerdict:
     Attributes:
         joint: its name. child: the link that it moves.
         findings: worst first; without any it moves freely.
-        mends: best first, each tried out.
+        mends: best first, each tried out, but for shrinking, which works by construction.
     """
 
     joint: str

@@ -38,6 +38,8 @@ class Joint:
         origin: a point on the axis in metres, object frame.
         lower, upper: radians or metres; None for continuous and fixed.
         mimic: the joint that this one follows, or None.
+        give_way: whether collision shapes are cut back over the whole range however deep they
+            meet there; else only grazes are (see :mod:`model.collision.relief`).
     """
 
     name: str
@@ -49,6 +51,7 @@ class Joint:
     lower: float | None = None
     upper: float | None = None
     mimic: Mimic | None = None
+    give_way: bool = False
 
     def __post_init__(self) -> None:
         problems = self._problems()

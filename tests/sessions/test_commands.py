@@ -39,6 +39,7 @@ JOINT = {
     "lower": 0.0,
     "upper": 1.5,
     "mimic": None,
+    "give_way": False,
 }
 SPIN = JOINT | {
     "name": "spin",

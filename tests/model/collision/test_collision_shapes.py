@@ -199,6 +199,39 @@ def test_a_drawer_without_a_gap_gets_one(gap):
     assert not inside(after["link_1"], [0.2, 0.15, 0.1]).any()
 
 
+def telescope(reach: float, give_way: bool = False) -> ArticulatedObject:
+    """A tube on a foot, closed above but for a hole, and a rod with a head in it that goes up."""
+    tube = trimesh.creation.annulus(0.05, 0.06, 0.3)
+    foot = trimesh.creation.box(bounds=[[-0.2, -0.2, -0.17], [0.2, 0.2, -0.15]])
+    brim = trimesh.creation.annulus(0.02, 0.06, 0.02)
+    brim.apply_translation([0, 0, 0.16])
+    rod = trimesh.creation.cylinder(0.015, 0.4)
+    rod.apply_translation([0, 0, 0.08])
+    head = trimesh.creation.cylinder(0.045, 0.03)
+    head.apply_translation([0, 0, -0.1])
+    parts = []
+    for i, pieces in enumerate(((tube, foot, brim), (rod, head))):
+        parts.append(Part(f"link_{i}", mesh_of(trimesh.util.concatenate(pieces))))
+    joint = Joint("up", "prismatic", "link_0", "link_1", lower=0, upper=reach, give_way=give_way)
+    return ArticulatedObject("x", tuple(parts), KinematicTree(("link_0", "link_1"), (joint,)))
+
+
+def test_shapes_of_parts_that_pass_each_other_do_so_too():
+    obj = telescope(0.22)
+    made = collision_of(obj)
+    assert overlaps_of(obj, made).over_range["up"] < 1e-6
+    rod = sum(hull_of_shape(s).volume for s in made["link_1"])
+    assert rod > 0.5 * np.pi * (0.015**2 * 0.37 + 0.045**2 * 0.03)
+
+
+def test_where_the_parts_collide_so_do_the_shapes_unless_they_are_to_give_way():
+    made = collision_of(telescope(0.35))
+    assert overlaps_of(telescope(0.35), made).over_range["up"] > 0.01
+    made = collision_of(telescope(0.35, give_way=True))
+    assert overlaps_of(telescope(0.35), made).over_range["up"] < 1e-6
+    assert made["link_0"] and made["link_1"]
+
+
 def test_overlap_of_two_boxes_is_exact():
     a = hull_of(trimesh.creation.box((1, 1, 1)).vertices)
     b = hull_of(trimesh.creation.box((1, 1, 1)).vertices + [0.7, 0.2, 0.1])

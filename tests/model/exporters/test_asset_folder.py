@@ -202,6 +202,18 @@ def test_a_part_of_few_points_still_loads_everywhere(tmp_path, points):
     assert reload_check(files.folder) == []
 
 
+def test_shapes_that_were_to_give_way_are_known_when_the_asset_is_read(tmp_path):
+    boxes = [Part(f"link_{i}", Mesh(np.asarray(b.vertices), np.asarray(b.faces))) for i, b in
+             enumerate([trimesh.creation.box(), trimesh.creation.box()])]  # fmt: skip
+    joints = (Joint("slide", "prismatic", "link_0", "link_1", lower=0, upper=1, give_way=True),)
+    obj = ArticulatedObject("x", tuple(boxes), KinematicTree(("link_0", "link_1"), joints))
+    write_asset(obj, tmp_path / "x", provenance={})
+    assert load_object(tmp_path / "x").tree.joints == joints
+    stored = replace(obj, tree=obj.tree.with_joint(replace(joints[0], give_way=False)))
+    write_asset(stored, tmp_path / "x", provenance={})
+    assert load_object(tmp_path / "x").tree == stored.tree
+
+
 @pytest.mark.parametrize("corners", [3, 4])
 def test_a_flat_mesh_still_loads_everywhere(tmp_path, corners):
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0.5], [0, 1, 0.5]])[:corners]

@@ -25,6 +25,7 @@ from model.exporters.protocol import Exporter
 from model.exporters.readback import read_back
 from model.exporters.registry import export, exporter_names, load_exporter, write_object
 from model.exporters.reload import mujoco_problems, object_from_links
+from model.exporters.urdf import losses_of
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part
@@ -105,6 +106,13 @@ def whole(obj, physics, tmp_path_factory):
         folder = tmp_path_factory.mktemp("whole") / name
         out[name] = write_object(obj, load_exporter(name), folder, physics=physics)
     return out
+
+
+def test_what_mujoco_leaves_out_of_a_urdf_is_told(obj):
+    assert losses_of(obj)[0].startswith("link_3 is flat, which MuJoCo refuses in a URDF")
+    whole = replace(obj, parts=(*obj.parts[:3], replace(obj.parts[3], mesh=obj.parts[4].mesh),
+                                obj.parts[4]))  # fmt: skip
+    assert losses_of(whole) == ()
 
 
 def test_the_built_in_formats_are_there():

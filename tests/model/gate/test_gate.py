@@ -117,6 +117,27 @@ def test_a_lid_that_is_lifted_off_is_fine():
     assert report.of("j").sentence.startswith("Lifts off")
 
 
+def kettle(rim: float) -> ArticulatedObject:
+    """A pot with a lid that reaches ``rim`` metres into it, and goes up by 0.05."""
+    pot = part(
+        "link_0", box([0, 0, 0], [0.3, 0.3, 0.01]), box([0, 0, 0], [0.01, 0.3, 0.2]),
+        box([0.29, 0, 0], [0.3, 0.3, 0.2]), box([0, 0, 0], [0.3, 0.01, 0.2]),
+        box([0, 0.29, 0], [0.3, 0.3, 0.2]),
+    )  # fmt: skip
+    lid = part(
+        "link_1", box([0, 0, 0.2], [0.3, 0.3, 0.21]),
+        box([0.011, 0.011, 0.2 - rim], [0.289, 0.289, 0.2]), name="lid",
+    )  # fmt: skip
+    return two(Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.05), pot, lid)
+
+
+@pytest.mark.parametrize(("rim", "verdict"), [(0.001, "fine"), (0.017, "look")])
+def test_a_lid_with_a_rim_is_lifted_off_too(rim, verdict):
+    found = judge(kettle(rim)).of("j")
+    assert found.verdict == verdict
+    assert found.sentence.startswith("Lifts off link_0")
+
+
 def test_a_floating_part_is_broken():
     base = part("link_0", box([0, 0, 0], [1, 1, 0.1]))
     above = part("link_1", box([0.4, 0.4, 0.5], [0.6, 0.6, 0.6]))

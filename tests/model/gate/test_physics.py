@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from cabinets import DOOR, DRAWER, box, cabinet, part
 
+from model.collision.hulls import hull_of
+from model.exporters.physics import Physics, physics_of
 from model.gate import physics
 from model.gate.gate import run_gate
 from model.gate.physics import run_physics
@@ -79,8 +82,57 @@ def test_without_mujoco_the_gate_says_so(monkeypatch):
     assert run_gate(cabinet()).verdict == "fine"
 
 
-def test_real_collision_shapes_can_take_part():
-    pytest.importorskip("model.collision.build")
-    said = run_physics(cabinet(), colliders="shapes")
-    assert said.ran and said.colliders == "shapes"
+def test_the_shapes_that_are_exported_take_part_and_leave_a_good_cabinet_free():
+    obj = cabinet()
+    said = run_physics(obj, physics_of(obj))
+    assert said.ran and said.shapes > 10
+    assert not said.exploded and not said.missed and not said.drifted
+
+
+def blocked() -> tuple[ArticulatedObject, Physics]:
+    """The cabinet with one more collision shape, which nobody sees, in the drawer's way."""
+    obj = cabinet()
+    made = physics_of(obj)
+    post = hull_of(np.asarray(box([0.1, -0.14, 0.0], [0.3, -0.1, 0.6]).vertices))
+    shapes = {**made.collision, "link_0": (*made.collision["link_0"], post)}
+    return obj, replace(made, collision=shapes)
+
+
+def test_what_only_the_shapes_run_into_is_told_with_the_place():
+    obj, made = blocked()
+    said = run_physics(obj, made)
+    assert set(said.missed) == {"drawer"}
+    assert said.missed["drawer"] > 0.5
+    stop = said.stops["drawer"]
+    assert stop.other == "link_0"
+    assert 0.05 < stop.q["drawer"] < 0.09
+    assert -0.15 < stop.where[1] < -0.09
     assert not said.exploded
+
+
+def test_the_gate_refuses_what_its_shapes_block_and_shrinking_them_is_the_mend(monkeypatch):
+    obj, made = blocked()
+    monkeypatch.setattr("model.gate.gate.physics_of", lambda *_, **__: made)
+    found = run_gate(obj).of("drawer")
+    assert (found.verdict, found.worst.kind) == ("broken", "physics")
+    assert "where its collision shapes meet those of carcass 0" in found.sentence
+    assert [m.kind for m in found.mends] == ["shrink"]
+    assert found.mends[0].joint == replace(DRAWER, give_way=True)
+    assert run_gate(obj, shapes=False).verdict == "fine"
+
+
+def test_shrunk_shapes_free_a_drawer_that_its_cabinet_blocks_and_the_gate_only_looks():
+    stop = box([0.1, -0.14, 0.0], [0.3, -0.1, 0.25])
+    foot = box([0.1, -0.14, -0.02], [0.3, 0.1, 0.0])
+    obj = cabinet(DOOR, DRAWER, stop, foot)
+    report = run_gate(obj)
+    found = report.of("drawer")
+    assert (found.verdict, found.worst.other) == ("broken", "link_0")
+    mend = found.mends[-1]
+    assert mend.kind == "shrink"
+    after = run_gate(replace(obj, tree=obj.tree.with_joint(mend.joint)))
+    assert after.verdict == "look"
+    assert "its collision shapes give way to it" in after.of("drawer").sentence
+    assert after.physics.shapes > 10
+    assert not after.physics.missed and not after.physics.exploded
+    assert "shrink" not in [m.kind for m in after.of("drawer").mends]
