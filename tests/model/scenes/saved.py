@@ -18,6 +18,6 @@ def points_in_place(out: Path) -> np.ndarray:
         w, x, y, z = entry["world_from_urdf"]["quaternion_wxyz"]
         turn = Rotation.from_quat([x, y, z, w]).as_matrix()
         for part in load_object(out / entry["asset_folder"]).parts:
-            points = part.cloud.points if part.cloud is not None else part.mesh.vertices
-            found.append(points @ turn.T + entry["world_from_urdf"]["position"])
+            held = part.mesh.vertices if part.cloud is None else part.cloud.points
+            found.append(held @ turn.T + entry["world_from_urdf"]["position"])
     return np.concatenate(found)
