@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -54,9 +55,15 @@ SWEPT: frozenset[Mechanism] = frozenset({"hinge", "flap", "drop", "temple"})
 
 
 def propose(context: PartContext, mechanism: Mechanism) -> list[Hypothesis]:
-    """All joints that the mechanism may have here, best first, the best with its limits."""
+    """All joints that the mechanism may have here, best first, the best with its limits.
+
+    Where it can have none, the part stays fixed, for a person to see.
+    """
     found = sorted(BUILDERS[mechanism](context), key=lambda h: -h.score)
-    if found and mechanism in SWEPT:
+    if not found:
+        note = f"no {mechanism} fits here: left fixed"
+        return [replace(h, note=note) for h in BUILDERS["fixed"](context)]
+    if mechanism in SWEPT:
         found[0] = with_swept_limits(context, found[0])
     return found
 

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from archetypes import THINGS, cabinet
 
+from model.geometric.mechanisms import BUILDERS
 from model.geometric.predictor import GeometricPredictor
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
@@ -75,6 +76,15 @@ def test_odd_input_gets_an_answer(case: str) -> None:
 def test_what_does_not_touch_is_said() -> None:
     prediction = PREDICTOR.predict(SegmentedObject("apart", tuple(ODD["far apart"])))
     assert any("doesn't touch" in p for p in prediction.problems)
+
+
+def test_a_mechanism_without_any_joint_leaves_the_part_fixed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cup = cube("link_1", (0, 0, 0.6), (0.2, 0.2, 0.2), "door")
+    monkeypatch.setitem(BUILDERS, "hinge", lambda context: [])
+    made = check(SegmentedObject("odd", (cube("link_0"), cup)))
+    assert made.tree.joint_of["link_1"].type == "fixed"
 
 
 def test_two_hundred_parts_in_bounded_time() -> None:
