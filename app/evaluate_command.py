@@ -269,7 +269,7 @@ def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
         rooms = any(Path(args.root).glob("*_labels.npz"))
         sets += ["room"] if rooms else ["partnet", "partnet-one-sided"]
     bench = bench_segment(
-        args.root, sets, [args.segmenter], args.limit, progress, points=args.points
+        args.root, sets, [args.segmenter], progress, limit=args.limit, points=args.points
     )
     if args.out is not None:
         write_json(args.out / "segmentation.json", bench.report)

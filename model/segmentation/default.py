@@ -26,7 +26,13 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, load_mlp
-from model.segmentation.plates import Plates, plates_of, small_shells_of
+from model.segmentation.plates import (
+    Fittings,
+    Plates,
+    fittings_of,
+    plates_of,
+    small_shells_of,
+)
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
@@ -80,6 +86,7 @@ class DefaultSession:
         encoding: nodes, graph, cells, trees, walks.
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
+        fittings: what the small shells of a mesh touch.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
@@ -87,9 +94,14 @@ class DefaultSession:
         self.encoding = encoding
         self.solver = solver
         mesh = asset.mesh
-        self.groups: tuple[Plates, ...] = (
-            () if mesh is None else (plates_of(mesh), small_shells_of(mesh))
-        )
+        self.groups: tuple[Plates, ...] = ()
+        self.fittings: Fittings | None = None
+        if mesh is not None:
+            shells = small_shells_of(mesh)
+            self.groups = (plates_of(mesh), shells)
+            graph, face = encoding.graph, encoding.nodes.elements.element_of_node
+            a, b = face[graph.a[~graph.bridge]], face[graph.b[~graph.bridge]]
+            self.fittings = fittings_of(shells, a, b)
         self._states: OrderedDict[bytes, _State] = OrderedDict()
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
@@ -257,6 +269,8 @@ class DefaultSession:
             return labels
         for groups in self.groups:
             labels = groups.whole(labels, steps)
+        if self.fittings is not None:
+            labels = self.fittings.mounted(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
 
     def _split_cells(

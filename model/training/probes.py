@@ -10,8 +10,8 @@ import torch
 
 from model.arti4urdf.network import ArtiModel, Prompt, whole_cloud
 from model.arti4urdf.structure import POINTS
-from model.training.batches import PLAIN, Batch, augmented, collate, teach, without_judgements
-from model.training.loss import batch_loss
+from model.training.batches import PLAIN, augmented, collate, teach, without_judgements
+from model.training.loss import batch_loss, by_kind
 from model.training.samples import Sample
 
 Change = Callable[[Sequence[Prompt], np.random.Generator], list[Prompt]]
@@ -24,11 +24,13 @@ class Probe:
     Attributes:
         types, slots: joint types; candidates.
         trees: parents.
+        surprise: mean negative log-likelihood of the right decisions; tells small differences.
     """
 
     types: float
     slots: float
     trees: float
+    surprise: float
 
 
 def probe(model: ArtiModel, samples: Sequence[Sample], change: Change | None = None) -> Probe:
@@ -42,20 +44,16 @@ def probe(model: ArtiModel, samples: Sequence[Sample], change: Change | None = N
     step = model.config.json_step
     taught_pairs = zip(prompts, (labels for _, labels in pairs), strict=True)
     taught = [teach(prompt, labels, rng, json_step=step) for prompt, labels in taught_pairs]
-    hits: dict[str, list[float]] = {}
     model.eval()
-    for start in range(0, len(taught), 32):
-        for kind, values in _hits(model, collate(taught[start : start + 32])).items():
-            hits.setdefault(kind, []).extend(values)
-    mean = {k: float(np.mean(x)) for k, x in hits.items()}
-    return Probe(mean.get("type", 0.0), mean.get("slot", 0.0), mean.get("child", 0.0))
-
-
-@torch.no_grad()
-def _hits(model: ArtiModel, batch: Batch) -> dict[str, list[float]]:
-    loss = batch_loss(model, batch)
-    values = loss.hits.double().numpy()
-    return {str(k): values[loss.kinds == k].tolist() for k in np.unique(loss.kinds)}
+    with torch.no_grad():
+        batches = [
+            batch_loss(model, collate(taught[start : start + 32]))
+            for start in range(0, len(taught), 32)
+        ]
+    kinds = np.concatenate([b.kinds for b in batches])
+    mean = by_kind(kinds, torch.cat([b.hits for b in batches]))
+    surprise = float(torch.cat([b.losses for b in batches]).double().mean())
+    return Probe(mean.get("type", 0.0), mean.get("slot", 0.0), mean.get("child", 0.0), surprise)
 
 
 def shuffled_clouds(prompts: Sequence[Prompt], rng: np.random.Generator) -> list[Prompt]:

@@ -64,12 +64,11 @@ def test_shuffling_the_clouds_alone_hurts(fresh: list[Sample]) -> None:
 
 
 def test_another_objects_whole_cloud_costs_something(fresh: list[Sample]) -> None:
+    """Release gate: the right answer becomes less likely; few decisions turn over."""
     model, _ = load_weights()
     own = probe(model, fresh, without_rules)
     foreign = probe(model, fresh, both(without_rules, foreign_wholes))
-    before = (own.types, own.slots, own.trees)
-    after = (foreign.types, foreign.slots, foreign.trees)
-    assert np.mean(after) < np.mean(before)
+    assert foreign.surprise > own.surprise
 
 
 def test_weights_of_another_vocabulary_are_refused(tmp_path: Path) -> None:

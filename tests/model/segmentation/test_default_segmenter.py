@@ -193,3 +193,31 @@ def test_what_comes_again_is_counted() -> None:
     sums = np.stack([moments[stud].sum(0), moments[cells.center[:, 2] < -0.005].sum(0)])
     counted = np.expm1(Repeats(cells, encoding.hierarchy, at)(sums))
     assert counted[0] >= 5 and counted[1] == 0
+
+
+def test_a_handle_goes_with_the_door_it_is_mounted_on() -> None:
+    """Whoever clicks the door means its handle too, unless a click says otherwise."""
+    boxes = [
+        block((-0.5, -0.25, 0), (0.5, 0.25, 1)),
+        block((-0.45, -0.29, 0.05), (0.45, -0.26, 0.95)),
+        block((0.3, -0.3, 0.4), (0.32, -0.29, 0.42)),
+        block((0.3, -0.3, 0.58), (0.32, -0.29, 0.6)),
+        block((0.29, -0.33, 0.38), (0.33, -0.3, 0.62)),
+        block((-0.4, 0.25, 0.4), (-0.3, 0.27, 0.5)),
+    ]
+    triangles = np.concatenate(boxes)
+    mesh = Mesh(
+        triangles.reshape(-1, 3), np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    )
+    of = np.repeat(np.arange(len(boxes)), [len(b) for b in boxes])
+    session = DefaultSegmenter().encode(Asset("door", mesh))
+    front = int(np.flatnonzero((of == 1) & (mesh.triangles[:, :, 1].max(1) < -0.28))[0])
+    at = mesh.triangles.mean(1)
+    door = Click((float(at[front, 0]), float(at[front, 1]), float(at[front, 2])), 1, True, front)
+    panel = Region(1, np.flatnonzero(of == 1))
+    labels = session.segment(Prompts((panel, door))).labels
+    assert [set(labels[of == k]) for k in range(6)] == [{0}, {1}, {1}, {1}, {1}, {0}]
+    bar = int(np.flatnonzero(of == 4)[0])
+    other = Click((float(at[bar, 0]), float(at[bar, 1]), float(at[bar, 2])), 2, True, bar)
+    labels = session.segment(Prompts((panel, door, other))).labels
+    assert set(labels[of == 4]) == {2} and set(labels[of == 1]) == {1}
