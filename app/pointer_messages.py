@@ -36,6 +36,11 @@ class ArtiworldToolMessage(_messages.Message, include_in_scene_serialization=Fal
     tool: str
 
 
+# viser looks its message classes up once: where it did before these were known, a page that moves
+# its pointer would lose its connection.
+_messages.Message._subclass_from_type_string.cache_clear()  # type: ignore[attr-defined]
+
+
 def tell_page(client: viser.ClientHandle, **state: Any) -> None:
     """Set fields of the script's state."""
     source = f"window.__artiworld?.set({json.dumps(state)})"

@@ -8,6 +8,7 @@ import re
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -181,3 +182,14 @@ def test_mistakes_end_the_program_with_one_line(scan, tmp_path):
         port = taken.getsockname()[1]
         done = artiworld("serve", scan, "--workspace", tmp_path / "w", "--port", port)
         assert_users_mistake(done, f"port {port} is in use")
+
+
+def test_the_pages_messages_are_known_whoever_asked_first():
+    """In a process of its own: viser keeps what it knew when it was first asked."""
+    words = (
+        "from viser import _messages as m; m.Message._subclass_from_type_string();"
+        "import app.pointer_messages as p;"
+        "known = m.Message._subclass_from_type_string();"
+        "assert known['ArtiworldHoverMessage'] is p.ArtiworldHoverMessage"
+    )
+    subprocess.run([sys.executable, "-c", words], check=True, timeout=60)
