@@ -8,7 +8,7 @@
     OUT/summary.json        counts, Sim-Id, times, problems
     OUT/assets/<key>/       a saved asset for each asset and size, with mjcf/ beside it; where an
                             object's limits were shortened, scene_<n>.urdf
-    OUT/work/               what is done already
+    work/ in OUT            what is done already
 """
 
 from __future__ import annotations

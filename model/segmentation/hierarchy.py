@@ -9,6 +9,7 @@ absorbed early, one that follows flat and evenly coloured patches.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,11 @@ class Hierarchy:
     labels: npt.NDArray[np.int32]
     tree: npt.NDArray[np.int8]
     height: npt.NDArray[np.float32]
+
+    @cached_property
+    def offset(self) -> npt.NDArray[np.int64]:
+        """(L + 1,) number of the first region of each level, counting all levels; the total."""
+        return np.concatenate([[0], np.cumsum(self.labels.max(1).astype(np.int64) + 1)])
 
 
 @dataclass

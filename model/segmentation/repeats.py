@@ -26,8 +26,7 @@ class Repeats:
 
     def __init__(self, cells: Cells, hierarchy: Hierarchy, x: Float) -> None:
         """``x`` (C, 3): centres of the cells, the object's diagonal being 1."""
-        labels = hierarchy.labels
-        offset = np.concatenate([[0], np.cumsum(labels.max(1).astype(np.int64) + 1)])
+        labels, offset = hierarchy.labels, hierarchy.offset
         flat = (labels + offset[:-1, None]).ravel()
         number, levels = int(offset[-1]), len(labels)
         cell_count = np.bincount(flat, minlength=number)

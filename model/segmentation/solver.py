@@ -80,8 +80,7 @@ class PartSolver:
         self._labels = hierarchy.labels
         self._tree = hierarchy.tree
         self._height = hierarchy.height
-        offset = np.concatenate([[0], np.cumsum(hierarchy.labels.max(1).astype(np.int64) + 1)])
-        self._offset = offset[:-1]
+        self._offset = hierarchy.offset[:-1]
         self._sizes = np.bincount(
             (hierarchy.labels + self._offset[:, None]).ravel(),
             np.tile(cells.size, len(hierarchy.labels)),
