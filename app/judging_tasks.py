@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import secrets
-from importlib.metadata import version
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from app.tasks import PartSource, articulated_object
@@ -12,6 +14,11 @@ from model import codec
 from model.gate.report import GateReport
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
+from model.resources import static_assets
+
+PACKAGES = static_assets().parent
+DECIDES = ("collision", "exporters", "gate", "geometry", "kinematics")
+"""Packages of the model that an answer depends on, with their thresholds."""
 
 
 def judge_joints(
@@ -41,7 +48,28 @@ def _kept_at(source: PartSource, tree: KinematicTree) -> Path:
     from model.collision.store import fingerprint
 
     key = fingerprint(
-        "gate", version("artiworld"), source.folder.name, source.labels,
+        "gate", judge_version(), source.folder.name, source.labels,
         sorted(source.names.items()), source.category, tree.links, tree.joints,
     )  # fmt: skip
     return source.workspace / "cache" / "gate" / f"{key}.json"
+
+
+@cache
+def judge_version(root: Path = PACKAGES) -> str:
+    """Of the code that judges, its settings, the table of materials and the libraries behind it:
+    an answer that was kept counts until one of them changes.
+
+    Args:
+        root: the folder that holds the packages.
+    """
+    digest = hashlib.sha256()
+    for package in DECIDES:
+        for path in sorted((root / "model" / package).rglob("*.py")):
+            digest.update(f"{path.name}\0".encode() + path.read_bytes())
+    digest.update((static_assets() / "physics" / "materials.json").read_bytes())
+    for name in ("artiworld", "mujoco", "numpy", "open3d", "scipy"):
+        try:
+            digest.update(f"{name} {version(name)}\0".encode())
+        except PackageNotFoundError:  # MuJoCo is an extra
+            digest.update(f"no {name}\0".encode())
+    return digest.hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,6 +22,7 @@ from model.gate import gate
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.resources import static_assets
 from sessions import commands as cmd
 from sessions.store import Store
 
@@ -142,3 +144,16 @@ def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.Mo
     other = replace(tree, joints=(replace(tree.joints[0], upper=0.7), *tree.joints[1:]))
     with pytest.raises(TypeError):
         judging_tasks.judge_joints(source, other)
+    monkeypatch.setattr(judging_tasks, "judge_version", lambda: "another")
+    with pytest.raises(TypeError):
+        judging_tasks.judge_joints(source, tree)
+
+
+def test_what_was_kept_is_forgotten_when_a_threshold_changes(tmp_path: Path) -> None:
+    for package in judging_tasks.DECIDES:
+        shutil.copytree(static_assets().parent / "model" / package, tmp_path / "model" / package)
+    assert judging_tasks.judge_version(tmp_path) == judging_tasks.judge_version()
+    examine = tmp_path / "model" / "gate" / "examine.py"
+    examine.write_text(examine.read_text().replace("SHALLOW = 0.03", "SHALLOW = 0.02"))
+    judging_tasks.judge_version.cache_clear()
+    assert judging_tasks.judge_version(tmp_path) != judging_tasks.judge_version()
