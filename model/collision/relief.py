@@ -27,6 +27,9 @@ from model.kinematics.ways import joint_poses
 
 GAP = 2e-4
 """Between bodies afterwards, in the object's diagonal."""
+CLOSE = 0.5
+"""Gaps below this share of it touch: CAD parts share their faces exactly, which a simulator takes
+for contact, and the friction holds them."""
 GRAZE = 0.01
 """Overlap along the range that is cut away, in the diagonal."""
 FIRST_STEP, WIDENING, LONGEST_STEP = 2e-4, 1.05, 1e-3
@@ -144,16 +147,19 @@ def _on_the_way(
         return np.zeros(0), []
     q = end * _steps(travel)
     poses = joint_poses(tree, joint, q)
-    near = _meeting(bodies, crossing, poses)
+    close = CLOSE * GAP * diagonal
+    near = _meeting(bodies, crossing, poses, close)
     if not near:
         return np.zeros(0), []
-    return q, [overlaps(bodies, near, {k: p[i] for k, p in poses.items()}) for i in range(len(q))]
+    return q, [
+        overlaps(bodies, near, {k: p[i] for k, p in poses.items()}, -close) for i in range(len(q))
+    ]
 
 
 def _meeting(
-    bodies: Bodies, pairs: list[tuple[str, str]], poses: Mapping[str, FloatArray]
+    bodies: Bodies, pairs: list[tuple[str, str]], poses: Mapping[str, FloatArray], close: float
 ) -> list[tuple[str, str]]:
-    """The pairs whose boxes, over all of (S, 4, 4) poses a link, meet."""
+    """The pairs whose boxes, over all of (S, 4, 4) poses a link, come as close as that."""
     boxes: dict[str, FloatArray] = {}
     for link in {k for pair in pairs for k in pair if bodies.get(k)}:
         each = np.stack([h.bounds for h in bodies[link]])
@@ -167,7 +173,7 @@ def _meeting(
     return [
         (a, b) for a, b in pairs
         if a in boxes and b in boxes
-        and (boxes[a][0] < boxes[b][1]).all() and (boxes[b][0] < boxes[a][1]).all()
+        and (boxes[a][0] - boxes[b][1] < close).all() and (boxes[b][0] - boxes[a][1] < close).all()
     ]  # fmt: skip
 
 
@@ -198,7 +204,8 @@ def overlaps(
     poses: Mapping[str, FloatArray],
     least: float = 0.0,
 ) -> list[Touching]:
-    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose.
+    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose; a negative
+    one finds what a smaller gap parts, too.
 
     Args:
         poses: link → (4, 4) ``posed_from_rest``; links that aren't there rest.
@@ -212,8 +219,8 @@ def overlaps(
     for a, b in pairs:
         if a not in boxes or b not in boxes:
             continue
-        apart = (boxes[a][:, None, 0] >= boxes[b][None, :, 1]).any(axis=2)
-        apart |= (boxes[b][None, :, 0] >= boxes[a][:, None, 1]).any(axis=2)
+        apart = (boxes[a][:, None, 0] - boxes[b][None, :, 1] >= -least).any(axis=2)
+        apart |= (boxes[b][None, :, 0] - boxes[a][:, None, 1] >= -least).any(axis=2)
         if apart.all():
             continue
         a_from_b = np.linalg.inv(poses.get(a, rest)) @ poses.get(b, rest)
@@ -245,7 +252,7 @@ def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free) ->
     gap = GAP * diagonal
     rest = tree.pose({})
     for _ in range(ROUNDS):
-        if not _cut_all(bodies, overlaps(bodies, pairs, rest), gap, np.inf):
+        if not _cut_all(bodies, overlaps(bodies, pairs, rest, -CLOSE * gap), gap, np.inf):
             break
     for found, deep in _to_cut(bodies, tree, pairs, diagonal, free):
         if deep:
@@ -260,7 +267,7 @@ def in_the_way(
 ) -> set[tuple[str, int]]:
     """Bodies (link, number) that touch others where :func:`relieve` lets none touch."""
     pairs = moving_pairs(tree)
-    found = overlaps(bodies, pairs, tree.pose({}))
+    found = overlaps(bodies, pairs, tree.pose({}), -CLOSE * GAP * diagonal)
     for touches, _ in _to_cut(bodies, tree, pairs, diagonal, free):
         found += touches
     return {one for t in found for one in ((t.a, t.i), (t.b, t.j))}
@@ -280,7 +287,7 @@ def _cut_all(
         if {(touch.a, touch.i), (touch.b, touch.j)} & gone:
             continue
         a, b = bodies[touch.a][touch.i], bodies[touch.b][touch.j].moved(touch.a_from_b)
-        now = overlap(a, b)
+        now = overlap(a, b, -CLOSE * gap)
         if now is None or now.depth > most:
             continue
         answer = _cut(a, b, now, gap, least)

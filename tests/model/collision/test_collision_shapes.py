@@ -17,6 +17,8 @@ from model.collision.measure import free_volume, overlaps_of
 from model.collision.overlap import overlap
 from model.collision.shapes import Primitive, hull_of_shape
 from model.errors import GeometryError
+from model.exporters.physics import physics_of
+from model.gate.physics import run_physics
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
@@ -199,6 +201,13 @@ def test_a_drawer_without_a_gap_gets_one(gap):
     assert not inside(after["link_1"], [0.2, 0.15, 0.1]).any()
 
 
+def test_a_drawer_that_shares_faces_with_its_chest_slides_in_the_simulator():
+    pytest.importorskip("mujoco")
+    obj = chest(0.0)
+    said = run_physics(obj, physics_of(obj))
+    assert said.ran and said.shapes and not said.missed
+
+
 def telescope(reach: float, give_way: bool = False) -> ArticulatedObject:
     """A tube on a foot, closed above but for a hole, and a rod with a head in it that goes up."""
     tube = trimesh.creation.annulus(0.05, 0.06, 0.3)
@@ -242,6 +251,9 @@ def test_overlap_of_two_boxes_is_exact():
     assert overlap(a, b, least=0.31) is None
     far = hull_of(trimesh.creation.box((1, 1, 1)).vertices + [0.9, 0.9, 1.01])
     assert far is not None and overlap(a, far) is None
+    near = overlap(a, far, least=-0.02)
+    assert near is not None and near.depth == pytest.approx(-0.01)
+    assert overlap(a, far, least=-0.005) is None
 
 
 # keeping, coacd, arbitrary input
