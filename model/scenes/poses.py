@@ -36,7 +36,7 @@ def rotation_from_quaternion(xyzw: FloatArray) -> FloatArray:
     length = float(np.linalg.norm(xyzw))
     if length < 1e-9:
         raise SceneObjectError(
-            f"its quaternion {xyzw.tolist()} is zero; one of length 1 is needed, x y z w"
+            f"its quaternion {xyzw.tolist()} (x y z w) is zero; one of length 1 is needed"
         )
     x, y, z, w = xyzw / length
     return np.array([

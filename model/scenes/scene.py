@@ -14,6 +14,8 @@ from model.errors import ArtiworldError
 FloatArray = npt.NDArray[np.float64]
 Anchor = Literal["origin", "center", "base"]
 ANCHORS: tuple[Anchor, ...] = get_args(Anchor)
+FARTHEST = 1e5
+"""Metres from the origin: beyond, single precision can't tell a hinge from its neighbour."""
 
 
 class SceneObjectError(ArtiworldError):
@@ -94,6 +96,10 @@ class SceneObject:
             np.linalg.det(pose[:3, :3]) < 0
         ):
             raise SceneObjectError("its rotation is none (a rigid rotation is needed)")
+        if np.abs(pose[:3, 3]).max() > FARTHEST:
+            raise SceneObjectError(
+                f"it stands at {pose[:3, 3].tolist()} m; {FARTHEST:.0f} m from the origin at most"
+            )
         scale = _array(self.scale, (3,), "scale")
         if (scale <= 0).any():
             raise SceneObjectError(f"scale {scale.tolist()} must be three positive numbers")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ MAX_BYTES = 256 * 2**20
 """Far beyond any honest scene description; geometry lies beside it."""
 MAX_OBJECTS = 20_000
 _SHOWN = 60
+_UNWRITABLE = re.compile("[\x00-\x1f\ud800-\udfff\ufffe\uffff]")
 
 Place = tuple[str | int, ...]
 
@@ -90,12 +92,17 @@ def text(value: Any, what: str) -> str:
     """
     if not isinstance(value, str) or not value.strip():
         raise SceneObjectError(f"{what} is {shown(value)}; a text is needed")
-    return value.strip()
+    return _writable(value).strip()
 
 
 def maybe_text(value: Any) -> str | None:
     """A text, or None for anything else."""
-    return value.strip() if isinstance(value, str) and value.strip() else None
+    return text(value, "") if isinstance(value, str) and value.strip() else None
+
+
+def _writable(value: str) -> str:
+    """Without what no XML file can hold: the written scene has the names, too."""
+    return _UNWRITABLE.sub("\ufffd", " ".join(value.splitlines()).replace("\t", " "))
 
 
 def collect(

@@ -8,6 +8,7 @@ from scipy.spatial import KDTree
 
 from model.errors import GeometryError
 from model.geometry.asset import Asset
+from model.segmentation.cells import groups
 
 Bool = npt.NDArray[np.bool_]
 
@@ -15,6 +16,8 @@ ROOM_METRES = 2.5
 """A scan that is wider than this may be a room."""
 MOST_THICKNESS = 0.06
 """Metres: more is no unevenness of a wall."""
+GAP = 0.06
+"""Metres between points of a scan that still belong together."""
 
 _SAMPLE = 20_000
 _PLANES = 8
@@ -36,6 +39,27 @@ def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool
     middle = float(np.median(mean))
     spread = 1.4826 * float(np.median(np.abs(mean - middle))) + 0.1 * middle
     return mean > middle + deviations * spread
+
+
+def largest_piece(points: npt.NDArray[np.floating], gap: float = GAP) -> Bool:
+    """(N,) the points of a scan that hang together with most others: what a box round an object
+    caught of the things before and behind it isn't among them.
+
+    Args:
+        points: (N, 3) metres.
+        gap: metres between points that still hang together.
+    """
+    if len(points) < 2:
+        return np.ones(len(points), bool)
+    cells = np.floor((points - points.min(0)) / (gap / 3)).astype(np.int64)
+    _, of = np.unique(cells, axis=0, return_inverse=True)
+    of = of.ravel()
+    held = np.bincount(of)
+    centers = np.stack([np.bincount(of, x) for x in points.T], axis=1) / held[:, None]
+    near = KDTree(centers).query_pairs(gap, output_type="ndarray")
+    _, piece = groups(len(held), near[:, 0], near[:, 1])
+    mine = piece[of]
+    return np.asarray(mine == np.bincount(mine).argmax())
 
 
 def floor_and_walls(asset: Asset, share: float = 0.03, thickness: float = 0.01) -> Bool:

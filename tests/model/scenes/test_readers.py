@@ -114,6 +114,7 @@ def _mesatask_with(**changes: object) -> dict:
         ({"scale_factor": [1, math.nan, 1]}, "finite"),
         ({"scale_factor": [1, -1, 1]}, "positive"),
         ({"position": [10**400, 0, 0]}, "finite"),
+        ({"position": [1e30, 0, 0]}, "from the origin"),
         ({"position": [True, 0, 0]}, "3 numbers"),
         ({"retrieved_uid": None}, "retrieved_uid"),
         ({"instance": ""}, "instance"),

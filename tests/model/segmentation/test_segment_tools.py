@@ -8,7 +8,7 @@ import pytest
 from model.errors import GeometryError, PromptError
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
-from model.segmentation.crop import crop, floor_and_walls, outliers
+from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
 from model.segmentation.cuts import pieces, straight_cut
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.proposal import propose, without_leftovers
@@ -141,6 +141,15 @@ def test_leftovers_go_to_their_neighbours(session, cloud_cabinet):
 def test_a_mask_of_the_wrong_length_is_refused(session):
     with pytest.raises(PromptError, match="shape"):
         grow(session, np.ones(3, bool))
+
+
+def test_a_box_round_a_thing_keeps_the_thing():
+    thing, _ = sampled([((-0.4, -0.4, 0.0), (0.4, 0.4, 1.0))], 6000)
+    behind, _ = sampled([((-1.0, 0.7, 0.0), (1.0, 0.75, 1.0))], 4000)
+    points = np.concatenate([behind, thing])
+    np.testing.assert_array_equal(largest_piece(points), np.arange(len(points)) >= len(behind))
+    assert largest_piece(points[:1]).all() and len(largest_piece(points[:0])) == 0
+    assert largest_piece(thing + 5e4).mean() > 0.99  # far from the origin, too
 
 
 def test_floor_walls_and_outliers_leave_the_object():
