@@ -182,7 +182,7 @@ class DefaultSession:
             mask = self.solver.tidy(found.best, own, cell) & ~blocked
             if step.positive and own.mask is not None:
                 mask = self._not_in_vain(own, mask, cell, blocked)
-            parts[step.part] = replace(with_click(own, cell, step.positive), mask=mask)
+            parts[step.part] = self.solver.moved(own, cell, step.positive, mask)
             ranked[step.part] = found
         if step.positive:
             taken = parts[step.part].mask

@@ -32,6 +32,13 @@ _LOSS_PENALTY = 3.0
 _USUAL_OVERLAP = 0.8
 _OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
+_STALL_SHARE = 0.03
+_STALL_PENALTY = 4.0
+_STALL_DEMAND = 0.05
+_STALL_GROWTH = 3.0
+_STALL_MOST = 0.5
+_STALL_BALL = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class PartState:
@@ -40,11 +47,13 @@ class PartState:
     Attributes:
         positive, negative: clicked cells in order.
         mask: (C,) its cells.
+        stalls: how many clicks in a row have hardly changed the mask.
     """
 
     positive: tuple[int, ...] = ()
     negative: tuple[int, ...] = ()
     mask: Bool | None = None
+    stalls: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,16 +171,45 @@ class PartSolver:
         both = joined([found, self._finish(joined(more), after, blocked)])
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
-        # Nobody clicks early to change a cell or two; later that may be all that is wrong.
-        size = self.cells.size
-        changed = (both.masks ^ state.mask).astype(np.float32) @ size.astype(np.float32)
-        idle = changed <= min(_IDLE_CELLS * size.mean(), _IDLE_SHARE * size[state.mask].sum())
-        said = len(after.positive) + len(after.negative)
-        early = np.exp(-(said - 2) / 2)
-        # And nobody clicks late to throw away most of what is there.
         lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
-        penalty = _IDLE_PENALTY * early * idle + _LOSS_PENALTY * (1 - early) * lost
-        return Ranked(both, features, scores - penalty)
+        return Ranked(both, features, scores - self._unlikely(state, cell, both.masks, lost))
+
+    def moved(self, state: PartState, cell: int, positive: bool, mask: Bool) -> PartState:
+        """``state`` after a click that made the part ``mask``."""
+        stalls = 0
+        if state.mask is not None and state.mask.any():
+            size = self.cells.size
+            little = size[mask ^ state.mask].sum() < _STALL_SHARE * size[state.mask].sum()
+            stalls = state.stalls + 1 if little else 0
+        return replace(with_click(state, cell, positive), mask=mask, stalls=stalls)
+
+    def _unlikely(self, state: PartState, cell: int, masks: Bool, lost: Float) -> Float:
+        """(H,) what speaks against each mask whatever it looks like: nobody clicks for that.
+
+        Args:
+            state: before the click on ``cell``.
+            lost: (H,) 0..1 how much of the mask before is gone.
+        """
+        assert state.mask is not None
+        size = self.cells.size
+        own = float(size[state.mask].sum())
+        changed = (masks ^ state.mask).astype(np.float32) @ size.astype(np.float32)
+        # Nobody clicks early to change a cell or two; later that may be all that is wrong.
+        said = len(state.positive) + len(state.negative)
+        early = np.exp(-(said - 1) / 2)
+        idle = changed <= min(_IDLE_CELLS * size.mean(), _IDLE_SHARE * own)
+        # And nobody clicks late to throw away most of what is there, unless nothing else helps.
+        against = _IDLE_PENALTY * early * idle
+        against += _LOSS_PENALTY * (1 - early) * lost / (1 + state.stalls)
+        if state.stalls:
+            # Who clicks again after a click in vain means more than the last answers gave.
+            apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
+            other = state.mask != state.mask[cell]
+            near = size[apart < apart[other].min()].sum() if other.any() else size.sum()
+            share = min(_STALL_DEMAND * _STALL_GROWTH**state.stalls, _STALL_MOST)
+            wanted = max(min(share * own, _STALL_BALL * near), 1.0)
+            against += _STALL_PENALTY * np.clip(1 - changed / wanted, 0, 1)
+        return against
 
     def _first_answer(self, after: PartState, cell: int, blocked: Bool | None) -> Ranked:
         clicked = Clicked(after.positive, after.negative, cell, True)

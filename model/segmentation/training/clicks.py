@@ -15,7 +15,7 @@ from model.segmentation.encoding import Encoding, encode
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.simulate import deepest, next_click
-from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
+from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.fit import averaged, fit_ranker
 from model.segmentation.training.scans import SMALL_PARTED, build, random_scan
 
@@ -185,7 +185,7 @@ def _session(
     log: _Log,
 ) -> None:
     of_node, points = encoding.cells.of_node, encoding.nodes.points
-    state = with_click(PartState(), int(of_node[start]), True)
+    state, cell, positive = PartState(), int(of_node[start]), True
     for step in range(clicks):
         if step:
             log.add(ranked, overlaps(encoding, ranked, truth), truth.mean())
@@ -193,15 +193,14 @@ def _session(
         if rng.random() < explore:
             near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 2]
             mask = ranked.candidates.masks[int(rng.choice(near))]
-        state = PartState(state.positive, state.negative, mask)
+        state = solver.moved(state, cell, positive, mask)
         click = next_click(points, truth, mask[of_node])
         if click is None:
             return
-        cell = int(of_node[click[0]])
-        if mask[cell] == click[1]:
+        cell, positive = int(of_node[click[0]]), click[1]
+        if mask[cell] == positive:
             return  # the error is smaller than a cell
-        ranked = solver.answer(state, cell, click[1], None)
-        state = with_click(state, cell, click[1])
+        ranked = solver.answer(state, cell, positive, None)
 
 
 def collect(

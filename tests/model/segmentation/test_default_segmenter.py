@@ -10,9 +10,12 @@ from model.datasets.procedural.generate import make
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.segmentation.default import DefaultSegmenter
+from model.segmentation.masks import FEATURE_NAMES
+from model.segmentation.mlp import Mlp
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.repeats import Repeats
 from model.segmentation.simulate import deepest, iou, next_click, next_part_click
+from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.training.primitives import block
 
 
@@ -221,3 +224,28 @@ def test_a_handle_goes_with_the_door_it_is_mounted_on() -> None:
     other = Click((float(at[bar, 0]), float(at[bar, 1]), float(at[bar, 2])), 2, True, bar)
     labels = session.segment(Prompts((panel, door, other))).labels
     assert set(labels[of == 4]) == {2} and set(labels[of == 1]) == {1}
+
+
+def test_clicks_in_vain_make_the_next_one_count(session) -> None:
+    """A scorer that would rather keep the mask is heard at first, not for ever."""
+    weight = np.array([[2.0 * (n == "from_keep") for n in FEATURE_NAMES]], np.float32)
+    zero = np.zeros(len(FEATURE_NAMES), np.float32)
+    stubborn = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    encoding = session.encoding
+    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, stubborn)
+    everything = np.ones(len(encoding.cells), bool)
+    body = int(np.abs(encoding.cells.center - (0.0, 0.25, 0.4)).sum(1).argmin())
+    door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    state = PartState((door,), tuple(range(8)), everything)
+
+    def lost(state: PartState) -> float:
+        answer = solver.answer(state, body, False, None)
+        gone = encoding.cells.size[~answer.best].sum()
+        return float(gone / encoding.cells.size.sum())
+
+    assert lost(state) < 0.01
+    for _ in range(3):
+        state = solver.moved(state, body, False, everything)
+    assert state.stalls == 3
+    assert lost(state) > 0.1
+    assert solver.moved(state, body, False, encoding.cells.center[:, 0] < 0.5).stalls == 0
