@@ -144,7 +144,7 @@ def _collision(
     shapes = [s for each in held.values() for s in each]
     met = overlaps_of(obj, held)
     free = free_volume(obj, held, coacd_seconds=coacd_seconds)
-    return {
+    row: dict[str, Any] = {
         "shapes": len(shapes),
         "shapes_a_link": round(len(shapes) / max(len(held), 1), 2),
         "most_of_a_link": max((len(each) for each in held.values()), default=0),
@@ -155,10 +155,18 @@ def _collision(
         "free_kept": round(free.kept, 4),
         "free_kept_by_one_hull": round(free.kept_by_hull, 4),
         "free_kept_by_coacd": None if free.kept_by_coacd is None else round(free.kept_by_coacd, 4),
-        "coacd_hulls": free.coacd_hulls,
+        "coacd_hulls": None if free.coacd is None else sum(map(len, free.coacd.values())),
         "coacd_seconds": None if free.coacd_seconds is None else round(free.coacd_seconds, 1),
         "processor_seconds": round(seconds, 3),
     }
+    others = {"one_hull": free.hull, "coacd": free.coacd} if coacd_seconds else {}
+    for name, shapes in others.items():
+        other = None if shapes is None else overlaps_of(obj, shapes)
+        row[f"overlap_at_rest_by_{name}_m"] = other and round(other.at_rest, 6)
+        row[f"overlap_over_range_by_{name}_m"] = other and {
+            joint: round(d, 6) for joint, d in other.over_range.items()
+        }
+    return row
 
 
 def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from app import tasks
 from app.tasks import JointCheck
 from model.errors import CommandError
-from model.gate.report import GateReport, Mend
+from model.gate.report import GateReport, JointVerdict, Mend
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
@@ -129,12 +129,17 @@ class Judging:
             return False
         self._waiting = None
         if report is not None and report.verdict == "broken" and not override.strip():
-            count = len(report.with_verdict("broken"))
-            what = f"{count} joints are" if count > 1 else f"{report.joints[0].joint} is"
-            raise CommandError(
-                f"{what} broken: {report.joints[0].sentence} Mend it, or say why it is right"
-            )
+            count, worst = len(report.with_verdict("broken")), report.joints[0]
+            what = f"{self._named(worst)} is broken: {worst.sentence}"
+            more = f" So {'are' if count > 2 else 'is'} {count - 1} more." if count > 1 else ""
+            raise CommandError(f"{what}{more} Mend it, or say why it is right")
         return True
+
+    def _named(self, verdict: JointVerdict) -> str:
+        """What people call the part that a joint moves, else the joint's name."""
+        number = verdict.child.removeprefix("link_")
+        name = self._obj.document.part_names.get(int(number)) if number.isdigit() else None
+        return f"{name} {number}" if name and name != verdict.child else verdict.joint
 
     def _accept_waiting(self) -> None:
         waiting, self._waiting = self._waiting, None

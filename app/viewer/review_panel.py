@@ -44,8 +44,8 @@ class ReviewPanel:
         self._drawn: Any = None
         self._decided_here: int | None = None
         gui = app.client.gui
-        self._summary = gui.add_markdown("")
         self.gate = GateView(app)
+        self._summary = gui.add_markdown("")
         self._override = gui.add_text(
             "Right all the same, because", "", visible=False,
             hint="The gate calls a joint broken: say why it may be accepted",

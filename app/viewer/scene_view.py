@@ -400,9 +400,10 @@ class SceneView:
         self._moment = []
         if where is None or self._asset is None:
             return
+        radius = 0.016 * self._asset.diagonal
         ball = self._scene.add_icosphere(
             "/moment",
-            radius=0.016 * self._asset.diagonal,
+            radius=radius,
             color=palette.CONTACT,
             subdivisions=2,
             opacity=0.9,
@@ -410,8 +411,12 @@ class SceneView:
             cast_shadow=False,
             receive_shadow=False,
         )
-        label = self._scene.add_label("/moment/label", f"✖ {text}", anchor="bottom-center")
-        self._moment = [label, ball]
+        # Labels are drawn over everything, the ball is inside of what meets there.
+        cross = self._scene.add_label("/moment/cross", "✖", anchor="center-center")
+        label = self._scene.add_label(
+            "/moment/label", text, position=(0.0, 0.0, 2.5 * radius), anchor="bottom-center"
+        )
+        self._moment = [cross, label, ball]
 
     def show_touch_pad(self, wanted: bool) -> Any:
         """An invisible box that a finger can tap, since scene clicks don't fire on touch."""

@@ -35,15 +35,17 @@ class FreeVolume:
         kept_by_hull: share that one convex hull a part leaves.
         kept_by_coacd: share that coacd with its defaults leaves; None where it wasn't asked, isn't
             installed, failed on a part or ran out of time.
-        coacd_hulls: how many hulls it took.
-        coacd_seconds: and how long.
+        hull: link → the one convex hull of its part.
+        coacd: link → coacd's hulls; None where ``kept_by_coacd`` is.
+        coacd_seconds: how long that took.
     """
 
     volume: float
     kept: float
     kept_by_hull: float
+    hull: Collision
     kept_by_coacd: float | None = None
-    coacd_hulls: int | None = None
+    coacd: Collision | None = None
     coacd_seconds: float | None = None
 
 
@@ -91,7 +93,9 @@ def free_volume(
     from model.exporters.part_files import part_mesh
 
     total = kept = by_hull = by_coacd = 0.0
-    hulls, asked, spent = 0, coacd_seconds > 0, 0.0
+    asked, spent = coacd_seconds > 0, 0.0
+    single: dict[str, tuple[Hull, ...]] = {}
+    several: dict[str, tuple[Hull, ...]] = {}
     for part in obj.parts:
         mesh = thinned(part_mesh(part))
         alive = mesh.face_areas > 0
@@ -101,6 +105,7 @@ def free_volume(
         free = space.free_count * space.size**3
         shapes = [hull_of_shape(s) for s in collision.get(part.link, ())]
         whole = thick_hull(mesh.vertices[np.unique(mesh.faces)], space.size)
+        single[part.link] = (whole,)
         total += free
         kept += free * (1 - covered(space, shapes))
         by_hull += free * (1 - covered(space, [whole]))
@@ -110,10 +115,10 @@ def free_volume(
             spent += time.perf_counter() - start
             asked = found is not None
             by_coacd += free * (1 - covered(space, list(found or ())))
-            hulls += len(found or ())
+            several[part.link] = tuple(found or ())
     share = 1.0 / max(total, 1e-30)
     return FreeVolume(
-        total, kept * share if total else 1.0, by_hull * share if total else 1.0,
-        by_coacd * share if asked and total else None, hulls if asked else None,
+        total, kept * share if total else 1.0, by_hull * share if total else 1.0, single,
+        by_coacd * share if asked and total else None, several if asked else None,
         spent if asked else None,
     )  # fmt: skip

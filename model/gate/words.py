@@ -12,7 +12,9 @@ def title(obj: ArticulatedObject, link: str) -> str:
     """A link in people's words: "door 2", else its own name."""
     name = next((p.name for p in obj.parts if p.link == link), None)
     digits = link.removeprefix("link_")
-    return f"{name} {digits}" if name and digits.isdigit() else link
+    if not name or name == link or not digits.isdigit():
+        return link
+    return f"{name} {digits}"
 
 
 def length(metres: float) -> str:

@@ -102,9 +102,9 @@ class Tab:
         wait_until(lambda: len(self.document.prompts) == before + 1, "the click is a prompt")
         self.settled()
 
-    def settled(self) -> None:
+    def settled(self, seconds: float = TIMEOUT) -> None:
         """Wait until the labels belong to the prompts."""
-        wait_until(lambda: self.document.segmentation_current, "labels follow the prompts")
+        wait_until(lambda: self.document.segmentation_current, "labels follow the prompts", seconds)
         wait_until(
             lambda: not self.document.prompts or self.app.object.labels is not None, "labels shown"
         )

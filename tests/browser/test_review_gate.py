@@ -13,9 +13,12 @@ import pytest
 import trimesh
 from browsing import Tab, wait_until
 
+from app.prompt_file import read_prompts
+from app.viewer.gate_view import MENDS
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.resources import static_assets
 from sessions import commands as cmd
 
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
@@ -115,6 +118,43 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     )
     # The next object is there without a click.
     wait_until(lambda: tab.app.object is not obj, "the next object")
+
+
+@pytest.mark.timeout(900)
+def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:
+    """What the bundled clicks and the predictor give of a chair, as a person would mend it."""
+    path = static_assets() / "examples" / "office_chair.glb"
+    file = read_prompts(path.with_suffix(".prompts.json"))
+    server = start(path)
+    tab = open_tab(server, 900, 600)
+    obj = tab.app.object
+    obj.do(cmd.SetCategory(file.category), "tester")
+    for part, name in file.names.items():
+        obj.do(cmd.AddPart(part, name), "tester")
+    for click in file.prompts.clicks:
+        obj.do(cmd.AddClick(click), "tester")
+    tab.settled(300)
+    tab.button("Predict joints (P)").first.click()
+    wait_until(lambda: obj.document.tree is not None, "joints", 300)
+    tab.step("Review")
+    report = wait_until(lambda: obj.judging.report, "a verdict", 300)
+    assert report.verdict == "broken"
+    pressed = 0
+    while report.verdict == "broken" and pressed < 4:
+        worst = next(j for j in report.joints if j.mends)
+        before = report
+        tab.button(MENDS[worst.mends[0].kind]).first.click()
+        wait_until(lambda: obj.judging.report is not before, "the edit")  # noqa: B023
+        report = wait_until(lambda: obj.judging.report, "a new verdict", 300)
+        pressed += 1
+    assert report.verdict == "fine"
+    tab.page.get_by_text(re.compile("Gate: ✓ 14 fine")).first.wait_for()
+    # No reason is asked for any more.
+    assert tab.page.get_by_role("button", name=re.compile("against the gate")).count() == 0
+    tab.button("Fix and accept (Y)").click()
+    saved = wait_until(lambda: obj.document.saved, "saved", 300)
+    gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
+    assert (gate["verdict"], gate["override"]) == ("fine", "")
 
 
 def test_the_least_sure_prediction_follows_a_decision(
