@@ -110,7 +110,7 @@ def write_report(
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(name)}</title>"
         f"<style>{STYLE}</style><h1>{escape(name)}</h1><p class=note>{len(rows)} objects. "
         f"{_sim_id(rows)}</p><ul class=counts>{legend}</ul>{_img(picture, 'the scene')}"
-        f"{f'<h2>Not taken as it is in the file</h2><ul>{told}</ul>' if told else ''}"
+        f"{f'<h2>About the file</h2><ul>{told}</ul>' if told else ''}"
         "<h2>Objects</h2><table><tr><th>object<th>state<th>why<th>joints<th>picture</tr>"
         f"{body}</table></html>"
     )

@@ -10,6 +10,7 @@ import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from app.scene_tasks import OpenedScene, SceneItem
 from model.errors import ArtiworldError, CommandError
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
-from model.scenes.jobs import ACCEPTED, ASSETS, FAILED, MISSING, MJCF, PLAIN, PREDICTED, STATIC
+from model.scenes.jobs import ACCEPTED, ASSETS, FAILED, MISSING, PLAIN, PREDICTED, STATIC
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
@@ -202,12 +203,17 @@ def save_scene(
                 outcome.state, outcome.reason, outcome.key = FAILED, str(error), None
     shorten_limits(outcomes, out, progress)
     progress(0.97, "writing")
-    summary = write_results(scene, outcomes, out, free_bases=True)
+    summary = write_results(scene, outcomes, out, free_bases=True, formats=_formats())
     write_json(out / "summary.json", summary)
     for folder in (out / ASSETS).iterdir():
         if folder.name not in made:  # of a scene that was saved before
             shutil.rmtree(folder, ignore_errors=True)
     return summary
+
+
+def _formats() -> tuple[str, ...]:
+    """What the scene is written as besides MJCF."""
+    return ("sdf", "usd") if find_spec("pxr") is not None else ("sdf",)
 
 
 def _stand(
@@ -235,7 +241,7 @@ def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> di
     from model.scenes.protocol import Decision
 
     assert item.path is not None
-    settings = ConvertSettings(seconds=SECONDS, collision=True)
+    settings = ConvertSettings(seconds=SECONDS, collision=True, formats=_formats())
     rigid = Outcome(item.obj, Decision(False), item.path)
     job = asset_job(rigid, asset_digest(item.path), settings)
     report = made.get(job.key) or read_done(out, job.key)
@@ -246,22 +252,22 @@ def _moving_asset(key: str, moving: MovingCopy, out: Path) -> dict[str, Any]:
     """The working copy as an asset below ``out``, as people left it."""
     from dataclasses import asdict
 
-    from model.exporters.asset_folder import load_object, write_asset
-    from model.exporters.mjcf import MjcfExporter
+    from model.exporters.asset_folder import write_asset
     from model.exporters.physics import physics_of
+    from model.scenes.jobs import write_formats
 
     folder = out / ASSETS / key
     store = moving.source.workspace / "collision"
     shutil.rmtree(folder, ignore_errors=True)
+    # Not the accepted files read back: the collision shapes of these very parts are kept.
+    obj = tasks.articulated_object(moving.source, moving.tree)
+    physics = physics_of(obj, store=store)
     if moving.accepted is not None and Path(moving.accepted).is_dir():
         shutil.copytree(moving.accepted, folder)
     else:
-        made = tasks.articulated_object(moving.source, moving.tree)
-        write_asset(made, folder, physics=physics_of(made, store=store),
+        write_asset(obj, folder, physics=physics,
                     provenance={"source": key, "review": "predicted, not accepted"})  # fmt: skip
-    obj = load_object(folder)
-    (folder / MJCF).mkdir(exist_ok=True)
-    MjcfExporter().export(obj, folder / MJCF, physics=physics_of(obj, store=store))
+    write_formats(obj, folder, _formats(), physics)
     joints = [{**asdict(j), "confidence": moving.confidence.get(j.child)}
               for j in obj.tree.joints if j.moves]  # fmt: skip
     state = PREDICTED if moving.accepted is None else ACCEPTED

@@ -334,9 +334,20 @@ def select_box(
     camera: Any,
     corner_min: tuple[float, float],
     corner_max: tuple[float, float],
+    *,
+    one_piece: bool = False,
 ) -> tuple[str, int]:
-    """Visible elements inside a rectangle of the screen: their stored array and their number."""
+    """Visible elements inside a rectangle of the screen: their stored array and their number.
+
+    Args:
+        one_piece: of a scan only what hangs together, not what stands before and behind it.
+    """
     chosen = picker_of(folder).select_box(camera, corner_min, corner_max, visible_only=True)
+    cloud = asset_of(folder).cloud
+    if one_piece and cloud is not None and len(chosen):
+        from model.segmentation.crop import largest_piece
+
+        chosen = chosen[largest_piece(cloud.points[chosen])]
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
 
 

@@ -131,7 +131,7 @@ class AnnotatePanel:
         if value == OTHER:
             return
         category = None if value == NONE else value
-        if category != self._document().category:
+        if value != _listed(self._document().category, palette.CATEGORIES):
             self._app.do(cmd.SetCategory(category))
 
     def _category_typed(self) -> None:
@@ -258,8 +258,7 @@ class AnnotatePanel:
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and np.ptp(obj.asset.bounds[:, :2], axis=0).max() > ROOM_METRES
-        desk = self._app.bench.desk
-        if desk is not None and self._app.in_scene.picking:
+        if self._app.picking_out:
             text = "Whatever is part 1 can be taken out; the tools below help where clicks don't."
         elif wide and doc.left_out is None and not doc.prompts:
             text = (
@@ -336,9 +335,17 @@ def _prompt_label(prompt: Any) -> str:
     return f"{sign}  {prompt.tool}: {prompt.count:,} elements"
 
 
+def _listed(value: str | None, known: tuple[str, ...]) -> str:
+    """The option that says ``value``: "washing machine" is WashingMachine."""
+    if value is None:
+        return NONE
+    said = value.replace(" ", "").lower()
+    return next((k for k in known if k.lower() == said), OTHER)
+
+
 def _show_choice(dropdown: Any, text: Any, value: str | None, known: tuple[str, ...]) -> None:
     """Show ``value`` in a dropdown, or in its text box where the list hasn't got it."""
-    option = NONE if value is None else (value if value in known else OTHER)
+    option = _listed(value, known)
     if dropdown.value != option and not (value is None and dropdown.value == OTHER):
         dropdown.value = option
     other = option == OTHER

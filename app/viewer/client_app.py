@@ -262,6 +262,11 @@ class ClientApp:
         """The scene while none of its objects is worked on, else None."""
         return self._in_scene if self.object is None else None
 
+    @property
+    def picking_out(self) -> bool:
+        """Whether the open object is there to have another one picked out of it."""
+        return self._in_scene is not None and self._in_scene.picking
+
     def step(self, by: int) -> None:
         """Next or previous object of the queue, or of the scene."""
         if self._in_scene is not None:

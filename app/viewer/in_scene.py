@@ -40,6 +40,8 @@ class InScene:
         self.picking = False
         self.rows: list[Row] = []
         self._wanted: str | None = None
+        self._eye: Any = None
+        self._seen = False
         self.picture = ScenePicture(app.client, desk)
         self.motion = SceneMotion(self.picture.pose)
         self.list = SceneList(app, desk)
@@ -61,6 +63,10 @@ class InScene:
         self.rows = desk.rows()
         if self.selected not in desk.items:
             self.selected = None
+        if desk.scene is not None and not self._seen:
+            self._seen = True
+            if len(desk.items) == 1:  # a room: there is nothing else to choose
+                self.selected = next(iter(desk.items))
         if self._wanted is not None and desk.scene is not None:
             wanted, self._wanted = self._wanted, None
             if wanted in desk.items and desk.work(wanted) is not None:
@@ -240,9 +246,22 @@ class InScene:
 
     def _taken(self, id: str) -> None:
         self.pick_panel.clear()
+        eye = self.picture.in_scene(np.array(self._app.client.camera.position))
         self.leave()
         self.choose(id)
+        self._eye = eye
         self.enter()
+
+    def look_as_before(self) -> None:
+        """The object was just drawn: look at it from where the person looked at it last, who
+        picks from it or picked it out. What is opened otherwise is seen from its front."""
+        eye, self._eye = self._eye, None
+        if self.picking and self.picture.camera is not None:
+            self.picture.look_from(*self.picture.camera)
+        elif eye is not None:
+            asset = self._app.need_object().asset
+            assert asset is not None
+            self.picture.look_from(eye, self.picture.in_scene(asset.bounds.mean(0)))
 
     def leave(self) -> None:
         """Back to the scene."""

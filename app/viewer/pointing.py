@@ -245,8 +245,9 @@ class Pointing:
         if obj.asset is None or app.stage != "Annotate":
             return
         ref, count = app.bench.geometry.submit(
-            tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high, priority=20
-        ).result(PICK_SECONDS)
+            tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high,
+            one_piece=positive and app.picking_out, priority=20,
+        ).result(PICK_SECONDS)  # fmt: skip
         self._add_region(ref, count, positive, "box")
 
     def _stroked(self, message: ArtiworldStrokeMessage) -> None:

@@ -68,8 +68,8 @@ class Redraw:
         self._follow_prediction(obj)
         if obj.asset is not None and obj.asset is not self.asset:
             app.scene.show_asset(obj.asset)
-            if app.bench.desk is not None and app.in_scene.picking:
-                app.in_scene.picture.look_as_before()
+            if app.bench.desk is not None:
+                app.in_scene.look_as_before()
             self.asset = obj.asset
             app.motion.forget_scene()
             app.pointing.begin()

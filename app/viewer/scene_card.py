@@ -142,7 +142,7 @@ class SceneCard:
                 f"- {plain(p.object, 40)}: {plain(p.reason, 200)}" for p in problems[:6]
             )
             more = f"\n- and {len(problems) - 6} more" if len(problems) > 6 else ""
-            lines.append(f"⚠ Not taken as it is in the file:\n{told}{more}")
+            lines.append(f"⚠ About the file:\n{told}{more}")
         put(self._status, "content", "\n\n".join(lines))
         put(self._progress, "visible", bool(shown))
         put(self._progress, "value", round(100 * fraction, 1))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import viser
+from viser import transforms as vtf
 
 from app.scene_desk import SceneDesk
 from app.scene_rows import Row
@@ -111,6 +112,7 @@ class ScenePicture:
             self._root = self._client.scene.add_frame(ROOT, show_axes=False)
         items = self._desk.items
         status = {r.id: r.status for r in rows if r.id in items}
+        self._place_root()
         with self._lock, self._client.atomic():
             self._draw_static({i for i, s in status.items() if s == "static"})
             self._draw_instances(self._wanted(status))
@@ -259,26 +261,40 @@ class ScenePicture:
         if self.ghosted is None:
             self.camera = (np.array(view.position), np.array(view.look_at))
         self.ghosted = id
-        world = self._desk.world_from_copy(self._desk.items[id])
-        if world is not None and self._root is not None:
-            object_from_world = np.linalg.inv(world)
-            self._root.wxyz = wxyz_of(object_from_world)
-            self._root.position = object_from_world[:3, 3]
+        self._place_root()
 
-    def look_as_before(self) -> None:
-        """Look at the object that is worked on from where the camera was in the scene."""
-        if self.camera is None or self.ghosted is None:
-            return
-        world = self._desk.world_from_copy(self._desk.items[self.ghosted])
-        if world is not None:
-            position, look_at = ((p - world[:3, 3]) @ world[:3, :3] for p in self.camera)
-            self._aim(position, look_at)
+    def _place_root(self) -> None:
+        """The scene stands in its own frame, or in that of the object that is worked on."""
+        world = np.eye(4) if self.ghosted is None else self._world_of_ghosted()
+        if world is None or self._root is None:
+            return  # its size isn't known yet: it is placed once that is
+        frame = np.linalg.inv(world)
+        if not np.array_equal(frame[:3, 3], self._root.position):
+            self._root.position = frame[:3, 3]
+        if not np.array_equal(wxyz_of(frame), self._root.wxyz):
+            self._root.wxyz = wxyz_of(frame)
+
+    def look_from(self, eye: Array, at: Array) -> None:
+        """Look at the object that is worked on; both places in the scene."""
+        if (world := self._world_of_ghosted()) is not None:
+            self._aim(*((p - world[:3, 3]) @ world[:3, :3] for p in (eye, at)))
+
+    def in_scene(self, point: Array) -> Array:
+        """Where a place of the object that is worked on is in the scene, as it is drawn now."""
+        if self._root is None:
+            return point
+        turned = vtf.SO3(np.asarray(self._root.wxyz)).inverse().as_matrix()
+        return np.asarray(turned @ (point - self._root.position))
+
+    def _world_of_ghosted(self) -> Array | None:
+        if self.ghosted is None or self.ghosted not in self._desk.items:
+            return None
+        return self._desk.world_from_copy(self._desk.items[self.ghosted])
 
     def unghost(self) -> None:
         """Back to the scene's frame and to where the camera was."""
         self.ghosted = None
-        if self._root is not None:
-            self._root.wxyz, self._root.position = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        self._place_root()
         if self.camera is not None:
             self._aim(*self.camera)
 

@@ -70,7 +70,10 @@ class Hull:
         rotation, shift = target_from_hull[:3, :3], target_from_hull[:3, 3]
         normals = self.planes[:, :3] @ rotation.T
         planes = np.column_stack([normals, self.planes[:, 3] - normals @ shift])
-        return Hull(self.vertices @ rotation.T + shift, self.faces, planes, self.volume)
+        out = Hull(self.vertices @ rotation.T + shift, self.faces, planes, self.volume)
+        for name in ("normals", "edges"):  # found once: finding them takes longer than turning them
+            vars(out)[name] = getattr(self, name) @ rotation.T
+        return out
 
 
 def hull_of(points: FloatArray) -> Hull | None:

@@ -6,6 +6,7 @@ import json
 import os
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -156,10 +157,7 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         obj, folder, provenance={"source": name, "predictor": backend, "parts": how},
         physics=physics if job.collision else None,
     )  # fmt: skip
-    for name_, exporter in (("usd", UsdExporter()), ("sdf", SdfExporter()), (MJCF, MjcfExporter())):
-        if name_ == MJCF or name_ in job.formats:
-            (folder / name_).mkdir(exist_ok=True)
-            exporter.export(obj, folder / name_, physics=physics)
+    write_formats(obj, folder, job.formats, physics)
     joints = [{**asdict(j), "confidence": confidence.get(j.child)} for j in tree.joints if j.moves]
     return {
         **_record(job, state, reason),
@@ -170,6 +168,16 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         "problems": list(problems),
         "usable": usability(obj, found, placement.scale, state),
     }
+
+
+def write_formats(
+    obj: ArticulatedObject, folder: Path, formats: Collection[str], physics: Physics
+) -> None:
+    """Beside a saved asset what the scene's files refer to: ``mjcf/`` and each of ``formats``."""
+    for name, exporter in (("usd", UsdExporter()), ("sdf", SdfExporter()), (MJCF, MjcfExporter())):
+        if name == MJCF or name in formats:
+            (folder / name).mkdir(exist_ok=True)
+            exporter.export(obj, folder / name, physics=physics)
 
 
 def usability(
@@ -209,8 +217,11 @@ def read_done(out: Path, key: str) -> dict[str, Any] | None:
     return report if (out / ASSETS / key / MJCF / "object.xml").is_file() else None
 
 
-def write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: Any, *, allow_nan: bool = False) -> None:
     """Write ``value`` at once or not at all.
+
+    Args:
+        allow_nan: whether it may hold NaN and infinity, as a source that goes back as it came.
 
     Raises:
         InputFileError: where the folder can't be written.
@@ -218,8 +229,8 @@ def write_json(path: Path, value: Any) -> None:
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)
-        draft.write_text(text + "\n", encoding="utf-8")
+        text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=allow_nan) + "\n"
+        draft.write_bytes(text.encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
         draft.replace(path)
     except OSError as error:
         raise InputFileError(path, f"can't be written: {error.strerror}") from error

@@ -169,7 +169,7 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
     if scene.path.suffix.lower() == ".json":
         data = copy.deepcopy(read_json(scene.path))
         _add_articulation(data, entries)
-        write_json(out / name, data)
+        write_json(out / name, data, allow_nan=True)
         return name
     if scene.reader == "lisdf":
         _write_lisdf(scene, urdf_of, out / name)

@@ -46,6 +46,7 @@ def table_scene(**more: object) -> dict:
         entry("rock_1", "rock", first + 0.6 * side, [1, 1, 1]),
         entry("teapot_1", "nowhere", first + [20, 0, 0], [1, 1, 1]),
         {**entry("broken_1", "cab", first, [1, 1, 1]), "rotation": [0, 0, 0, 0]},
+        entry("broken_2\ud800", "cab", first, [1, math.inf, 1]),
     ])  # fmt: skip
 
 
@@ -80,7 +81,7 @@ def test_states_are_told(converted: tuple[Path, dict]) -> None:
     assert states == {"cabinet_1": "predicted", "cabinet_2": "predicted", "cabinet_3": "predicted",
                       "rock_1": "static", "teapot_1": "missing"}  # fmt: skip
     assert summary["missing_assets"] == ["nowhere"]
-    assert [p["object"] for p in summary["problems"]] == ["broken_1"]
+    assert [p["object"] for p in summary["problems"]] == ["broken_1", "broken_2\ufffd"]
 
 
 def test_identical_assets_are_converted_once(converted: tuple[Path, dict]) -> None:
