@@ -3,11 +3,12 @@
 A drawer sits in its cabinet without a gap, a hinge's pin in its hole: bodies that overlap at rest
 push each other away in a simulator and jam the joint. Where two overlap, a plane between them cuts
 one or both; of the ways to cut, the one that loses least. The same is done on the way from rest to
-the joint's limits, in steps that begin small, since corners near a hinge graze their frame as soon
-as the door moves. What goes deeper than a graze is cut where the parts themselves pass each other
-(a tube in a tube, of which bodies are coarse pieces), the deepest first, and what can't be cut
-goes. Elsewhere it stays: it is a collision, and for people to mend, with the range or by saying
-that the shapes are to give way (:attr:`Joint.give_way`).
+the joint's limits, in steps that are small at both ends, since corners near a hinge graze their
+frame as soon as the door moves, and joints stand at their limits. What goes deeper than a graze is
+cut where the parts themselves pass each other (a tube in a tube, of which bodies are coarse
+pieces), the deepest first, and what can't be cut goes. Elsewhere it stays: it is a collision, and
+for people to mend, with the range or by saying that the shapes are to give way
+(:attr:`Joint.give_way`).
 """
 
 from __future__ import annotations
@@ -93,10 +94,11 @@ def poses_over_range(
 
 
 def _steps(travel: float) -> FloatArray:
-    """Shares of a way of ``travel`` diagonals, widening, the last one 1."""
+    """Shares of a way of ``travel`` diagonals, close at both ends: joints stand there."""
     step = FIRST_STEP * WIDENING ** np.arange(MOST_STEPS)
     way = np.cumsum(np.minimum(step, max(LONGEST_STEP, travel / MOST_STEPS)))
-    return np.append(way[way < travel], travel) / travel
+    half = way[way < travel / 2]
+    return np.concatenate([half, [travel / 2], travel - half[::-1], [travel]]) / travel
 
 
 def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:

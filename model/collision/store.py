@@ -15,7 +15,7 @@ from model.collision.hulls import hull_of
 from model.collision.shapes import Primitive, Shape
 from model.kinematics.articulated_object import Part
 
-VERSION = 6
+VERSION = 7
 """Counted up when the same input gives other shapes."""
 
 
