@@ -195,7 +195,7 @@ class DefaultSession:
                     rest = _union([s.mask for r, s in parts.items() if r != q], len(taken))
                     found = self.solver.answer(other, cell, False, rest)
                     ranked[q] = found
-                    parts[q] = replace(yielded, mask=found.best & ~rest)
+                    parts[q] = self.solver.moved(other, cell, False, found.best & ~rest)
                 else:
                     parts[q] = replace(yielded, mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
@@ -235,7 +235,7 @@ class DefaultSession:
             if own.mask is not None and own.mask[cell]:
                 found = self.solver.answer(own, cell, False, None)
                 ranked[part] = found
-                parts[part] = replace(with_click(own, cell, False), mask=found.best)
+                parts[part] = self.solver.moved(own, cell, False, found.best)
             else:
                 parts[part] = with_click(own, cell, False)
         base = (*(c for c in state.base if c != cell), cell)

@@ -201,14 +201,16 @@ class PartSolver:
         # And nobody clicks late to throw away most of what is there, unless nothing else helps.
         against = _IDLE_PENALTY * early * idle
         against += _LOSS_PENALTY * (1 - early) * lost / (1 + state.stalls)
-        if state.stalls:
+        apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
+        other = state.mask != state.mask[cell]
+        near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
+        # A first answer that lies far from the next click was a detail: the handle of a door.
+        detail = near > own and not state.mask[cell]
+        if state.stalls or detail:
             # Who clicks again after a click in vain means more than the last answers gave.
-            apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
-            other = state.mask != state.mask[cell]
-            near = size[apart < apart[other].min()].sum() if other.any() else size.sum()
             share = min(_STALL_DEMAND * _STALL_GROWTH**state.stalls, _STALL_MOST)
-            wanted = max(min(share * own, _STALL_BALL * near), 1.0)
-            against += _STALL_PENALTY * np.clip(1 - changed / wanted, 0, 1)
+            wanted = min(share * (near if detail else own), _STALL_BALL * near)
+            against += _STALL_PENALTY * np.clip(1 - changed / max(wanted, 1.0), 0, 1)
         return against
 
     def _first_answer(self, after: PartState, cell: int, blocked: Bool | None) -> Ranked:

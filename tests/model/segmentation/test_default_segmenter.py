@@ -249,3 +249,19 @@ def test_clicks_in_vain_make_the_next_one_count(session) -> None:
     assert state.stalls == 3
     assert lost(state) > 0.1
     assert solver.moved(state, body, False, encoding.cells.center[:, 0] < 0.5).stalls == 0
+
+
+def test_a_click_far_from_a_small_mask_means_more_than_a_speck(session) -> None:
+    weight = np.array([[2.0 * (n == "from_keep") for n in FEATURE_NAMES]], np.float32)
+    zero = np.zeros(len(FEATURE_NAMES), np.float32)
+    stubborn = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    encoding = session.encoding
+    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, stubborn)
+    knob = np.linalg.norm(encoding.cells.center - (0.42, -0.05, 0.37), axis=1) < 0.04
+    assert knob.any()
+    first = int(np.nonzero(knob)[0][0])
+    door = int(np.abs(encoding.cells.center - (0.2, -0.02, 0.4)).sum(1).argmin())
+    before = tuple(int(c) for c in np.nonzero(encoding.cells.center[:, 0] > 0.5)[0][:8])
+    answer = solver.answer(PartState((first,), before, knob), door, True, None)
+    gained = encoding.cells.size[answer.best & ~knob].sum()
+    assert gained > 3 * encoding.cells.size[door], gained
