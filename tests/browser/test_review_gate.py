@@ -21,7 +21,11 @@ from model.kinematics.tree import KinematicTree
 from model.resources import static_assets
 from sessions import commands as cmd
 
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(900),
+    pytest.mark.flaky(reruns=2, reruns_delay=2),
+]
 
 W = 0.02
 DOOR = Joint(
@@ -120,7 +124,6 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     wait_until(lambda: tab.app.object is not obj, "the next object")
 
 
-@pytest.mark.timeout(900)
 def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:
     """What the bundled clicks and the predictor give of a chair, as a person would mend it."""
     path = static_assets() / "examples" / "office_chair.glb"
