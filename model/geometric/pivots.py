@@ -107,8 +107,14 @@ def _end_pivots(context: PartContext, axis: Array) -> list[Hypothesis]:
 
 
 def _inside(point: Array, base: Shape) -> float:
-    """1 well inside the parent's box, 0 outside."""
+    """1 well inside the parent's box, 0 outside.
+
+    Where along the parent it is does not matter: a blade folded in is pinned near the handle's end.
+    """
     local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, 1e-6)
+    long = base.order[2]
+    if local[long] < 1:
+        local[long] = 0
     return float(np.clip(1.2 - local.max(), 0, 1))
 
 

@@ -531,6 +531,19 @@ def folding_knife() -> Thing:
     )
 
 
+def closed_knife() -> Thing:
+    """Folded in: the pin lies near the handle's end, the tip looks out at the side."""
+    blade = turned(box((0.0, 0, 0.01), (0.085, 0.012, 0.003)), Z, (-0.042, 0, 0.01), -6)
+    return Thing(
+        "Knife",
+        {
+            "base": ("knife_body", box((0, 0, 0.01), (0.12, 0.025, 0.016))),
+            "blade": ("rotation_blade", blade),
+        },
+        {"blade": Truth("revolute", Z, (-0.039, 0, 0.01))},
+    )
+
+
 def lamp() -> Thing:
     lower = rod((0, 0.02, 0.2), Z, 0.01, 0.36)
     upper = turned(rod((0, 0.04, 0.56), Z, 0.01, 0.36), Y, (0, 0, 0.38), -60)
@@ -705,6 +718,7 @@ THINGS: dict[str, Callable[[], Thing]] = {
         globe,
         pen,
         folding_knife,
+        closed_knife,
         lamp,
         lidded_box,
         sliding_door,

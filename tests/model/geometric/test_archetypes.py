@@ -64,6 +64,7 @@ NOT_YET_WITHOUT_NAMES = {
     "toaster": "the slider of a toaster looks like a button",
     "mouse": "large thin buttons look like lids",
     "pump_bottle": "a pump's head looks like a spout",
+    "closed_knife": "a blade within its handle might as well slide out",
 }
 
 
