@@ -95,7 +95,9 @@ class Redraw:
 
     def _draw_status(self, obj: OpenObject) -> None:
         doc, asset = obj.document, obj.asset
-        lines = [f"**{plain(obj.record.name)}** · {palette.STATE_WORDS[doc.review.state]}"]
+        desk = self._app.bench.desk
+        name = (None if desk is None else self._app.in_scene.inside) or obj.record.name
+        lines = [f"**{plain(name)}** · {palette.STATE_WORDS[doc.review.state]}"]
         if asset is not None:
             kind = {"face": "faces", "point": "points"}[asset.element_kind]
             size = (asset.bounds[1] - asset.bounds[0]) * 1000
