@@ -139,7 +139,7 @@ class ReviewPanel:
         put(self._download, "visible", doc.saved is not None)
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:
-            put(self._saved, "content", f"Saved in `{plain(doc.saved.folder, 200)}`")
+            put(self._saved, "content", f"Saved in {plain(doc.saved.folder, 200)}")
         self._draw_history()
         if decided and self._decided_here == obj.record.id and "save" not in obj.busy:
             self._decided_here = None

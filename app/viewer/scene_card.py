@@ -122,7 +122,7 @@ class SceneCard:
         saved = desk.document.saved
         put(self._saved, "visible", saved is not None)
         if saved is not None:
-            put(self._saved, "content", f"Saved in `{plain(saved.folder, 300)}`")
+            put(self._saved, "content", f"Saved in {plain(saved.folder, 300)}")
         put(self._save, "disabled", "save" in desk.busy or desk.scene is None)
         put(self._report, "disabled", "report" in desk.busy or desk.scene is None)
 

@@ -91,7 +91,7 @@ class SourcePanel:
         put(self._back, "visible", doc.left_out is not None)
         if before is not None and before[:2] == now[:2]:
             return
-        lines = [f"`{plain(str(obj.record.path), 200)}`"]
+        lines = [plain(str(obj.record.path), 200)]
         if asset is not None:
             lines += [f"⚠ {plain(w, 300)}" for w in asset.warnings]
             self._up.value = asset.up_axis
