@@ -160,8 +160,8 @@ def _collision(
         "processor_seconds": round(seconds, 3),
     }
     others = {"one_hull": free.hull, "coacd": free.coacd} if coacd_seconds else {}
-    for name, shapes in others.items():
-        other = None if shapes is None else overlaps_of(obj, shapes)
+    for name, its in others.items():
+        other = None if its is None else overlaps_of(obj, its)
         row[f"overlap_at_rest_by_{name}_m"] = other and round(other.at_rest, 6)
         row[f"overlap_over_range_by_{name}_m"] = other and {
             joint: round(d, 6) for joint, d in other.over_range.items()

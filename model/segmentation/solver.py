@@ -33,11 +33,12 @@ _USUAL_OVERLAP = 0.8
 _OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
 _STALL_SHARE = 0.03
+"""Of the mask: a click that changes less was in vain."""
 _STALL_PENALTY = 4.0
-_STALL_DEMAND = 0.05
-_STALL_GROWTH = 3.0
-_STALL_MOST = 0.5
+_STALL_DEMAND, _STALL_GROWTH, _STALL_MOST = 0.05, 3.0, 0.5
+"""Share of the mask that a click has to change, how it grows with each one in vain, its limit."""
 _STALL_BALL = 2.0
+"""The same limit in what is nearer to the click than the mask's border."""
 
 
 @dataclass(frozen=True, eq=False)

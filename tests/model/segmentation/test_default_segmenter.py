@@ -226,13 +226,19 @@ def test_a_handle_goes_with_the_door_it_is_mounted_on() -> None:
     assert set(labels[of == 4]) == {2} and set(labels[of == 1]) == {1}
 
 
-def test_clicks_in_vain_make_the_next_one_count(session) -> None:
-    """A scorer that would rather keep the mask is heard at first, not for ever."""
+@pytest.fixture
+def stubborn(session) -> PartSolver:
+    """A solver whose scorer would rather keep the mask."""
     weight = np.array([[2.0 * (n == "from_keep") for n in FEATURE_NAMES]], np.float32)
     zero = np.zeros(len(FEATURE_NAMES), np.float32)
-    stubborn = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    keeps = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
     encoding = session.encoding
-    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, stubborn)
+    return PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, keeps)
+
+
+def test_clicks_in_vain_make_the_next_one_count(session, stubborn) -> None:
+    """The scorer is heard at first, not for ever."""
+    encoding, solver = session.encoding, stubborn
     everything = np.ones(len(encoding.cells), bool)
     body = int(np.abs(encoding.cells.center - (0.0, 0.25, 0.4)).sum(1).argmin())
     door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
@@ -251,12 +257,8 @@ def test_clicks_in_vain_make_the_next_one_count(session) -> None:
     assert solver.moved(state, body, False, encoding.cells.center[:, 0] < 0.5).stalls == 0
 
 
-def test_a_click_far_from_a_small_mask_means_more_than_a_speck(session) -> None:
-    weight = np.array([[2.0 * (n == "from_keep") for n in FEATURE_NAMES]], np.float32)
-    zero = np.zeros(len(FEATURE_NAMES), np.float32)
-    stubborn = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    encoding = session.encoding
-    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, stubborn)
+def test_a_click_far_from_a_small_mask_means_more_than_a_speck(session, stubborn) -> None:
+    encoding, solver = session.encoding, stubborn
     knob = np.linalg.norm(encoding.cells.center - (0.42, -0.05, 0.37), axis=1) < 0.04
     assert knob.any()
     first = int(np.nonzero(knob)[0][0])
