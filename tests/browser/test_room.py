@@ -14,6 +14,7 @@ from browsing import wait_until
 from scipy.spatial import KDTree
 from test_scene import SceneTab
 
+from app.viewer.gate_view import MENDS
 from model.geometry.readers import read_asset
 from tests.model.scenes.saved import points_in_place
 
@@ -127,9 +128,18 @@ class RoomTab(SceneTab):
         wait_until(lambda: round(np.degrees(self.document.tree.joints[0].upper)) == degrees,
                    "the limit")  # fmt: skip
         obj = self.app.object
-        report = wait_until(lambda: not obj.busy and obj.judging.report, "the gate's answer", SLOW)
-        assert report.verdict != "broken"
         self.step("Review")
+        for _ in range(3):
+            report = wait_until(
+                lambda: not obj.busy and obj.judging.report, "the gate's answer", SLOW
+            )
+            if report.verdict != "broken":
+                break
+            # A scan's door may graze its body: a person takes the range that is free.
+            self.button(MENDS["limits"]).first.click()
+            self.clicks += 1
+            wait_until(lambda seen=report: obj.judging.report is not seen, "the gate asks again")
+        assert report.verdict != "broken"
         self.page.get_by_role("button", name="ccept").locator("visible=true").first.click()
         self.clicks += 4
         wait_until(lambda: obj.document.review.state == "accepted", "accepted", SLOW)
@@ -162,7 +172,7 @@ def test_two_objects_come_out_of_a_real_room(
     assert (first, second) == ("refrigerator 1", "cabinet 1")
     assert tab.status(first) == tab.status(second) == "accepted"
     tab.press("Save the scene")
-    assert tab.clicks <= 20
+    assert tab.clicks <= 24
     saved = wait_until(lambda: tab.desk.document.saved, "the room is saved", SLOW)
     out = Path(saved.folder)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,23 +37,21 @@ class Hits:
 
 
 class Caster:
-    """An object ready for rays.
+    """Meshes ready for rays.
 
     Args:
-        obj: parts need meshes.
+        meshes: each is a part of what is struck.
         see_through: glass (alpha below 128) lets rays pass.
     """
 
-    def __init__(self, obj: ArticulatedObject, *, see_through: bool = False) -> None:
+    def __init__(self, meshes: Sequence[Mesh], *, see_through: bool = False) -> None:
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor.from_numpy
         self._meshes: list[Mesh] = []
         self._faces: list[npt.NDArray[np.int64]] = []
         self._scene = o3d.t.geometry.RaycastingScene()
-        for part in obj.parts:
-            assert part.mesh is not None, f"{part.link} has no mesh"
-            mesh = part.mesh
+        for mesh in meshes:
             opaque = np.array([m.base_color[3] >= 128 for m in mesh.materials])
             kept = np.flatnonzero(opaque[mesh.face_material] | (not see_through))
             self._meshes.append(mesh)
@@ -61,6 +60,13 @@ class Caster:
                 self._tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
                 self._tensor(np.ascontiguousarray(mesh.faces[kept], np.uint32)),
             )
+
+    @classmethod
+    def of(cls, obj: ArticulatedObject, *, see_through: bool = False) -> Caster:
+        """An object's parts in their order; they need meshes."""
+        meshes = [p.mesh for p in obj.parts if p.mesh is not None]
+        assert len(meshes) == len(obj.parts), f"{obj.name} has parts without a mesh"
+        return cls(meshes, see_through=see_through)
 
     def cast(self, origins: Array, directions: Array, *, colors: bool = True) -> Hits:
         """First hits of (R, 3) rays; ``directions`` are unit vectors."""
@@ -158,7 +164,7 @@ def render(
     eye = target + away * radius * 1.04 / np.sin(fov / 2)
     scale = 2
     width, height = size[0] * scale, size[1] * scale
-    caster = Caster(obj)
+    caster = Caster.of(obj)
     directions = camera_rays(eye, target, width, height, fov)
     hits = caster.cast(np.tile(eye, (len(directions), 1)), directions)
     colors = part_colors(len(obj.parts))[hits.part] if labels else hits.colors

@@ -283,7 +283,7 @@ def _seen(obj: ArticulatedObject, points: Array, rng: np.random.Generator) -> np
     eye = (low + high) / 2 + 2.0 * diagonal * away
     way = eye - points
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    return ~Caster(obj).occluded(points + 1e-3 * diagonal * way, way)
+    return ~Caster.of(obj).occluded(points + 1e-3 * diagonal * way, way)
 
 
 def _dropped(

@@ -93,7 +93,7 @@ def simulate_scan(
     bounds = np.concatenate([p.bounds for p in obj.parts])
     low, high = bounds.min(0), bounds.max(0)
     diagonal = float(np.linalg.norm(high - low))
-    caster = Caster(obj, see_through=settings.see_through)
+    caster = Caster.of(obj, see_through=settings.see_through)
     each = [
         _view(caster, view, settings, (low + high) / 2, diagonal, rng) for view in settings.views
     ]
@@ -194,7 +194,7 @@ def visible_elements(obj: ArticulatedObject, views: Sequence[View], *, side: int
     bounds = np.concatenate([p.bounds for p in obj.parts])
     low, high = bounds.min(0), bounds.max(0)
     middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))
-    caster = Caster(obj)
+    caster = Caster.of(obj)
     found = []
     for view in views:
         eye, rays = _camera(view, middle, diagonal, side)
