@@ -6,8 +6,6 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from app import tasks
-from app.tasks import JointCheck
 from model.errors import CommandError
 from model.gate.report import GateReport, JointVerdict, Mend
 from model.kinematics.tree import KinematicTree
@@ -21,6 +19,23 @@ KEPT = 16
 
 Revision = tuple[KinematicTree, str]
 """What an answer belongs to: the tree, and the reference of the labels."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointCheck:
+    """A joint that runs into something.
+
+    Attributes:
+        q: radians or metres where it is deepest. depth: metres beyond the penetration at rest.
+        where: (3,) the contact in the object frame.
+        other: the link that is hit.
+    """
+
+    joint: str
+    q: float
+    depth: float
+    where: tuple[float, float, float]
+    other: str | None
 
 
 @dataclass(frozen=True)
@@ -53,7 +68,7 @@ class Judging:
     def checks(self) -> list[JointCheck]:
         """The collisions to mark."""
         report = self.report
-        return [] if report is None else tasks.checks_of(report)
+        return [] if report is None else checks_of(report)
 
     @property
     def problem(self) -> str:
@@ -169,3 +184,13 @@ class Judging:
             if mend.kind == kind:
                 return mend
         raise CommandError("the joints changed meanwhile; they are being judged again")
+
+
+def checks_of(report: GateReport) -> list[JointCheck]:
+    """The collisions of a gate's answer as the views mark them."""
+    return [
+        JointCheck(j.joint, f.q.get(j.joint, 0.0), f.depth, f.where, f.other)
+        for j in report.joints
+        for f in j.findings
+        if f.kind in ("collision", "jammed") and f.verdict != "fine" and f.where is not None
+    ]

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from app.tasks import PartSource, articulated_object
+from app.part_tasks import PartSource, articulated_object
 from model import codec
 from model.gate.report import GateReport
 from model.kinematics.tree import KinematicTree

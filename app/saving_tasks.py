@@ -12,10 +12,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from app import tasks
-from app.tasks import PartSource
+from app.part_tasks import PartSource, articulated_object
+from app.tasks import asset_of
 from model.errors import ArtiworldError, InputFileError
-from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
 
@@ -42,8 +41,8 @@ def prepare_asset(
     if target.exists():
         return target
     progress(0.02, "Cutting out the parts")
-    asset = tasks.asset_of(source.folder)
-    obj = ArticulatedObject(source.title, tasks.parts_of(source), tree, source.category)
+    asset = asset_of(source.folder)
+    obj = articulated_object(source, tree)
     physics = physics_of(
         obj, store=source.workspace / "collision", progress=part_of(progress, 0.05, 0.7)
     )

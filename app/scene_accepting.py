@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app import tasks
 from app.judging_tasks import judge_joints
+from app.part_tasks import PartSource
 from app.workbench import acceptance_record, asset_folder
 from model.gate.report import GateReport
 from sessions import commands as cmd
@@ -138,16 +138,16 @@ class Accepting:
 
         desk.start("accept", job, keep, self._told(work, "judging"), work)
 
-    def _source(self, work: Work) -> tasks.PartSource:
+    def _source(self, work: Work) -> PartSource:
         doc = work.document
         assert work.drawn is not None and work.item.copy is not None
-        return tasks.PartSource(
+        return PartSource(
             work.drawn.folder, self._desk.bench.workspace, work.drawn.labels, doc.part_names,
             doc.category, work.item.copy.name,
         )  # fmt: skip
 
     def _save(
-        self, work: Work, record: DecisionRecord, source: tasks.PartSource, report: GateReport
+        self, work: Work, record: DecisionRecord, source: PartSource, report: GateReport
     ) -> None:
         desk, doc = self._desk, work.document
         assert doc.tree is not None and work.drawn is not None

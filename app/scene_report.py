@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app import tasks
+from app.part_tasks import PartSource, articulated_object
 from app.scene_shapes import Shape
 from app.scene_tasks import SceneItem
 from model.errors import ArtiworldError, InputFileError
@@ -73,7 +73,7 @@ class ReportRow:
     at: str
     reason: str
     notes: tuple[str, ...]
-    source: tasks.PartSource | None
+    source: PartSource | None
     work: int | None
 
 
@@ -228,7 +228,7 @@ def _thumbnail(row: ReportRow) -> bytes | None:
 
     assert row.source is not None and row.tree is not None
     try:
-        obj = tasks.articulated_object(row.source, row.tree)
+        obj = articulated_object(row.source, row.tree)
     except ArtiworldError:
         return None
     colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app import tasks
+from app.part_tasks import PartSource, articulated_object
 from app.scene_report import ReportRow, write_report
 from app.scene_tasks import OpenedScene, SceneItem
 from model.errors import ArtiworldError, CommandError
@@ -41,7 +41,7 @@ class MovingCopy:
         said: what became of it, for people.
     """
 
-    source: tasks.PartSource
+    source: PartSource
     tree: KinematicTree
     bounds: list[list[float]]
     accepted: str | None
@@ -104,7 +104,7 @@ class Saving:
         shape = None if work.item.path is None else desk.shapes.get(work.item.path)
         if work.drawn is None or shape is None or isinstance(shape, str):
             raise CommandError(f"{work.item.obj.id} is still being prepared; save in a moment")
-        source = tasks.PartSource(
+        source = PartSource(
             work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names,
             doc.category, work.item.copy.name if work.item.copy else work.item.obj.id,
         )  # fmt: skip
@@ -135,7 +135,7 @@ class Saving:
         doc = None if work is None else work.document
         source = None
         if work is not None and doc is not None and doc.tree is not None and work.drawn is not None:
-            source = tasks.PartSource(
+            source = PartSource(
                 work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names
             )
         notes = []
@@ -260,7 +260,7 @@ def _moving_asset(key: str, moving: MovingCopy, out: Path) -> dict[str, Any]:
     store = moving.source.workspace / "collision"
     shutil.rmtree(folder, ignore_errors=True)
     # Not the accepted files read back: the collision shapes of these very parts are kept.
-    obj = tasks.articulated_object(moving.source, moving.tree)
+    obj = articulated_object(moving.source, moving.tree)
     physics = physics_of(obj, store=store)
     if moving.accepted is not None and Path(moving.accepted).is_dir():
         shutil.copytree(moving.accepted, folder)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app import tasks
+from app.tasks import ReadOptions, arrays_of, stamp, working_copy
 from model.errors import ArtiworldError
 from model.geometry.asset import Source
 from model.kinematics.articulated_object import Part
@@ -80,7 +80,7 @@ def shapes(
 def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
     from model.scenes.asset_parts import whole
 
-    told = ("colors", str(path.resolve()), tasks.stamp(path), max_faces)
+    told = ("colors", str(path.resolve()), stamp(path), max_faces)
     key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
     kept = workspace / "cache" / "shapes" / f"{key}.npz"
     try:
@@ -123,9 +123,9 @@ def drawn_parts(copy: Path, workspace: Path, labels: str, max_faces: int) -> Dra
     """The parts of a working copy by stored labels."""
     from model.geometry.parts import split
 
-    asset, folder = tasks.working_copy(copy, workspace, tasks.ReadOptions())
+    asset, folder = working_copy(copy, workspace, ReadOptions())
     assert asset.source is not None
-    cut = split(asset, tasks.arrays_of(workspace).get(labels))
+    cut = split(asset, arrays_of(workspace).get(labels))
     budget = max(200, max_faces // max(1, len(cut)))
     made = {part.link: shape_of_part(part, budget) for part in cut}
     return DrawnParts(labels, folder, asset.source, made)

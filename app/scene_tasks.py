@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app import room_tasks, tasks
+from app import part_tasks, room_tasks, segmenting_tasks, tasks
 from model.errors import CommandError
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
@@ -280,7 +280,7 @@ def _cut_by_prompts(
             raise CommandError(f"{file}: regions count elements of the file; give clicks instead")
         x, y, z = (float(v) for v in np.asarray(prompt.position) * factors)
         clicks.append(Click((x, y, z), prompt.part, prompt.positive))
-    answer = tasks.segment(folder, workspace, segmenter, tuple(clicks), "", None)
+    answer = segmenting_tasks.segment(folder, workspace, segmenter, tuple(clicks), "", None)
     names = tuple((p, told.names.get(p)) for p in sorted({c.part for c in clicks} - {BASE}))
     return Prepared(
         names=names, clicks=tuple(clicks), labels=answer.labels,
@@ -292,7 +292,7 @@ def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace:
     """The parts that the asset is in. Every element is claimed, the base's too, so that the
     segmenter has nothing to guess when a person goes on from here."""
     labels = element_part.astype(np.int16)
-    regions = tasks.source_regions_of(asset, workspace)
+    regions = segmenting_tasks.source_regions_of(asset, workspace)
     names = tuple(
         (i, asset.part_names[i] if i < len(asset.part_names) else None) for i in sorted(regions)
     )
@@ -318,7 +318,7 @@ def _predicted(
 
     labels = tasks.arrays_of(workspace).get(cut.labels)
     parts = split(asset, labels, {p: n for p, n in cut.names if n})
-    segmented = SegmentedObject(asset.name, tuple(map(tasks.named, parts)), item.category)
+    segmented = SegmentedObject(asset.name, tuple(map(part_tasks.named, parts)), item.category)
 
     def tell(fraction: float, message: str) -> None:
         progress(0.4 + 0.6 * fraction, message)

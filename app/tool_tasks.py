@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app import tasks
+from app.segmenting_tasks import StoredRegion, prompts_of, session_of
+from app.tasks import Recent, arrays_of, asset_of
 from model.errors import CommandError
-from model.geometry.strokes import Stroke
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
 
@@ -91,14 +91,14 @@ class _Work:
         """The default segmenter's encoding, which the tools work on whoever answers the clicks."""
         if hasattr(self.session, "encoding"):
             return self.session
-        return tasks.session_of(self.folder, DEFAULT)
+        return session_of(self.folder, DEFAULT)
 
     def offer(self, mask: Bool, part: int, positive: bool = True) -> list[RegionOffer]:
         """One offer; none where the mask is empty."""
         elements = np.flatnonzero(mask).astype(np.int64)
         if not len(elements):
             return []
-        ref = tasks.arrays_of(self.workspace).put(elements)
+        ref = arrays_of(self.workspace).put(elements)
         return [RegionOffer(part, ref, len(elements), positive)]
 
 
@@ -106,7 +106,7 @@ def use_tool(
     folder: Path,
     workspace: Path,
     segmenter: str,
-    items: tuple[Click | tasks.StoredRegion, ...],
+    items: tuple[Click | StoredRegion, ...],
     request: ToolRequest,
 ) -> list[RegionOffer]:
     """What a segmentation tool makes of the parts.
@@ -117,8 +117,8 @@ def use_tool(
     tool = TOOLS.get(request.tool)
     if tool is None:
         raise CommandError(f"no tool is called {request.tool!r}; there are {', '.join(TOOLS)}")
-    session = tasks.session_of(folder, segmenter)
-    prompts = tasks.prompts_of(workspace, items)
+    session = session_of(folder, segmenter)
+    prompts = prompts_of(workspace, items)
     return tool(_Work(request, folder, workspace, session, prompts))
 
 
@@ -243,15 +243,6 @@ TOOLS: dict[str, Callable[[_Work], list[RegionOffer]]] = {
 """The one table of tools."""
 
 
-# --- drawing on the screen -----------------------------------------------------------------------
-
-
-def select_stroke(folder: Path, workspace: Path, camera: Any, stroke: Stroke) -> tuple[str, int]:
-    """Visible elements that a stroke covers: their stored array and their number."""
-    chosen = tasks.picker_of(folder).select_stroke(camera, stroke)
-    return tasks.arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
-
-
 # --- the preview under the pointer ---------------------------------------------------------------
 
 
@@ -289,7 +280,7 @@ class _Now:
     labels: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))
 
 
-_samples: tasks.Recent[Path, _Sample] = tasks.Recent(4)
+_samples: Recent[Path, _Sample] = Recent(4)
 _now = _Now()
 
 
@@ -297,12 +288,12 @@ def hover(
     folder: Path,
     workspace: Path,
     segmenter: str,
-    items: tuple[Click | tasks.StoredRegion, ...],
+    items: tuple[Click | StoredRegion, ...],
     click: Click,
 ) -> HoverAnswer:
     """What would change if ``click`` were said now: the segmenter's own answer, kept by nobody."""
-    session = tasks.session_of(folder, segmenter)
-    prompts = tasks.prompts_of(workspace, items)
+    session = session_of(folder, segmenter)
+    prompts = prompts_of(workspace, items)
     key = (folder, segmenter, prompts.key())
     if _now.key != key:
         _now.key, _now.labels = key, session.segment(prompts).labels
@@ -317,7 +308,7 @@ def hover(
 def _sample(folder: Path) -> _Sample:
     from model.geometry.sampling import sample_surface
 
-    asset, rng = tasks.asset_of(folder), np.random.default_rng(0)
+    asset, rng = asset_of(folder), np.random.default_rng(0)
     if asset.mesh is not None:
         cloud, face = sample_surface(asset.mesh, SAMPLE_POINTS, rng)
         return _Sample(cloud.points.astype(np.float32), np.asarray(face, np.int64))

@@ -17,11 +17,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app import judging_tasks, room_tasks, saving_tasks, tasks, tool_tasks
+from app import (
+    display_tasks,
+    judging_tasks,
+    part_tasks,
+    picking_tasks,
+    room_tasks,
+    saving_tasks,
+    segmenting_tasks,
+    tool_tasks,
+)
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
-from app.judging import Judging
+from app.judging import JointCheck, Judging
+from app.part_tasks import PartSource
 from app.review_order import ReviewOrder
+from app.tasks import ReadOptions
 from app.watched import Listener, Watched
 from model.errors import ArtiworldError, CommandError
 from model.gate.report import GateReport
@@ -57,7 +68,7 @@ class Workbench:
         self.segmentation = WorkerProcess("segmentation")
         self.prediction = WorkerProcess("prediction")
         self.saving = WorkerProcess("saving")
-        self._preparing: tuple[tasks.PartSource, KinematicTree, Job[Path]] | None = None
+        self._preparing: tuple[PartSource, KinematicTree, Job[Path]] | None = None
         self._lock = threading.RLock()
         self._open: dict[int, OpenObject] = {}
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
@@ -126,7 +137,7 @@ class Workbench:
         for listener in list(self._queue_listeners):
             listener()
 
-    def prepare_asset(self, source: tasks.PartSource, tree: KinematicTree) -> None:
+    def prepare_asset(self, source: PartSource, tree: KinematicTree) -> None:
         """Write the asset that will probably be accepted next; what fails is told on accepting."""
         self.stop_preparing()
         job = self.saving.submit(saving_tasks.prepare_asset, source, tree)
@@ -140,7 +151,7 @@ class Workbench:
 
     def save_asset(
         self,
-        source: tasks.PartSource,
+        source: PartSource,
         tree: KinematicTree,
         folder: Path,
         record: dict[str, Any],
@@ -168,12 +179,12 @@ class OpenObject(Watched):
         self.bench = bench
         self.record = record
         self.live: LiveSession = bench.hub.session(record.id)
-        self.asset: tasks.OpenedAsset | None = None
+        self.asset: display_tasks.OpenedAsset | None = None
         self.problem: str | None = None
         self.backend_away = False
         self.busy: dict[str, tuple[float, str]] = {}
         self.labels: npt.NDArray[np.int16] | None = None
-        self.payloads: dict[str, list[tasks.PartPayload]] = {}
+        self.payloads: dict[str, list[display_tasks.PartPayload]] = {}
         self._labels_ref: str | None = None
         self._frame: tuple[Any, ...] | None = None
         self._jobs: dict[str, Job[Any]] = {}
@@ -204,7 +215,7 @@ class OpenObject(Watched):
         return "segment" in self._jobs
 
     @property
-    def checks(self) -> list[tasks.JointCheck]:
+    def checks(self) -> list[JointCheck]:
         """The collisions that the gate found on the present joints."""
         return self.judging.checks
 
@@ -213,7 +224,7 @@ class OpenObject(Watched):
         """Whether a prediction is under way."""
         return "predict" in self._jobs
 
-    def source(self, document: Document | None = None) -> tasks.PartSource:
+    def source(self, document: Document | None = None) -> PartSource:
         """The parts of the document as the workers cut them.
 
         Raises:
@@ -223,7 +234,7 @@ class OpenObject(Watched):
         if self.asset is None or doc.segmentation is None:
             raise CommandError("no part is there yet: click on a part that moves")
         names = {p.id: p.name for p in doc.parts if p.name}
-        return tasks.PartSource(
+        return PartSource(
             self.asset.folder,
             self.bench.workspace,
             doc.segmentation.labels,
@@ -247,13 +258,13 @@ class OpenObject(Watched):
             self.asset, self.labels, self._labels_ref = None, None, None
             self.payloads.clear()
             config = self.bench.config
-            options = tasks.ReadOptions(
+            options = ReadOptions(
                 doc.up_axis or config.up_axis,
                 doc.unit_scale * config.unit_scale,
                 None if doc.left_out is None else doc.left_out.elements,
             )
             job = self.bench.geometry.submit(
-                tasks.open_asset,
+                display_tasks.open_asset,
                 Path(self.record.path),
                 self.bench.workspace,
                 options,
@@ -262,7 +273,7 @@ class OpenObject(Watched):
             )
             self._start("open", job, self._opened)
 
-    def _opened(self, asset: tasks.OpenedAsset) -> None:
+    def _opened(self, asset: display_tasks.OpenedAsset) -> None:
         with self._lock:
             self.asset = asset
         if self.state.seq == 0:
@@ -272,7 +283,7 @@ class OpenObject(Watched):
                 self.do(cmd.SetCategory(asset.category), "source file")
         for warning in asset.warnings:
             self.tell("Opened with a remark", warning, "yellow")
-        self.bench.geometry.submit(tasks.prepare_picking, asset.folder)
+        self.bench.geometry.submit(picking_tasks.prepare_picking, asset.folder)
         self.prepare()
         self._state_changed()
 
@@ -281,17 +292,17 @@ class OpenObject(Watched):
         if self.asset is None or "encode" in self._jobs:
             return
         job = self.bench.segmentation.submit(
-            tasks.encode,
+            segmenting_tasks.encode,
             self.asset.folder,
             self.bench.config.segmenter,
             on_progress=self._progress("encode"),
         )
         self._start("encode", job, lambda _: None)
 
-    def _take_source_parts(self, asset: tasks.OpenedAsset) -> None:
+    def _take_source_parts(self, asset: display_tasks.OpenedAsset) -> None:
         """Parts that the source file was cut into become regions, which the person can edit."""
         regions = self.bench.geometry.submit(
-            tasks.source_regions, asset.folder, self.bench.workspace
+            segmenting_tasks.source_regions, asset.folder, self.bench.workspace
         ).result(120)
         for part, (ref, count) in regions.items():
             name = asset.part_names[part] if part < len(asset.part_names) else None
@@ -424,7 +435,7 @@ class OpenObject(Watched):
         self._start("room", job, keep)
         self.changed()
 
-    def _opened_asset(self) -> tasks.OpenedAsset:
+    def _opened_asset(self) -> display_tasks.OpenedAsset:
         if self.asset is None:
             raise CommandError("the object is still being read")
         return self.asset
@@ -436,7 +447,7 @@ class OpenObject(Watched):
         record = doc.segmentation
         if needed_jobs(self.state):
             job = self.bench.segmentation.submit(
-                tasks.segment,
+                segmenting_tasks.segment,
                 asset.folder,
                 self.bench.workspace,
                 self.bench.config.segmenter,
@@ -457,11 +468,11 @@ class OpenObject(Watched):
                 self.labels, self._labels_ref = None, None
                 return
         job = self.bench.segmentation.submit(
-            tasks.display_labels, self.bench.workspace, ref, asset.element, priority=9
+            segmenting_tasks.display_labels, self.bench.workspace, ref, asset.element, priority=9
         )
         self._start("labels", job, lambda labels: self._show_labels(ref, labels))
 
-    def _segmented(self, answer: tasks.SegmentationAnswer) -> None:
+    def _segmented(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
         self._show_labels(answer.labels, answer.display_labels)
         self.do(
             cmd.RecordSegmentation(
@@ -485,7 +496,7 @@ class OpenObject(Watched):
         )
         self._start("check", job, keep)
 
-    def part_payloads(self) -> list[tasks.PartPayload] | None:
+    def part_payloads(self) -> list[display_tasks.PartPayload] | None:
         """The parts as drawn while joints move; None until they are cut (asks for it)."""
         doc = self.document
         if self.asset is None or doc.segmentation is None:
@@ -493,10 +504,10 @@ class OpenObject(Watched):
         ref = doc.segmentation.labels
         if ref not in self.payloads and "parts" not in self._jobs:
             job = self.bench.geometry.submit(
-                tasks.part_payloads, self.source(doc), self.asset.element, priority=3
+                display_tasks.part_payloads, self.source(doc), self.asset.element, priority=3
             )
 
-            def keep(payloads: list[tasks.PartPayload]) -> None:
+            def keep(payloads: list[display_tasks.PartPayload]) -> None:
                 self.payloads = {ref: payloads}
 
             self._start("parts", job, keep)
@@ -519,7 +530,7 @@ class OpenObject(Watched):
         self.cancel("check")
         self.judging.forget_request()
         job = self.bench.prediction.submit(
-            tasks.predict,
+            part_tasks.predict,
             source,
             DEFAULT_PREDICTOR if here else self.bench.config.predictor,
             doc.locked_joints,
@@ -671,9 +682,9 @@ def _last_of(doc: Document, tool: str, part: int) -> int:
     return count
 
 
-def stored_prompts(doc: Document) -> tuple[Click | tasks.StoredRegion, ...]:
+def stored_prompts(doc: Document) -> tuple[Click | segmenting_tasks.StoredRegion, ...]:
     """The prompts as workers take them."""
     return tuple(
-        p if isinstance(p, Click) else tasks.StoredRegion(p.part, p.elements, p.positive)
+        p if isinstance(p, Click) else segmenting_tasks.StoredRegion(p.part, p.elements, p.positive)
         for p in doc.prompts
     )

@@ -8,7 +8,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from app import tasks, tool_tasks
+from app import picking_tasks, tool_tasks
 from app.pointer_messages import ArtiworldHoverMessage
 from app.viewer import palette
 from app.workbench import stored_prompts
@@ -104,7 +104,7 @@ class Hover:
         assert obj is not None and obj.asset is not None and place is not None
         origin, direction = app.pointing.camera().ray(place)
         hit = app.bench.geometry.submit(
-            tasks.pick,
+            picking_tasks.pick,
             obj.asset.folder,
             tuple(origin),
             tuple(direction),

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app import tasks
+from app import snapping_tasks
+from app.judging import JointCheck
 from app.viewer.text import plain
 from app.viewer.widgets import differs, put
 from app.workbench import OpenObject
@@ -141,7 +142,7 @@ class JointsPanel:
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
         job = self._app.bench.prediction.submit(
-            tasks.snap_joint, obj.source(), tree, joint.child, to, priority=15
+            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=15
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:
@@ -363,7 +364,7 @@ def range_text(joint: Joint) -> str:
     return f"{_shown(joint, joint.lower):.0f} to {_shown(joint, joint.upper):.0f}{unit}"
 
 
-def tree_text(tree: KinematicTree, doc: Document, checks: list[tasks.JointCheck]) -> str:
+def tree_text(tree: KinematicTree, doc: Document, checks: list[JointCheck]) -> str:
     """The tree as a nested list."""
     hits = {c.joint for c in checks}
     depth = {tree.root: 0}
@@ -386,7 +387,7 @@ def tree_text(tree: KinematicTree, doc: Document, checks: list[tasks.JointCheck]
     return "\n".join(lines)
 
 
-def joint_note(joint: Joint, doc: Document, checks: list[tasks.JointCheck]) -> str:
+def joint_note(joint: Joint, doc: Document, checks: list[JointCheck]) -> str:
     """How the joint was decided, and what its sweep hit."""
     lines = []
     if doc.prediction is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import viser
 
-from app import tasks, tool_tasks
+from app import picking_tasks, tool_tasks
 from app.pointer_messages import (
     ArtiworldHoverMessage,
     ArtiworldStrokeMessage,
@@ -175,7 +175,7 @@ class Pointing:
         if obj.asset is None:
             return
         hit = app.bench.geometry.submit(
-            tasks.pick, obj.asset.folder, origin, direction, priority=20
+            picking_tasks.pick, obj.asset.folder, origin, direction, priority=20
         ).result(PICK_SECONDS)
         if hit is None:
             return
@@ -245,7 +245,7 @@ class Pointing:
         if obj.asset is None or app.stage != "Annotate":
             return
         ref, count = app.bench.geometry.submit(
-            tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high,
+            picking_tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high,
             one_piece=positive and app.picking_out, priority=20,
         ).result(PICK_SECONDS)  # fmt: skip
         self._add_region(ref, count, positive, "box")
@@ -266,7 +266,7 @@ class Pointing:
             return
         stroke = Stroke(message.tool, message.path, message.radius)  # type: ignore[arg-type]
         ref, count = app.bench.geometry.submit(
-            tool_tasks.select_stroke,
+            picking_tasks.select_stroke,
             obj.asset.folder,
             app.bench.workspace,
             camera,

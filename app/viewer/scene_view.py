@@ -15,7 +15,8 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
-from app.tasks import JointCheck, OpenedAsset, PartPayload
+from app.display_tasks import OpenedAsset, PartPayload
+from app.judging import JointCheck
 from app.viewer import palette
 from app.viewer.overlays import Overlays
 from model.geometry.display import spacing

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from app import saving_tasks, tasks
+from app import part_tasks, saving_tasks, tasks
+from app.display_tasks import open_asset
+from app.part_tasks import PartSource
 from app.saving_tasks import DRAFTS_KEPT, prepare_asset, save_asset_folder
-from app.tasks import PartSource, ReadOptions, open_asset
+from app.tasks import ReadOptions
 from model.exporters.reload import reload_check
 from model.exporters.saved import load_object, read_provenance
 from model.kinematics.joint import Joint
@@ -48,7 +50,7 @@ def test_accepting_moves_what_was_prepared(source, tmp_path, monkeypatch):
     draft = prepare_asset(source, TREE)
     assert prepare_asset(source, TREE) == draft
     with monkeypatch.context() as patch:  # nothing is cut or written a second time
-        patch.setattr(tasks, "parts_of", None)
+        patch.setattr(part_tasks, "parts_of", None)
         folder = save_asset_folder(source, TREE, tmp_path / "a", {"by": "me"})
     assert drafts(source) == []
     record = read_provenance(folder)

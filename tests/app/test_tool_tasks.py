@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from app import room_tasks, tasks, tool_tasks
+from app import room_tasks, segmenting_tasks, tasks, tool_tasks
+from app.display_tasks import OpenedAsset, open_asset
+from app.segmenting_tasks import StoredRegion
 from app.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.errors import CommandError
 from model.segmentation.prompts import Click
@@ -23,7 +25,7 @@ def surface(size: tuple[float, ...], center: tuple[float, ...], count: int) -> n
 
 
 @pytest.fixture(scope="module")
-def chest(tmp_path_factory) -> tuple[tasks.OpenedAsset, Path]:
+def chest(tmp_path_factory) -> tuple[OpenedAsset, Path]:
     """A chest with a lid above a gap, and a knob on either side."""
     folder = tmp_path_factory.mktemp("chest")
     points = np.concatenate(
@@ -35,23 +37,23 @@ def chest(tmp_path_factory) -> tuple[tasks.OpenedAsset, Path]:
         ]
     )
     trimesh.PointCloud(points).export(folder / "chest.ply")
-    opened = tasks.open_asset(folder / "chest.ply", folder, tasks.ReadOptions())
+    opened = open_asset(folder / "chest.ply", folder, tasks.ReadOptions())
     return opened, folder
 
 
-def points_of(opened: tasks.OpenedAsset) -> np.ndarray:
+def points_of(opened: OpenedAsset) -> np.ndarray:
     return tasks.asset_of(opened.folder).element_centers
 
 
-def click_at(opened: tasks.OpenedAsset, position, part: int) -> Click:
+def click_at(opened: OpenedAsset, position, part: int) -> Click:
     element = int(np.linalg.norm(points_of(opened) - position, axis=1).argmin())
     x, y, z = map(float, points_of(opened)[element])
     return Click((x, y, z), part, True, element)
 
 
-def region(chest, mask: np.ndarray, part: int) -> tasks.StoredRegion:
+def region(chest, mask: np.ndarray, part: int) -> StoredRegion:
     ref = tasks.arrays_of(chest[1]).put(np.flatnonzero(mask))
-    return tasks.StoredRegion(part, ref)
+    return StoredRegion(part, ref)
 
 
 def run(chest, items, request: ToolRequest) -> list[tuple[int, bool, np.ndarray]]:
@@ -107,7 +109,7 @@ def test_the_preview_is_what_the_click_does(chest):
     opened, workspace = chest
     click = click_at(opened, LID, 1)
     hover = tool_tasks.hover(opened.folder, workspace, "default", (), click)
-    answer = tasks.segment(opened.folder, workspace, "default", (click,), "key", None)
+    answer = segmenting_tasks.segment(opened.folder, workspace, "default", (click,), "key", None)
     assert hover.count == answer.counts[1] and len(hover.lost) == 0
     labels = tasks.arrays_of(workspace).get(answer.labels)
     mine = {tuple(p) for p in points_of(opened)[labels == 1].astype(np.float32)}
@@ -116,7 +118,7 @@ def test_the_preview_is_what_the_click_does(chest):
     other = click_at(opened, LID, 2)
     taken = tool_tasks.hover(opened.folder, workspace, "default", (click,), other)
     assert taken.count > 0 and len(taken.gained)
-    again = tasks.segment(opened.folder, workspace, "default", (click,), "key", None)
+    again = segmenting_tasks.segment(opened.folder, workspace, "default", (click,), "key", None)
     assert again.labels == answer.labels, "a preview leaves no trace"
 
 
@@ -136,9 +138,9 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     box = surface((0.8, 0.8, 0.85), (0.5, 0.1, 0.6), 8000)
     every = np.concatenate([floor, wall, box])
     trimesh.PointCloud(every).export(tmp_path / "room.ply")
-    room = tasks.open_asset(tmp_path / "room.ply", tmp_path, tasks.ReadOptions())
+    room = open_asset(tmp_path / "room.ply", tmp_path, tasks.ReadOptions())
     removal = room_tasks.floor_and_walls(room.folder, tmp_path, None)
-    inside = tasks.open_asset(
+    inside = open_asset(
         tmp_path / "room.ply", tmp_path, tasks.ReadOptions(left_out=removal.elements)
     )
     kept = points_of(inside)
@@ -150,7 +152,7 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
         inside.folder, tmp_path, labels, 1, removal.elements, "big box", lambda *_: None
     )
     assert crop.name == "big_box" and crop.path.suffix == ".ply"
-    alone = tasks.open_asset(crop.path, tmp_path, tasks.ReadOptions())
+    alone = open_asset(crop.path, tmp_path, tasks.ReadOptions())
     assert abs(alone.bounds[0][2]) < 1e-6
     source = points_of(room)[arrays.get(crop.elements)]
     np.testing.assert_allclose(points_of(alone) + crop.position, source, atol=1e-6)

@@ -1,0 +1,175 @@
+"""Jobs that prepare what a browser draws: an asset as it is opened, its parts as joints move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.part_tasks import PartSource
+from app.tasks import ReadOptions, arrays_of, asset_of, working_copy
+from model.geometry.asset import Asset, ElementKind, UpAxis
+from model.geometry.point_cloud import PointCloud
+from model.progress import Progress, no_progress
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedAsset:
+    """What the server keeps of an open object.
+
+    Attributes:
+        folder: memory-mapped arrays of the asset, shared by the workers.
+        display_vertices, display_faces: what the browser draws of a mesh, else None.
+        display_points, display_colors: what the browser draws of a cloud, else None.
+        element: (D,) source element of each displayed face or point.
+        glb: the displayed mesh with its materials, z up, else None.
+        part_names: names by part id where the source was already cut into parts.
+    """
+
+    name: str
+    folder: Path
+    path: Path
+    sha256: str
+    up_axis: UpAxis
+    unit_scale: float
+    element_kind: ElementKind
+    element_count: int
+    bounds: npt.NDArray[np.float64]
+    element: npt.NDArray[np.int32]
+    display_vertices: npt.NDArray[np.float32] | None = None
+    display_faces: npt.NDArray[np.int32] | None = None
+    display_points: npt.NDArray[np.float32] | None = None
+    display_colors: npt.NDArray[np.uint8] | None = None
+    glb: bytes | None = None
+    part_names: tuple[str, ...] = ()
+    has_parts: bool = False
+    category: str | None = None
+    warnings: tuple[str, ...] = ()
+    front: tuple[float, float, float] = (0.0, -1.0, 0.0)
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal in metres."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class PartPayload:
+    """One part as the browser draws it when joints move."""
+
+    part: int
+    glb: bytes | None
+    points: npt.NDArray[np.float32] | None
+    colors: npt.NDArray[np.uint8] | None
+    vertices: npt.NDArray[np.float32] | None = None
+    faces: npt.NDArray[np.int32] | None = None
+
+
+def open_asset(
+    path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
+) -> OpenedAsset:
+    """Read ``path``, lay its arrays down for the other workers, and prepare what is shown."""
+    progress(0.02, "Reading")
+    asset, folder = working_copy(path, workspace, options, progress)
+    progress(0.8, "Preparing the picture")
+    return _opened(asset, folder, path)
+
+
+def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
+    from model.geometry.display import display_asset
+    from model.geometry.glb import mesh_to_glb
+
+    shown = display_asset(asset)
+    source = asset.source
+    mesh, cloud = shown.mesh, shown.cloud
+    return OpenedAsset(
+        name=asset.name,
+        folder=folder,
+        path=path,
+        sha256=source.sha256 if source else "",
+        up_axis=source.up_axis if source else "z",
+        unit_scale=source.unit_scale if source else 1.0,
+        element_kind=asset.element_kind,
+        element_count=asset.element_count,
+        bounds=np.asarray(asset.bounds),
+        element=np.asarray(shown.element, np.int32),
+        display_vertices=None if mesh is None else mesh.vertices.astype(np.float32),
+        display_faces=None if mesh is None else np.asarray(mesh.faces),
+        display_points=None if cloud is None else np.asarray(cloud.points),
+        display_colors=None if cloud is None else _colors(cloud),
+        glb=None if mesh is None else mesh_to_glb(mesh),
+        part_names=asset.part_names,
+        has_parts=asset.element_part is not None,
+        category=asset.category,
+        warnings=asset.warnings,
+        front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
+    )
+
+
+def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float, float]:
+    """The horizontal side to look from first: broad, and with the most detail.
+
+    Handles and knobs are small faces, and a one-sided scan has points where the camera stood, so
+    the side whose outer layer holds the most elements is the front. Near ties go to -y, glTF's
+    front. The sides are those of the tightest upright box.
+    """
+    from model.geometry.upright_box import box_yaw
+
+    flat = np.asarray(points, np.float64)[:: max(1, len(points) // 20_000), :2]
+    best, score = (0.0, -1.0, 0.0), 0.0
+    turn = box_yaw(flat)
+    for quarter in np.array([-0.5, 0.0, 1.0, 0.5]) * np.pi:
+        direction = np.array([np.cos(turn + quarter), np.sin(turn + quarter)])
+        along, across = flat @ direction, flat @ np.array([-direction[1], direction[0]])
+        low, high = np.percentile(along, (1, 99))  # a scan's outliers don't count
+        broad = float(np.ptp(np.percentile(across, (1, 99))))
+        share = float(np.mean(high - along < 0.15 * max(high - low, 1e-9))) * broad
+        if share > score * 1.4:
+            best, score = (float(direction[0]), float(direction[1]), 0.0), share
+    return best
+
+
+def _colors(cloud: PointCloud) -> npt.NDArray[np.uint8]:
+    """The scan's colours; without any, a height ramp so that the shape still reads."""
+    if cloud.colors is not None:
+        return np.asarray(cloud.colors)
+    z = cloud.points[:, 2]
+    t = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
+    low, high = np.array([96, 110, 130.0]), np.array([214, 218, 222.0])
+    return (low + t[:, None] * (high - low)).astype(np.uint8)
+
+
+def part_payloads(
+    source: PartSource, element: npt.NDArray[np.int32], progress: Progress = no_progress
+) -> list[PartPayload]:
+    """Each part as the browser draws it, from the displayed elements."""
+    from model.geometry.display import display_asset
+    from model.geometry.glb import mesh_to_glb
+
+    shown = display_asset(asset_of(source.folder))
+    labels = arrays_of(source.workspace).get(source.labels)[element]
+    out = []
+    parts = [int(p) for p in np.unique(labels)]
+    for k, part in enumerate(parts):
+        progress(k / len(parts), "Cutting the picture into parts")
+        mine = labels == part
+        if shown.mesh is not None:
+            mesh = shown.mesh.take_faces(mine)
+            out.append(
+                PartPayload(
+                    part,
+                    mesh_to_glb(mesh),
+                    None,
+                    None,
+                    mesh.vertices.astype(np.float32),
+                    np.asarray(mesh.faces),
+                )
+            )
+        else:
+            assert shown.cloud is not None
+            cloud = shown.cloud.take(mine)
+            out.append(PartPayload(part, None, np.asarray(cloud.points), _colors(cloud)))
+    return out

@@ -1,0 +1,61 @@
+"""Jobs that find what a pointer means: the surface under a ray, what a box or a stroke covers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.tasks import Recent, arrays_of, asset_of
+from model.geometry.strokes import Stroke
+
+_pickers: Recent[Path, Any] = Recent(4)
+
+
+def picker_of(folder: Path) -> Any:
+    """Its picker, kept in this process."""
+    from model.geometry.picking import Picker
+
+    return _pickers.get(folder, lambda: Picker(asset_of(folder)))
+
+
+def prepare_picking(folder: Path) -> None:
+    """Build the ray structure before the first click needs it."""
+    picker_of(folder)
+
+
+def pick(
+    folder: Path, origin: tuple[float, float, float], direction: tuple[float, float, float]
+) -> Any:
+    """The surface under a ray: ``Pick(position, element, normal)``, or None for the background."""
+    return picker_of(folder).pick(np.asarray(origin), np.asarray(direction))
+
+
+def select_box(
+    folder: Path,
+    workspace: Path,
+    camera: Any,
+    corner_min: tuple[float, float],
+    corner_max: tuple[float, float],
+    *,
+    one_piece: bool = False,
+) -> tuple[str, int]:
+    """Visible elements inside a rectangle of the screen: their stored array and their number.
+
+    Args:
+        one_piece: of a scan only what hangs together, not what stands before and behind it.
+    """
+    chosen = picker_of(folder).select_box(camera, corner_min, corner_max, visible_only=True)
+    cloud = asset_of(folder).cloud
+    if one_piece and cloud is not None and len(chosen):
+        from model.segmentation.crop import largest_piece
+
+        chosen = chosen[largest_piece(cloud.points[chosen])]
+    return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
+
+
+def select_stroke(folder: Path, workspace: Path, camera: Any, stroke: Stroke) -> tuple[str, int]:
+    """Visible elements that a stroke covers: their stored array and their number."""
+    chosen = picker_of(folder).select_stroke(camera, stroke)
+    return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)

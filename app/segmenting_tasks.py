@@ -1,0 +1,130 @@
+"""Jobs of the segmenter: an asset is encoded once, then every change of the prompts is answered."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.tasks import Recent, arrays_of, asset_of
+from model.geometry.asset import Asset
+from model.progress import Progress, no_progress
+from model.segmentation.prompts import Click, Prompts, Region
+
+ENCODINGS_KEPT = 3
+
+
+@dataclass(frozen=True)
+class StoredRegion:
+    """A :class:`Region` whose elements lie in the workspace."""
+
+    part: int
+    elements: str
+    positive: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentationAnswer:
+    """Labels as the server needs them: the stored array's name, and what is shown."""
+
+    prompts_key: str
+    labels: str
+    display_labels: npt.NDArray[np.int16]
+    counts: dict[int, int]
+    segmenter: str
+    seconds: float
+
+
+_encodings: Recent[tuple[Path, str], Any] = Recent(ENCODINGS_KEPT)
+_regions: Recent[tuple[Path, str], npt.NDArray[np.int64]] = Recent(100)
+
+
+def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> float:
+    """Encode an asset once; the later clicks find it here. Returns the seconds it took."""
+    start = time.perf_counter()
+    session_of(folder, segmenter, progress)
+    return time.perf_counter() - start
+
+
+def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -> Any:
+    """The asset as the segmenter has encoded it, kept in this process."""
+    from model.segmentation.registry import load_segmenter
+
+    return _encodings.get(
+        (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset_of(folder), progress)
+    )
+
+
+def segment(
+    folder: Path,
+    workspace: Path,
+    segmenter: str,
+    items: tuple[Click | StoredRegion, ...],
+    prompts_key: str,
+    element: npt.NDArray[np.int32] | None,
+    progress: Progress = no_progress,
+) -> SegmentationAnswer:
+    """Answer the prompts; labels for all elements go to the workspace, for the shown ones back."""
+    session = session_of(folder, segmenter, progress)
+    answer = session.segment(prompts_of(workspace, items))
+    return _answer(workspace, answer, prompts_key, element)
+
+
+def source_regions(folder: Path, workspace: Path) -> dict[int, tuple[str, int]]:
+    """The parts that the source was already cut into: part → stored elements and their number."""
+    return source_regions_of(asset_of(folder), workspace)
+
+
+def source_regions_of(asset: Asset, workspace: Path) -> dict[int, tuple[str, int]]:
+    """As :func:`source_regions`, of an asset at hand."""
+    part = asset.element_part
+    if part is None:
+        return {}
+    arrays = arrays_of(workspace)
+    out = {}
+    for i in np.unique(part[part >= 0]):
+        elements = np.flatnonzero(part == i).astype(np.int64)
+        out[int(i)] = (arrays.put(elements), len(elements))
+    return out
+
+
+def prompts_of(workspace: Path, items: tuple[Click | StoredRegion, ...]) -> Prompts:
+    """Prompts with the elements of their regions."""
+    return Prompts(
+        tuple(
+            p
+            if isinstance(p, Click)
+            else Region(p.part, _elements(workspace, p.elements), p.positive)
+            for p in items
+        )
+    )
+
+
+def _elements(workspace: Path, ref: str) -> npt.NDArray[np.int64]:
+    return _regions.get((workspace, ref), lambda: arrays_of(workspace).get(ref))
+
+
+def _answer(
+    workspace: Path, answer: Any, prompts_key: str, element: npt.NDArray[np.int32] | None
+) -> SegmentationAnswer:
+    labels = np.where(answer.labels < 0, 0, answer.labels).astype(np.int16)
+    ids, counts = np.unique(labels, return_counts=True)
+    return SegmentationAnswer(
+        prompts_key=prompts_key,
+        labels=arrays_of(workspace).put(labels),
+        display_labels=labels if element is None else labels[element],
+        counts={int(i): int(n) for i, n in zip(ids, counts, strict=True)},
+        segmenter=answer.segmenter,
+        seconds=answer.seconds,
+    )
+
+
+def display_labels(
+    workspace: Path, labels: str, element: npt.NDArray[np.int32]
+) -> npt.NDArray[np.int16]:
+    """Stored labels for the displayed elements."""
+    return arrays_of(workspace).get(labels)[element].astype(np.int16)

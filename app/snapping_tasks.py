@@ -1,0 +1,82 @@
+"""A joint snapped to a feature of its part: the box's axes and edges, a contact, the free range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from app.part_tasks import PartSource, parts_of
+from model.errors import CommandError
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+SWEEP_POINTS = 3000
+
+
+def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> Joint:
+    """The joint of ``child`` snapped to a feature of its part.
+
+    Args:
+        to: "axis Long", "axis Middle", "axis Short", "Box edge", "Contact", "Centre" or
+            "free range" (limits up to the first collision).
+    """
+    from model.kinematics.snapping import (
+        axis_along_box,
+        box_of,
+        origin_on_box_edge,
+        origin_on_contact,
+    )
+
+    parts = {p.link: p for p in parts_of(source)}
+    joint = tree.joint_of[child]
+    if child not in parts:
+        raise CommandError(f"{child} has no part to snap to; it is a helper link")
+    if to == "free range":
+        return _with_free_range(source, tree, joint, tuple(parts.values()))
+    points = _surface_points(parts[child])
+    if to.startswith("axis "):
+        return axis_along_box(joint, box_of(points), to.removeprefix("axis "))  # type: ignore[arg-type]
+    if to == "Box edge":
+        return origin_on_box_edge(joint, box_of(points))
+    if to == "Centre":
+        return replace(joint, origin=tuple(float(v) for v in box_of(points).center))
+    if joint.parent not in parts:
+        raise CommandError(f"{joint.parent} has no part to touch; it is a helper link")
+    reach = 0.01 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    return origin_on_contact(joint, points, _surface_points(parts[joint.parent]), reach)
+
+
+def _surface_points(part: Part) -> npt.NDArray[np.float64]:
+    from model.geometry.sampling import sample_surface
+
+    if part.mesh is not None and len(part.mesh.faces):
+        samples, _ = sample_surface(part.mesh, SWEEP_POINTS, np.random.default_rng(0))
+        corners = part.mesh.vertices[np.unique(part.mesh.faces)]
+        return np.concatenate([samples.points.astype(np.float64), corners])
+    assert part.cloud is not None
+    points = part.cloud.points.astype(np.float64)
+    if len(points) > 4 * SWEEP_POINTS:
+        keep = np.random.default_rng(0).choice(len(points), 4 * SWEEP_POINTS, replace=False)
+        points = points[keep]
+    return points
+
+
+def _with_free_range(
+    source: PartSource, tree: KinematicTree, joint: Joint, parts: tuple[Part, ...]
+) -> Joint:
+    from model.kinematics.sweep import free_range
+
+    part = next(p for p in parts if p.link == joint.child)
+    along = _surface_points(part) @ np.asarray(joint.axis)
+    most = math.pi if joint.rotates else 0.95 * float(np.ptp(along))
+    lower, upper = free_range(ArticulatedObject(source.title, parts, tree), joint.name, most)
+    closed_below, closed_above = joint.lower == 0.0, joint.upper == 0.0
+    return replace(
+        joint,
+        lower=0.0 if closed_below else float(lower),
+        upper=0.0 if closed_above else float(upper),
+    )
