@@ -6,13 +6,14 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from app.accepting import accept
 from model.errors import CommandError
 from model.gate.report import GateReport, JointVerdict, Mend
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
 if TYPE_CHECKING:
-    from app.workbench import OpenObject
+    from app.open_object import OpenObject
 
 KEPT = 16
 """Answers kept for undo and redo."""
@@ -87,7 +88,7 @@ class Judging:
         if revision == self._asked or obj.predicting:
             return
         self._asked = revision
-        obj.cancel("check")
+        obj.jobs.cancel("check")
         obj.bench.stop_preparing()
         if revision in self._answers:
             self._answers.move_to_end(revision)
@@ -161,7 +162,7 @@ class Judging:
         if waiting is None:
             return
         try:
-            self._obj.accept(waiting.comment, waiting.who, waiting.at, waiting.override)
+            accept(self._obj, waiting.comment, waiting.who, waiting.at, waiting.override)
         except CommandError as error:
             self._obj.tell("Not accepted", str(error), "yellow")
 

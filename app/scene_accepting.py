@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from app.accepting import acceptance_record, asset_folder
 from app.judging_tasks import judge_joints
 from app.part_tasks import PartSource
-from app.workbench import acceptance_record, asset_folder
 from model.gate.report import GateReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
@@ -99,7 +99,7 @@ class Accepting:
     def go_on(self) -> None:
         """Start with the next object that is ready."""
         desk = self._desk
-        if desk.running("accept"):
+        if "accept" in desk.jobs:
             return
         for entry in list(self._queue):
             i, record = entry

@@ -7,7 +7,6 @@ object like any other and may be opened, annotated and accepted as such.
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy.typing as npt
 
 from app import scene_shapes, scene_tasks
 from app.review_order import confidence
+from app.running_jobs import RunningJobs
 from app.scene_accepting import Accepting
 from app.scene_picking import Picking
 from app.scene_rows import STATUSES, Row, Status, Work, drawn_by
@@ -26,15 +26,12 @@ from app.scene_shapes import DrawnParts, Shape
 from app.scene_tasks import OpenedScene, Prepared, SceneItem
 from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
-from model.progress import Cancelled
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.scene_commands import PickOut, SetArticulable
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
-
-log = logging.getLogger(__name__)
 
 WHO = "scene"
 """Who is written beside what was found out without a person."""
@@ -59,14 +56,13 @@ class SceneDesk(Watched):
         self.items: dict[str, SceneItem] = {}
         self.shapes: dict[Path, Shape | str] = {}
         self.works: dict[int, Work] = {}
-        self.busy: dict[str, tuple[float, str]] = {}
         self.paused = False
         self._preferred: int | None = None
         self._closed = False
         self._work_of: dict[Path, Work] = {}
         self._max_faces = FACES
         self._lock = threading.RLock()
-        self._running: dict[str, Any] = {}
+        self.jobs = RunningJobs("the scene", self.changed)
         super().__init__()
         self.accepting = Accepting(self)
         self.saving = Saving(self)
@@ -74,11 +70,16 @@ class SceneDesk(Watched):
         self.live.subscribe(lambda state, command: self._decided(command))
         job = bench.geometry.submit(
             scene_tasks.read, path, folders, format, bench.config.finder, bench.config.finder_url,
-            bench.workspace, on_progress=self.progress("read"), priority=9,
+            bench.workspace, on_progress=self.jobs.progress("read"), priority=9,
         )  # fmt: skip
         self.start("read", job, self._opened)
 
     # --- where each object stands
+
+    @property
+    def busy(self) -> dict[str, tuple[float, str]]:
+        """The jobs under way: how far each one is, 0..1, and what it says."""
+        return self.jobs.busy
 
     @property
     def document(self) -> Document:
@@ -246,7 +247,7 @@ class SceneDesk(Watched):
         return [w for w in self.works.values() if any(self.work(i) is w for i in w.ids)]
 
     def _draw_shapes(self) -> None:
-        if "shapes" in self._running:
+        if "shapes" in self.jobs:
             return
         paths = [i.path for i in self.items.values() if i.path and i.path not in self.shapes]
         paths = list(dict.fromkeys(paths))
@@ -263,7 +264,7 @@ class SceneDesk(Watched):
         self.start("shapes", job, keep, (len(self.shapes) / total, ""))
 
     def _draw_parts(self) -> None:
-        if "parts" in self._running:
+        if "parts" in self.jobs:
             return
         for work in self.wanted():
             doc = work.document
@@ -283,7 +284,7 @@ class SceneDesk(Watched):
             return
 
     def _prepare(self) -> None:
-        if "prepare" in self._running or self.paused:
+        if "prepare" in self.jobs or self.paused:
             return
         works = list(self.wanted())
         waiting = [w for w in works if not w.prepared and w.document.tree is None]
@@ -329,8 +330,8 @@ class SceneDesk(Watched):
     def pause(self, paused: bool) -> None:
         """Stop looking at more objects, or go on."""
         self.paused = paused
-        if paused and "prepare" in self._running:
-            self._running["prepare"].cancel()
+        if paused:
+            self.jobs.cancel("prepare")
         self.go_on()
 
     def start(
@@ -342,44 +343,14 @@ class SceneDesk(Watched):
         work: Work | None = None,
     ) -> None:
         """Follow a job; ``keep`` gets its answer. What fails is told, and written into ``work``."""
-        self._running[what] = job
-        self.busy[what] = told
-        job.add_done_callback(lambda ended: self._ended(what, ended, keep, work))
-
-    def running(self, what: str) -> bool:
-        """Whether a job of that kind is under way."""
-        return what in self._running
-
-    def cancel(self, what: str) -> None:
-        """Stop a running job."""
-        job = self._running.get(what)
-        if job is not None:
-            job.cancel()
-
-    def progress(self, what: str) -> Callable[[float, str], None]:
-        """Takes in what a job of that kind reports."""
-
-        def tell(fraction: float, message: str) -> None:
-            if what in self._running:
-                self.busy[what] = (fraction, message)
-                self.changed()
-
-        return tell
+        self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep, work), told)
 
     def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
-        try:
-            keep(job.result(0))
-        except Cancelled:
-            pass
-        except ArtiworldError as error:
+        error = self.jobs.hand_over(what, job, keep)
+        if isinstance(error, ArtiworldError):
             self._failed(what, str(error), work)
-        except Exception as error:  # a job's boundary: say it and go on
-            log.exception("job %s of the scene failed", what)
-            self._failed(what, f"{error} (our fault; the details are in the server's log)", work)
         # Only now: what is kept above asks for the next job, and this one isn't to be asked again.
-        if self._running.get(what) is job:
-            del self._running[what]
-            self.busy.pop(what, None)
+        self.jobs.drop(what, job)
         self.go_on()
 
     def _failed(self, what: str, message: str, work: Work | None) -> None:

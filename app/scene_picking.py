@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app import room_tasks, scene_tasks
+from app.cutting import pick_out
 from app.scene_tasks import SceneItem
 from model.errors import CommandError
 from model.scenes.finders import LexiconFinder
@@ -28,8 +29,8 @@ from sessions.scene_commands import PickOut, Position, Quaternion
 from sessions.text import clean_text
 
 if TYPE_CHECKING:
+    from app.open_object import OpenObject
     from app.scene_desk import SceneDesk
-    from app.workbench import OpenObject
 
 
 class Picking:
@@ -64,8 +65,8 @@ class Picking:
             done(record.id)
 
         job = desk.bench.geometry.submit(
-            scene_tasks.for_picking, item, desk.bench.workspace, on_progress=desk.progress("copy"),
-            priority=8,
+            scene_tasks.for_picking, item, desk.bench.workspace,
+            on_progress=desk.jobs.progress("copy"), priority=8,
         )  # fmt: skip
         desk.start("copy", job, keep)
         desk.changed()
@@ -100,7 +101,7 @@ class Picking:
             desk.do(command, who)
             done(fresh)
 
-        obj.pick_out(item.copy, part, words, keep)
+        pick_out(obj, item.copy, part, words, keep)
 
     def _free(self, name: str) -> str:
         taken = {*self._desk.items, *(p.object for p in self._desk.document.picked)}

@@ -62,14 +62,14 @@ class Saving:
             CommandError: where it is being written, or its parts aren't ready.
         """
         desk = self._desk
-        if desk.running("save"):
+        if "save" in desk.jobs:
             return
         scene, items, copies = self._plan(loose)
         record = desk.record
         out = desk.bench.workspace / "scenes" / f"saved-{record.id}"
         job = desk.bench.geometry.submit(
             save_scene, record.path, scene.reader, tuple(i.obj.id for i in desk.read), items,
-            copies, out, on_progress=desk.progress("save"), priority=6,
+            copies, out, on_progress=desk.jobs.progress("save"), priority=6,
         )  # fmt: skip
 
         def keep(summary: dict[str, Any]) -> None:
@@ -116,14 +116,14 @@ class Saving:
     def report(self, done: Callable[[Path], None]) -> None:
         """Write the page; ``done`` gets its path."""
         desk = self._desk
-        if desk.running("report") or desk.scene is None:
+        if "report" in desk.jobs or desk.scene is None:
             return
         rows = [self._row(item) for item in desk.items.values()]
         record = desk.record
         path = desk.bench.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
         job = desk.bench.geometry.submit(
             write_report, path, desk.scene.name, tuple(rows), desk.scene.problems,
-            dict(desk.shapes), desk.bench.workspace, on_progress=desk.progress("report"),
+            dict(desk.shapes), desk.bench.workspace, on_progress=desk.jobs.progress("report"),
             priority=6,
         )  # fmt: skip
         desk.start("report", job, lambda _: done(path))

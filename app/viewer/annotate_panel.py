@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import viser
 
+from app.open_object import OpenObject
 from app.tool_tasks import ToolRequest
 from app.viewer import palette
 from app.viewer.widgets import put
-from app.workbench import OpenObject
 from model.segmentation.crop import ROOM_METRES
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
@@ -205,7 +205,7 @@ class AnnotatePanel:
         """Let a tool work, and say what came of it."""
         app = self._app
         app.pointing.hover.forget()
-        found = app.need_object().use_tool(request, app.who)
+        found = app.need_object().segmenting.use_tool(request, app.who)
         if not found:
             app.notify(label, _NOTHING.get(request.tool, "It found nothing to change"), "gray")
         elif request.tool in _NEW_PARTS:

@@ -18,6 +18,8 @@ from typing import Any, Literal
 import numpy as np
 import viser
 
+from app.accepting import accept
+from app.open_object import OpenObject
 from app.viewer.annotate_panel import AnnotatePanel
 from app.viewer.in_scene import InScene
 from app.viewer.joints_panel import JointsPanel
@@ -31,7 +33,7 @@ from app.viewer.scene_list import SceneList
 from app.viewer.scene_view import SceneView
 from app.viewer.source_panel import SourcePanel
 from app.viewer.text import plain
-from app.workbench import OpenObject, Workbench
+from app.workbench import Workbench
 from model.errors import ArtiworldError
 from model.kinematics.joint import Joint
 from model.progress import Cancelled
@@ -357,7 +359,7 @@ class ClientApp:
     def cancel(self) -> None:
         """Stop what runs."""
         for what in ("predict", "save", "segment", "room"):
-            self.need_object().cancel(what)
+            self.need_object().jobs.cancel(what)
 
     def accept(self) -> None:
         """Accept the object; its asset is written first."""
@@ -367,7 +369,7 @@ class ClientApp:
         self.set_stage("Review")  # where a reason is asked for, and the next object follows
         panel = self.review_panel
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        self.need_object().accept(panel.comment_text, self.who, now, panel.override_text)
+        accept(self.need_object(), panel.comment_text, self.who, now, panel.override_text)
         panel.decided()
 
     def reject(self) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.joints_panel import part_title
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from app.workbench import OpenObject
 from model.errors import CommandError
 from model.gate.report import GateReport, JointVerdict, MendKind, Verdict
 from sessions import commands as cmd

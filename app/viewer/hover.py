@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from app import picking_tasks, tool_tasks
 from app.pointer_messages import ArtiworldHoverMessage
+from app.segmenting import stored_prompts
 from app.viewer import palette
-from app.workbench import stored_prompts
 from model.errors import ArtiworldError
 from model.progress import Cancelled
 from model.segmentation.prompts import Click

@@ -10,9 +10,9 @@ import viser
 
 from app import snapping_tasks
 from app.judging import JointCheck
+from app.open_object import OpenObject
 from app.viewer.text import plain
 from app.viewer.widgets import differs, put
-from app.workbench import OpenObject
 from model.errors import CommandError
 from model.kinematics.joint import JOINT_TYPES, Joint
 from model.kinematics.tree import KinematicTree

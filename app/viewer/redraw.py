@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.scene_view import AxisMark, axis_length
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from app.workbench import OpenObject
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.document import Document

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
+from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
 from app.viewer.joints_panel import part_title, range_text
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from app.workbench import OpenObject
 from model.errors import CommandError
 from sessions import commands as cmd
 from sessions.document import Document

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from app.cutting import cut_out, leave_out
+from app.open_object import OpenObject
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from app.workbench import OpenObject
 from model.errors import CommandError
 from sessions import commands as cmd
 
@@ -55,7 +56,7 @@ class SourcePanel:
         app, obj = self._app, self._app.need_object()
         if what == "This part" and not app.part:
             raise CommandError("choose the part to leave out; the base is what stays")
-        obj.leave_out("part" if what == "This part" else "floor and walls", app.part, app.who)
+        leave_out(obj, "part" if what == "This part" else "floor and walls", app.part, app.who)
 
     def put_back(self) -> None:
         """Look at the whole source again."""
@@ -70,7 +71,7 @@ class SourcePanel:
         def open_it(object_id: int) -> None:
             app.act(lambda: app.open(object_id))
 
-        app.need_object().cut_out(app.part, app.who, open_it)
+        cut_out(app.need_object(), app.part, app.who, open_it)
 
     def _read_again(self) -> None:
         app, obj = self._app, self._app.need_object()

@@ -15,8 +15,10 @@ import pytest
 import trimesh
 
 from app import judging_tasks
+from app.accepting import accept
 from app.config import ServeConfig
-from app.workbench import OpenObject, Workbench
+from app.open_object import OpenObject
+from app.workbench import Workbench
 from model.errors import CommandError
 from model.gate import gate
 from model.kinematics.articulated_object import Prediction
@@ -87,13 +89,13 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
 
     # While the gate is at work an accept waits for it, and is refused then.
     if obj.judging.report is None:
-        obj.accept("", "tester", NOW)
+        accept(obj, "", "tester", NOW)
         wait(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
     report = judged(obj)
     assert report.verdict == "broken"
     assert report.of("door").worst.other == "link_0"
     with pytest.raises(CommandError, match=r"door is broken: .* say why it is right"):
-        obj.accept("", "tester", NOW)
+        accept(obj, "", "tester", NOW)
     assert obj.document.review.state == "predicted"
     assert [c.joint for c in obj.checks] == ["door"]
 
@@ -107,7 +109,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     obj.do(cmd.Undo(), "tester")
     assert obj.judging.report is report
 
-    obj.accept("as on the photo", "tester", NOW, "the shelf is soft")
+    accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
     saved = wait(lambda: obj.document.saved, "it is saved")
     review = obj.document.review
     assert (review.state, review.override) == ("accepted", "the shelf is soft")
@@ -124,7 +126,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     # What is fine is written while the person still looks; accepting moves it.
     drafts = obj.bench.workspace / "drafts"
     wait(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
-    obj.accept("", "tester", NOW)
+    accept(obj, "", "tester", NOW)
     wait(lambda: obj.document.review.state == "accepted", "accepted again")
     assert list(drafts.iterdir()) == []
     wait(lambda: "save" not in obj.busy, "saved again")

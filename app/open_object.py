@@ -1,0 +1,274 @@
+"""One open object: what is decided about it, what was read, and the jobs that this asks for.
+
+Decisions live in the session's commands; this module runs the jobs that the state asks for and
+feeds their answers back as commands.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app import display_tasks, judging_tasks, part_tasks, picking_tasks
+from app.display_tasks import OpenedAsset, PartPayload
+from app.jobs import Job
+from app.judging import JointCheck, Judging
+from app.part_tasks import PartSource
+from app.running_jobs import RunningJobs
+from app.segmenting import Segmenting
+from app.tasks import ReadOptions
+from app.watched import Watched
+from model.errors import ArtiworldError, CommandError
+from model.gate.report import GateReport
+from model.kinematics.tree import KinematicTree
+from model.predictors import DEFAULT as DEFAULT_PREDICTOR
+from model.remote.http_predictor import BackendError
+from sessions import commands as cmd
+from sessions.live import LiveSession
+from sessions.state import Document, SessionState
+from sessions.store import ObjectRecord
+
+if TYPE_CHECKING:
+    from app.workbench import Workbench
+
+
+class OpenObject(Watched):
+    """One object as all its tabs see it: asset, session, labels, running jobs."""
+
+    def __init__(self, bench: Workbench, record: ObjectRecord) -> None:
+        self.bench = bench
+        self.record = record
+        self.live: LiveSession = bench.hub.session(record.id)
+        self.asset: OpenedAsset | None = None
+        self.problem: str | None = None
+        self.backend_away = False
+        self.payloads: dict[str, list[PartPayload]] = {}
+        self._frame: tuple[Any, ...] | None = None
+        self.jobs = RunningJobs(f"object {record.id}", self.changed)
+        self._lock = threading.RLock()
+        super().__init__()
+        self.segmenting = Segmenting(self)
+        self.judging = Judging(self)
+        self.live.subscribe(lambda state, command: self._state_changed())
+
+    # --- state
+
+    @property
+    def state(self) -> SessionState:
+        """The session's state."""
+        return self.live.state
+
+    @property
+    def document(self) -> Document:
+        """What is decided now."""
+        return self.live.state.present
+
+    def do(self, command: cmd.Command, who: str) -> SessionState:
+        """Carry out one user decision; it is on disk when this returns."""
+        return self.live.do(command, who)
+
+    @property
+    def busy(self) -> dict[str, tuple[float, str]]:
+        """The jobs under way: how far each one is, 0..1, and what it says."""
+        return self.jobs.busy
+
+    @property
+    def labels(self) -> npt.NDArray[np.int16] | None:
+        """(D,) part of each displayed element; None where nothing is segmented."""
+        return self.segmenting.labels
+
+    @property
+    def checks(self) -> list[JointCheck]:
+        """The collisions that the gate found on the present joints."""
+        return self.judging.checks
+
+    @property
+    def predicting(self) -> bool:
+        """Whether a prediction is under way."""
+        return "predict" in self.jobs
+
+    def source(self, document: Document | None = None) -> PartSource:
+        """The parts of the document as the workers cut them.
+
+        Raises:
+            CommandError: where nothing is segmented yet.
+        """
+        doc = document or self.document
+        if self.asset is None or doc.segmentation is None:
+            raise CommandError("no part is there yet: click on a part that moves")
+        names = {p.id: p.name for p in doc.parts if p.name}
+        return PartSource(
+            self.asset.folder,
+            self.bench.workspace,
+            doc.segmentation.labels,
+            names,
+            doc.category,
+            self.asset.name,
+        )
+
+    # --- opening
+
+    def ensure_open(self) -> None:
+        """Read the asset in the background unless it is read or being read."""
+        with self._lock:
+            doc = self.document
+            frame = (doc.up_axis, doc.unit_scale, doc.left_out)
+            if "open" in self.jobs or (self.asset is not None and self._frame == frame):
+                return
+            if self.problem is not None and self._frame == frame:
+                return
+            self._frame, self.problem = frame, None
+            self.asset = None
+            self.segmenting.forget()
+            self.payloads.clear()
+            config = self.bench.config
+            options = ReadOptions(
+                doc.up_axis or config.up_axis,
+                doc.unit_scale * config.unit_scale,
+                None if doc.left_out is None else doc.left_out.elements,
+            )
+            job = self.bench.geometry.submit(
+                display_tasks.open_asset,
+                Path(self.record.path),
+                self.bench.workspace,
+                options,
+                on_progress=self.jobs.progress("open"),
+                priority=5,
+            )
+            self.start("open", job, self._opened)
+
+    def _opened(self, asset: OpenedAsset) -> None:
+        with self._lock:
+            self.asset = asset
+        if self.state.seq == 0:
+            if asset.has_parts:
+                self.segmenting.take_source_parts(asset)
+            if asset.category:
+                self.do(cmd.SetCategory(asset.category), "source file")
+        for warning in asset.warnings:
+            self.tell("Opened with a remark", warning, "yellow")
+        self.bench.geometry.submit(picking_tasks.prepare_picking, asset.folder)
+        self.segmenting.prepare()
+        self._state_changed()
+
+    def need_asset(self) -> OpenedAsset:
+        """What was read.
+
+        Raises:
+            CommandError: where it is still being read.
+        """
+        if self.asset is None:
+            raise CommandError("the object is still being read")
+        return self.asset
+
+    # --- jobs that the state asks for
+
+    def _state_changed(self) -> None:
+        self.ensure_open()
+        if self.asset is not None:
+            self.segmenting.ask()
+            self.judging.ask()
+        self.bench.queue_changed(self.record.id)
+        self.changed()
+
+    def start_gate(self, tree: KinematicTree, keep: Callable[[GateReport], None]) -> None:
+        """Judge the joints of ``tree`` in the background."""
+        job = self.bench.prediction.submit(
+            judging_tasks.judge_joints,
+            self.source(),
+            tree,
+            on_progress=self.jobs.progress("check"),
+            key=("check", self.record.id),
+        )
+        self.start("check", job, keep)
+
+    def part_payloads(self) -> list[PartPayload] | None:
+        """The parts as drawn while joints move; None until they are cut (asks for it)."""
+        doc = self.document
+        if self.asset is None or doc.segmentation is None:
+            return None
+        ref = doc.segmentation.labels
+        if ref not in self.payloads and "parts" not in self.jobs:
+            job = self.bench.geometry.submit(
+                display_tasks.part_payloads, self.source(doc), self.asset.element, priority=3
+            )
+
+            def keep(payloads: list[PartPayload]) -> None:
+                self.payloads = {ref: payloads}
+
+            self.start("parts", job, keep)
+        return self.payloads.get(ref)
+
+    # --- jobs that a person asks for
+
+    def predict(self, who: str, *, here: bool = False) -> None:
+        """Predict joints from the parts; the answer becomes a command.
+
+        Args:
+            who: decides it.
+            here: with the predictor of this machine, whatever backend is set.
+        """
+        if self.predicting:
+            return
+        source, doc = self.source(), self.document
+        if not doc.segmentation_current:
+            raise CommandError("the parts are still being computed; predict in a moment")
+        self.jobs.cancel("check")
+        self.judging.forget_request()
+        job = self.bench.prediction.submit(
+            part_tasks.predict,
+            source,
+            DEFAULT_PREDICTOR if here else self.bench.config.predictor,
+            doc.locked_joints,
+            0,
+            on_progress=self.jobs.progress("predict"),
+            priority=10,
+        )
+
+        def keep(prediction: Any) -> None:
+            self.backend_away = self.backend_away and here
+            if prediction.tree is None:
+                problems = "; ".join(prediction.problems) or "the predictor gave no reason"
+                self.tell("No prediction", problems, "red")
+                return
+            self.do(cmd.RecordPrediction(prediction, source.labels), who)
+            count = sum(j.moves for j in prediction.tree.joints)
+            self.tell(
+                "Predicted", f"{count} joint{'s'[: count != 1]} in {prediction.seconds:.1f} s"
+            )
+
+        self.start("predict", job, keep)
+        self.changed()
+
+    # --- the life of a job
+
+    def start(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+        """Follow a job; ``keep`` gets its answer. What fails is told."""
+        self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep))
+
+    def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+        newest = self.jobs.drop(what, job)
+        error = self.jobs.hand_over(what, job, keep)
+        if isinstance(error, BackendError):
+            self.backend_away = True
+            self._failed(what, f"{error}: press “Predict on this machine”")
+        elif isinstance(error, ArtiworldError):
+            self._failed(what, str(error))
+        elif error is not None and what in ("predict", "save"):
+            self.tell("Cancelled", "Nothing was changed", "gray")
+        if newest and what in ("labels", "predict"):
+            self._state_changed()
+        else:
+            self.changed()
+
+    def _failed(self, what: str, message: str) -> None:
+        if what == "check":
+            self.judging.failed(message)
+        if what == "open":
+            self.problem = message
+        self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")

@@ -1,0 +1,169 @@
+"""The segmenter at work on one open object: its answer to the prompts, and its tools."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from app import segmenting_tasks, tool_tasks
+from app.display_tasks import OpenedAsset
+from app.segmenting_tasks import StoredRegion
+from model.segmentation.prompts import MAX_PARTS, Click
+from sessions import commands as cmd
+from sessions.document import Document
+from sessions.state import needed_jobs
+from sessions.tool_commands import ToolRegion
+
+if TYPE_CHECKING:
+    from app.open_object import OpenObject
+
+TOOL_SECONDS = 120.0
+
+
+class Segmenting:
+    """Asks the segmenter whenever an object's prompts change, and keeps what is shown of it.
+
+    Attributes:
+        labels: (D,) part of each displayed element; None where nothing is segmented.
+    """
+
+    def __init__(self, obj: OpenObject) -> None:
+        self.labels: npt.NDArray[np.int16] | None = None
+        self._obj = obj
+        self._labels_ref: str | None = None
+        self._lock = threading.Lock()
+
+    def forget(self) -> None:
+        """The object is read anew: what was shown is of other elements."""
+        with self._lock:
+            self.labels, self._labels_ref = None, None
+
+    def prepare(self) -> None:
+        """Encode the asset for the segmenter before the first click needs it."""
+        obj = self._obj
+        if obj.asset is None or "encode" in obj.jobs:
+            return
+        job = obj.bench.segmentation.submit(
+            segmenting_tasks.encode,
+            obj.asset.folder,
+            obj.bench.config.segmenter,
+            on_progress=obj.jobs.progress("encode"),
+        )
+        obj.start("encode", job, lambda _: None)
+
+    def take_source_parts(self, asset: OpenedAsset) -> None:
+        """Parts that the source file was cut into become regions, which the person can edit."""
+        obj = self._obj
+        regions = obj.bench.geometry.submit(
+            segmenting_tasks.source_regions, asset.folder, obj.bench.workspace
+        ).result(120)
+        for part, (ref, count) in regions.items():
+            name = asset.part_names[part] if part < len(asset.part_names) else None
+            if part:
+                obj.do(cmd.AddPart(part, name), "source file")
+                obj.do(cmd.AddRegion(part, ref, True, count, "source"), "source file")
+            elif name:
+                obj.do(cmd.NamePart(0, name), "source file")
+
+    def ask(self) -> None:
+        """Answer the prompts where they changed, and show the labels that belong to them."""
+        obj = self._obj
+        doc, asset = obj.document, obj.asset
+        assert asset is not None
+        key = doc.key
+        record = doc.segmentation
+        if needed_jobs(obj.state):
+            job = obj.bench.segmentation.submit(
+                segmenting_tasks.segment,
+                asset.folder,
+                obj.bench.workspace,
+                obj.bench.config.segmenter,
+                stored_prompts(doc),
+                key,
+                asset.element,
+                on_progress=obj.jobs.progress("segment"),
+                priority=10,
+                key=("segment", obj.record.id),
+            )
+            obj.start("segment", job, self._keep)
+            return
+        ref = record.labels if record is not None and doc.prompts else None
+        with self._lock:
+            if ref == self._labels_ref and (ref is None) == (self.labels is None):
+                return
+            if ref is None:
+                self.labels, self._labels_ref = None, None
+                return
+        job = obj.bench.segmentation.submit(
+            segmenting_tasks.display_labels, obj.bench.workspace, ref, asset.element, priority=9
+        )
+        obj.start("labels", job, lambda labels: self._show(ref, labels))
+
+    def _keep(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
+        self._show(answer.labels, answer.display_labels)
+        self._obj.do(
+            cmd.RecordSegmentation(
+                answer.prompts_key, answer.labels, answer.segmenter, answer.seconds, answer.counts
+            ),
+            "segmenter",
+        )
+
+    def _show(self, ref: str, labels: npt.NDArray[np.int16]) -> None:
+        with self._lock:
+            self._labels_ref, self.labels = ref, labels
+
+    def use_tool(self, request: tool_tasks.ToolRequest, who: str) -> int:
+        """Let a segmentation tool work; the number of regions that came of it.
+
+        Raises:
+            CommandError: where the tool can't work on what there is.
+        """
+        obj = self._obj
+        asset, doc = obj.need_asset(), obj.document
+        replaces = _last_of(doc, request.tool, request.part) if request.tool == "next mask" else 0
+        kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
+        offers = obj.bench.segmentation.submit(
+            tool_tasks.use_tool,
+            asset.folder,
+            obj.bench.workspace,
+            obj.bench.config.segmenter,
+            kept,
+            request,
+            priority=12,
+        ).result(TOOL_SECONDS)
+        if not offers and not replaces:
+            return 0
+        named = request.tool in ("same shape", "mirror")
+        name = doc.part_names.get(request.part) if named else None
+        used = {p.id for p in doc.parts}
+        regions = []
+        for offer in offers:
+            part = offer.part
+            if part == tool_tasks.NEW_PART:
+                part = next(i for i in range(1, MAX_PARTS) if i not in used)
+                used.add(part)
+            regions.append(ToolRegion(part, offer.elements, offer.positive, offer.count, name))
+        gone = (request.other,) if request.tool == "merge" and request.other else ()
+        obj.do(cmd.ApplyTool(request.tool, tuple(regions), replaces, gone), who)
+        return len(offers)
+
+
+def _last_of(doc: Document, tool: str, part: int) -> int:
+    """How many prompts at the end ``tool`` gave to ``part``, so that it can say something else."""
+    count = 0
+    for prompt in reversed(doc.prompts):
+        if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (tool, part):
+            break
+        count += 1
+    return count
+
+
+def stored_prompts(doc: Document) -> tuple[Click | StoredRegion, ...]:
+    """The prompts as workers take them."""
+    return tuple(
+        p if isinstance(p, Click) else StoredRegion(p.part, p.elements, p.positive)
+        for p in doc.prompts
+    )
