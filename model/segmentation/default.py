@@ -12,8 +12,6 @@ import hashlib
 import time
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -21,11 +19,8 @@ from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
-from model.resources import static_assets
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.masks import FEATURE_NAMES
-from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.plates import (
     Fittings,
     Plates,
@@ -35,14 +30,10 @@ from model.segmentation.plates import (
 )
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
+from model.segmentation.scorers import shipped_scorers, solver_of
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
 
-FIRST_SCORER = "first_click.npz"
-LATER_SCORER = "later_click.npz"
 _STATES = 256
-_SPECK = 0.002
-_SPECK_OF_PART = 0.1
-_FAR_LARGER = 0.5
 _ALTERNATIVES = 5
 
 Bool = npt.NDArray[np.bool_]
@@ -61,21 +52,6 @@ class _State:
     parts: dict[int, PartState] = field(default_factory=dict)
     base: tuple[int, ...] = ()
     ranked: dict[int, Ranked] = field(default_factory=dict)
-
-
-@lru_cache(maxsize=1)
-def shipped_scorers() -> tuple[Mlp | None, Mlp | None]:
-    """The trained scorers of the first and of later clicks, None where they are not there."""
-    return read_scorers(static_assets() / "segmentation")
-
-
-def read_scorers(folder: Path) -> tuple[Mlp | None, Mlp | None]:
-    """The scorers in ``folder``."""
-    first, later = folder / FIRST_SCORER, folder / LATER_SCORER
-    return (
-        load_mlp(first, FEATURE_NAMES) if first.is_file() else None,
-        load_mlp(later, FEATURE_NAMES) if later.is_file() else None,
-    )
 
 
 class DefaultSession:
@@ -180,8 +156,6 @@ class DefaultSession:
                     blocked |= other.mask  # type: ignore[operator]
             found = self.solver.answer(own, cell, step.positive, blocked)
             mask = self.solver.tidy(found.best, own, cell) & ~blocked
-            if step.positive and own.mask is not None:
-                mask = self._not_in_vain(own, mask, cell, blocked)
             parts[step.part] = self.solver.moved(own, cell, step.positive, mask)
             ranked[step.part] = found
         if step.positive:
@@ -199,28 +173,6 @@ class DefaultSession:
                 else:
                     parts[q] = replace(yielded, mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
-
-    def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
-        """``mask``, widened where a positive click outside the part brought hardly anything.
-
-        A person who clicks beside the tint means more than a speck: the best first answer there
-        that is neither a speck nor far larger than the part joins it.
-        """
-        size = self.encoding.cells.size
-        total = size.sum()
-        assert own.mask is not None
-        least = min(_SPECK * total, _SPECK_OF_PART * size[own.mask].sum())
-        if size[mask & ~own.mask].sum() >= least:
-            return mask
-        most = max(_FAR_LARGER * size[own.mask].sum(), 20 * least)
-        first = self.solver.first_answer(cell)
-        for index in np.argsort(-first.scores, kind="stable"):
-            more = first.candidates.masks[index] & ~blocked
-            if not more[cell] or more[list(own.negative)].any():
-                continue
-            if least <= size[more & ~mask].sum() <= most:
-                return mask | more
-        return mask
 
     def _foreign(self, state: _State, part: int) -> tuple[int, ...]:
         """Cells clicked as something else: negatives of a part that begins."""
@@ -371,6 +323,5 @@ class DefaultSegmenter:
     def encode(self, asset: Asset, progress: Progress = no_progress) -> DefaultSession:
         """Encode ``asset``: about 2 s at 100k points, 4 s at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
-        first, later = shipped_scorers()
-        solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, first, later)
-        return DefaultSession(asset, encoding, solver)
+        scorers = shipped_scorers(rooms=encoding.room is not None)
+        return DefaultSession(asset, encoding, solver_of(encoding, *scorers))

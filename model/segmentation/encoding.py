@@ -15,6 +15,7 @@ from model.segmentation.graph import Graph, build_graph
 from model.segmentation.hierarchy import Hierarchy, build_hierarchy
 from model.segmentation.mlp import Mlp
 from model.segmentation.nodes import Nodes, nodes_of_asset
+from model.segmentation.rooms import Room, fenced, room_of
 from model.segmentation.walk import Walk
 
 
@@ -24,6 +25,7 @@ class Encoding:
 
     Attributes:
         strength: (M,) float32 how much each edge of the node graph looks like a cut, 0..9.
+        room: where the asset is a scanned room.
     """
 
     nodes: Nodes
@@ -32,6 +34,7 @@ class Encoding:
     cells: Cells
     hierarchy: Hierarchy
     walk: Walk
+    room: Room | None = None
 
 
 def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:
@@ -44,10 +47,13 @@ def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) ->
     strength = edge_strength(nodes, graph, edges)
     progress(0.7, "cells")
     cells = build_cells(nodes, graph, strength, edge_weight(strength, graph))
+    room = room_of(asset, nodes, cells)
+    if room is not None:
+        cells = fenced(cells, room)
     progress(0.8, "merge trees")
     hierarchy = build_hierarchy(cells)
     progress(0.95, "factorising")
     walk = Walk(cells)
     nodes.elements.prepare()
     progress(1.0, "ready")
-    return Encoding(nodes, graph, strength, cells, hierarchy, walk)
+    return Encoding(nodes, graph, strength, cells, hierarchy, walk, room)

@@ -113,7 +113,13 @@ def _words(masks: Bool) -> npt.NDArray[np.uint64]:
 
 
 class MaskDescriber:
-    """Computes the features of many masks at once."""
+    """Computes the features of many masks at once.
+
+    Attributes:
+        names: of the features.
+    """
+
+    names: tuple[str, ...] = FEATURE_NAMES
 
     def __init__(self, cells: Cells, hierarchy: Hierarchy) -> None:
         links = cells.links

@@ -32,6 +32,10 @@ _LOSS_PENALTY = 3.0
 _USUAL_OVERLAP = 0.8
 _OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
+_SIZE_RANK = FEATURE_NAMES.index("size_rank")
+_LEANING = 3.0
+"""What the largest mask is ahead of the smallest at a first click."""
+
 _STALL_SHARE = 0.03
 """Of the mask: a click that changes less was in vain."""
 _STALL_PENALTY = 4.0
@@ -81,9 +85,10 @@ class PartSolver:
         walk: Walk,
         first_scorer: Mlp | None,
         later_scorer: Mlp | None,
+        describe: MaskDescriber | None = None,
     ) -> None:
         self.cells = cells
-        self.describe = MaskDescriber(cells, hierarchy)
+        self.describe = describe or MaskDescriber(cells, hierarchy)
         self._walk = walk
         self._first = first_scorer
         self._later = later_scorer
@@ -127,6 +132,10 @@ class PartSolver:
         return joined(
             [Candidates(masks, self._tree[index], self._height[index], np.array(lives, np.float32))]
         )
+
+    def first_regions(self, cell: int) -> Candidates:
+        """What a first click on a cell may mean."""
+        return self.chain(cell)
 
     def first_answer(self, cell: int) -> Ranked:
         """Hypotheses for a first click on ``cell`` with nothing else said."""
@@ -219,7 +228,7 @@ class PartSolver:
         if not after.positive:
             empty = Candidates.of([np.zeros(len(self.cells), bool)], "keep")
             return Ranked(empty, self.describe(empty, clicked), np.zeros(1, np.float32))
-        found = self.chain(cell)
+        found = self.first_regions(cell)
         if blocked is not None:
             found = replace(found, masks=found.masks & ~blocked)
         if after.negative:
@@ -229,7 +238,15 @@ class PartSolver:
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
-        return Ranked(found, features, scores)
+        return Ranked(found, features, scores + self.leaning(features))
+
+    def leaning(self, features: Float) -> Float:
+        """(H,) what a first click's scores hold beyond the scorer's: a leaning to larger masks.
+
+        Real objects have more relief and ornament within their parts than the made ones that
+        the scorers learn from, which therefore take details for parts.
+        """
+        return _LEANING * features[:, _SIZE_RANK]
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool

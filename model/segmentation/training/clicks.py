@@ -4,22 +4,37 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from model.geometry.asset import Asset
-from model.segmentation.default import read_scorers, shipped_scorers
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, save_mlp
+from model.segmentation.rooms import ROOM_FEATURE_NAMES
+from model.segmentation.scorers import (
+    PART_SCORERS,
+    ROOM_SCORERS,
+    read_scorers,
+    shipped_scorers,
+    solver_of,
+)
 from model.segmentation.simulate import deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.fit import averaged, fit_ranker
+from model.segmentation.training.rooms import NOTHING, bared, scanned_room
 from model.segmentation.training.scans import SMALL_PARTED, build, random_scan
 
 Float = npt.NDArray[np.floating]
+Round = Literal["all", "small", "rooms"]
+ROUNDS: tuple[Round, ...] = ("all", "small", "rooms")
+"""What is played on: objects of all families, of those with small parts, or rooms."""
+
+_LEAST_OF_OBJECT = 150
+"""Nodes that an object of a room must show to be asked for."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +49,14 @@ class ClickTraining:
         parts: asked for in each object, spread over the logarithm of their sizes.
         first_clicks: first clicks of each part, one of them on its deepest point.
         clicks: length of a simulated session.
-        explore: probability of following a hypothesis that is not the best one.
+        explore: probability of following a hypothesis that is not the best one, by kind of round.
         mesh_share: of the objects that are met as meshes, the others as clouds.
         networks: that are fitted and averaged.
         first_seed, small_seed: of the objects of the two rounds.
+    rooms: that the scorers of rooms learn from, and as many again, played by what came of those.
+    room_objects: asked for in each.
+    bare_rooms: share of the rooms that are met without floor and walls.
+    room_seed: of the first.
         start: folder with the scorers that play the first round; None: those that ship.
         workers: processes.
     """
@@ -48,11 +67,15 @@ class ClickTraining:
     parts: int = 4
     first_clicks: int = 4
     clicks: int = 8
-    explore: tuple[float, float] = (0.3, 0.2)
+    explore: tuple[float, float, float] = (0.3, 0.2, 0.15)
     mesh_share: float = 0.3
     networks: int = 3
     first_seed: int = 60_000
     small_seed: int = 70_000
+    rooms: int = 100
+    room_objects: int = 8
+    bare_rooms: float = 0.5
+    room_seed: int = 80_000
     start: Path | None = None
     workers: int = 1
 
@@ -93,14 +116,15 @@ def overlaps(encoding: Encoding, ranked: Ranked, truth: npt.NDArray[np.bool_]) -
 
 
 class _Log:
-    def __init__(self) -> None:
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
         self._rows: list[tuple[Float, Float, float]] = []
 
     def add(self, ranked: Ranked, overlap: Float, share: float) -> None:
         self._rows.append((ranked.features, overlap.astype(np.float32), share))
 
     def rows(self) -> Rows:
-        none = np.zeros((0, len(FEATURE_NAMES)), np.float32)
+        none = np.zeros((0, len(self._names)), np.float32)
         counts = [len(o) for _, o, _ in self._rows]
         return Rows(
             np.concatenate([none, *(f for f, _, _ in self._rows)]),
@@ -118,7 +142,16 @@ class _Scene:
     labels: npt.NDArray[np.int16]
 
 
-def _scene(seed: int, config: ClickTraining, small: bool, rng: np.random.Generator) -> _Scene:
+def _scene(seed: int, config: ClickTraining, kind: Round, rng: np.random.Generator) -> _Scene:
+    if kind == "rooms":
+        room = scanned_room(seed)
+        if rng.random() < config.bare_rooms:
+            room = bared(room)
+        encoding = encode(Asset("room", cloud=room.cloud), shipped_edge_model())
+        # What is nothing's own is never asked for, as strays are not.
+        labels = np.where(room.labels == NOTHING, np.int16(-1), room.labels)
+        return _Scene(encoding, labels[encoding.nodes.elements.element_of_node])
+    small = kind == "small"
     families = SMALL_PARTED if small else None
     if rng.random() < config.mesh_share:
         shape = build(seed, families)
@@ -147,16 +180,20 @@ def asked_by_size(
 
 
 def play(
-    seed: int, config: ClickTraining, small: bool, first: Mlp | None, later: Mlp | None
+    seed: int, config: ClickTraining, kind: Round, first: Mlp | None, later: Mlp | None
 ) -> tuple[Rows, Rows]:
-    """Simulated sessions on one object; rows of first and of later clicks."""
+    """Simulated sessions on one object or room; rows of first and of later clicks."""
     rng = np.random.default_rng([seed, 3])
-    scene = _scene(seed, config, small, rng)
+    scene = _scene(seed, config, kind, rng)
     encoding, points = scene.encoding, scene.encoding.nodes.points
-    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, first, later)
+    solver = solver_of(encoding, first, later)
     of_node = encoding.cells.of_node
-    first_log, later_log = _Log(), _Log()
-    for part in asked_by_size(rng, scene.labels, config.parts):
+    first_log, later_log = _Log(solver.describe.names), _Log(solver.describe.names)
+    rooms = kind == "rooms"
+    if rooms and encoding.room is None:
+        return first_log.rows(), later_log.rows()  # too little of its floor and walls was seen
+    most, least = (config.room_objects, _LEAST_OF_OBJECT) if rooms else (config.parts, 12)
+    for part in asked_by_size(rng, scene.labels, most, least):
         truth = scene.labels == part
         inside = np.nonzero(truth)[0]
         starts = [deepest(points, truth), *rng.choice(inside, config.first_clicks - 1)]
@@ -167,7 +204,7 @@ def play(
             answers.append(ranked)
         # Half of the sessions begin on the deepest point.
         begin = int(rng.integers(0, 2)) * int(rng.integers(1, len(starts)))
-        explore = config.explore[small]
+        explore = config.explore[ROUNDS.index(kind)]
         _session(solver, encoding, truth, starts[begin], answers[begin], config.clicks, explore,
                  rng, later_log)  # fmt: skip
     return first_log.rows(), later_log.rows()
@@ -204,21 +241,21 @@ def _session(
 
 
 def collect(
-    seeds: range, config: ClickTraining, small: bool, first: Mlp | None, later: Mlp | None
+    seeds: range, config: ClickTraining, kind: Round, first: Mlp | None, later: Mlp | None
 ) -> list[tuple[Rows, Rows]]:
     """Rows of each object; they do not depend on ``workers``."""
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
     if config.workers <= 1:
-        return [play(seed, config, small, first, later) for seed in seeds]
+        return [play(seed, config, kind, first, later) for seed in seeds]
     n, context = len(seeds), get_context("spawn")
     with ProcessPoolExecutor(config.workers, mp_context=context) as pool:
-        same = ([config] * n, [small] * n, [first] * n, [later] * n)
+        same = ([config] * n, [kind] * n, [first] * n, [later] * n)
         return list(pool.map(play, seeds, *same, chunksize=4))
 
 
-def fit_scorer(rows: Rows, networks: int = 1) -> Mlp:
+def fit_scorer(rows: Rows, networks: int = 1, names: tuple[str, ...] = FEATURE_NAMES) -> Mlp:
     """The mean of ``networks`` networks that rank the hypotheses of a click by IoU."""
     told = np.maximum.reduceat(rows.overlap, _starts(rows)) - np.minimum.reduceat(
         rows.overlap, _starts(rows)
@@ -228,7 +265,7 @@ def fit_scorer(rows: Rows, networks: int = 1) -> Mlp:
     weight = _evened(rows.share)
     return averaged(
         [
-            fit_ranker(FEATURE_NAMES, rows.features[keep], rows.overlap[keep], rows.click[keep],
+            fit_ranker(names, rows.features[keep], rows.overlap[keep], rows.click[keep],
                        weight, seed=seed)
             for seed in range(networks)
         ]
@@ -264,25 +301,63 @@ def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
     Writes both networks, fitted on all objects, into ``folder``; returns the scores that a fit
     without every n-th object has on those objects.
     """
-    scorers = shipped_scorers() if config.start is None else read_scorers(config.start)
-    seeds = range(config.first_seed, config.first_seed + config.objects)
-    played = collect(seeds, config, False, *scorers)
-    scorers = tuple(fit_scorer(_joined([p[k] for p in played]), config.networks) for k in (0, 1))
-    seeds = range(config.small_seed, config.small_seed + config.small_objects)
-    played += collect(seeds, config, True, *scorers)
+    start = shipped_scorers() if config.start is None else read_scorers(config.start)
+    rounds: list[tuple[Round, range]] = [
+        ("all", range(config.first_seed, config.first_seed + config.objects)),
+        ("small", range(config.small_seed, config.small_seed + config.small_objects)),
+    ]
+    return _fitted(_rounds(rounds, config, start), config, folder, PART_SCORERS, FEATURE_NAMES)
+
+
+def train_room_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
+    """As :func:`train_scorers`, for objects picked out of rooms: the first round is played by the
+    hand-set rule, the second by what came of it.
+    """
+    middle = config.room_seed + config.rooms
+    rounds: list[tuple[Round, range]] = [
+        ("rooms", range(config.room_seed, middle)),
+        ("rooms", range(middle, middle + config.rooms)),
+    ]
+    played = _rounds(rounds, config, (None, None))
+    return _fitted(played, config, folder, ROOM_SCORERS, ROOM_FEATURE_NAMES)
+
+
+def _rounds(
+    rounds: list[tuple[Round, range]], config: ClickTraining, scorers: tuple[Mlp | None, Mlp | None]
+) -> list[tuple[Rows, Rows]]:
+    """What was played in all rounds, each by what was learned from those before."""
+    played: list[tuple[Rows, Rows]] = []
+    for index, (kind, seeds) in enumerate(rounds):
+        if index:
+            names = ROOM_FEATURE_NAMES if kind == "rooms" else FEATURE_NAMES
+            first, later = (_joined([p[k] for p in played]) for k in (0, 1))
+            scorers = (fit_scorer(first, config.networks, names),
+                       fit_scorer(later, config.networks, names))  # fmt: skip
+        played += collect(seeds, config, kind, *scorers)
+    return played
+
+
+def _fitted(
+    played: list[tuple[Rows, Rows]],
+    config: ClickTraining,
+    folder: Path,
+    files: tuple[str, str],
+    names: tuple[str, ...],
+) -> dict[str, float]:
+    """Fit, measure and write both networks."""
     scores: dict[str, float] = {}
     models = []
     for k, name in enumerate(("first", "later")):
         rows = [p[k] for p in played]
         test = _joined(rows[:: config.held_out])
         rest = _joined([r for i, r in enumerate(rows) if i % config.held_out])
-        model = fit_scorer(rest, config.networks)
+        model = fit_scorer(rest, config.networks, names)
         scores[f"{name}_iou"], scores[f"{name}_best_possible"] = chosen_overlap(model, test)
-        models.append(fit_scorer(_joined(rows), config.networks))
+        models.append(fit_scorer(_joined(rows), config.networks, names))
     notes: dict[str, object] = {
         "training": {**asdict(config), "start": config.start and config.start.name},
         "scores": scores,
     }
-    save_mlp(models[0], folder / "first_click.npz", notes)
-    save_mlp(models[1], folder / "later_click.npz", notes)
+    for model, file in zip(models, files, strict=True):
+        save_mlp(model, folder / file, notes)
     return scores

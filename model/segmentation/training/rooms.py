@@ -12,8 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from model.datasets.procedural.casting import Caster
+from model.geometry.asset import Asset
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.segmentation.crop import floor_and_walls, outliers
 from model.segmentation.training.primitives import block
 from model.segmentation.training.scans import HELD_OUT, LabelledCloud, family_shape
 
@@ -173,11 +175,15 @@ def _furnish(wall: _Wall) -> None:
         _run(wall, at, end)
         at = end + float(rng.choice([0.07, 0.4]))
     while at < wall.length - 0.4:
-        if rng.random() < 0.2:
+        if rng.random() < 0.3:
             mesh = room.family(IN_WALLS)
+            # Some stand out, some are nearly flush with the wall.
+            mesh = replace(mesh, vertices=mesh.vertices * [1, rng.choice([0.3, 0.6, 1.0]), 1])
             wide, tall = np.ptp(mesh.vertices, axis=0)[[0, 2]]
             up = 0.0 if tall > 1.8 else 0.9
-            placed = wall.put(mesh, at + wide / 2, off=float(rng.uniform(-0.1, 0.0)), up=up)
+            thick = float(np.ptp(mesh.vertices[:, 1]))
+            out = float(rng.uniform(0.01, thick))
+            placed = wall.put(mesh, at + wide / 2, off=out - thick, up=up)
             low, high = placed.vertices[:, :2].min(0), placed.vertices[:, :2].max(0)
             if at + wide < wall.length and not room.blocked(low, high):
                 room.add(placed, room.new())
@@ -263,7 +269,17 @@ def scanned_room(seed: int, points: int = 90_000) -> LabelledCloud:
     for _ in range(int(rng.integers(0, 8))):  # where the scanner lost track
         spot = hits.points[rng.integers(len(hits.points))]
         keep &= np.linalg.norm(hits.points - spot, axis=1) > rng.uniform(0.05, 0.2)
-    return _fused(hits.points[keep], hits.normals[keep], hits.colors[keep], label[keep], points, rng)
+    return _fused(
+        hits.points[keep], hits.normals[keep], hits.colors[keep], label[keep], points, rng
+    )
+
+
+def bared(data: LabelledCloud) -> LabelledCloud:
+    """A room without its floor, walls and stray points, as it is shown to pick objects from."""
+    asset = Asset("room", cloud=data.cloud)
+    kept = np.flatnonzero(~outliers(asset))
+    kept = kept[~floor_and_walls(Asset("room", cloud=data.cloud.take(kept)))]
+    return LabelledCloud(data.cloud.take(kept), data.labels[kept], data.family)
 
 
 def _fused(
@@ -283,6 +299,14 @@ def _fused(
     mean = np.stack([np.bincount(back, v) for v in points.T], axis=1) / held[:, None]
     color = np.stack([np.bincount(back, v) for v in colors.T.astype(float)], axis=1)
     color /= held[:, None]
+    # Pictures taken from many places blur into one another.
+    patch = np.floor(mean / rng.uniform(0.03, 0.09)).astype(np.int64)
+    _, of_patch = np.unique(patch, axis=0, return_inverse=True)
+    of_patch = of_patch.ravel()
+    wide = np.stack([np.bincount(of_patch, v) for v in color.T], axis=1)
+    wide /= np.bincount(of_patch)[:, None]
+    blur = rng.uniform(0, 0.8)
+    color = (1 - blur) * color + blur * wide[of_patch]
     wave = rng.normal(0, rng.uniform(3, 12), (3, 3))
     swing = np.sin(mean @ wave + rng.uniform(0, 6, 3))
     off = rng.uniform(0, 0.008) * swing.mean(1) + rng.normal(0, rng.uniform(0, 0.005), len(mean))

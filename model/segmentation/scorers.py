@@ -1,0 +1,43 @@
+"""The trained scorers of clicks on objects and in rooms, and the solver that uses them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from model.resources import static_assets
+from model.segmentation.encoding import Encoding
+from model.segmentation.masks import FEATURE_NAMES
+from model.segmentation.mlp import Mlp, load_mlp
+from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
+from model.segmentation.solver import PartSolver
+
+PART_SCORERS = ("first_click.npz", "later_click.npz")
+ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
+
+Scorers = tuple[Mlp | None, Mlp | None]
+"""Of a first click, and of later ones."""
+
+
+@lru_cache(maxsize=2)
+def shipped_scorers(*, rooms: bool = False) -> Scorers:
+    """The scorers that ship, None where they are not there."""
+    return read_scorers(static_assets() / "segmentation", rooms=rooms)
+
+
+def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
+    """The scorers in ``folder``."""
+    first, later = (folder / name for name in (ROOM_SCORERS if rooms else PART_SCORERS))
+    names = ROOM_FEATURE_NAMES if rooms else FEATURE_NAMES
+    return (
+        load_mlp(first, names) if first.is_file() else None,
+        load_mlp(later, names) if later.is_file() else None,
+    )
+
+
+def solver_of(encoding: Encoding, first: Mlp | None, later: Mlp | None) -> PartSolver:
+    """The solver for what was encoded, an object or a room."""
+    cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
+    if room is None:
+        return PartSolver(cells, hierarchy, walk, first, later)
+    return RoomSolver(cells, hierarchy, walk, room, first, later)
