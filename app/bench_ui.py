@@ -303,10 +303,10 @@ def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
         for k in range(links)
     )
     tree = KinematicTree(tuple(f"link_{k}" for k in range(links + 1)), joints)
-    app.scene.pretend_parts(range(links + 1))
+    app.scene.parts.pretend(range(links + 1))
     start = time.perf_counter()
     for tick in range(ticks):
-        app.scene.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
+        app.scene.parts.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
     return ticks / (time.perf_counter() - start)
 
 

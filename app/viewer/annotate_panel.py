@@ -117,8 +117,8 @@ class AnnotatePanel:
         self._prompt_actions.on_click(
             lambda e: app.act(lambda: self._prompt_action(e.target.value))
         )
-        self._predict.on_click(lambda _: app.act(app.predict))
-        self._here.on_click(lambda _: app.act(app.predict_here))
+        self._predict.on_click(lambda _: app.act(app.commands.predict))
+        self._here.on_click(lambda _: app.act(app.commands.predict_here))
 
     # --- what a person does
 

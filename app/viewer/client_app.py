@@ -1,29 +1,23 @@
-"""One browser tab: what it looks at, its panels, and the two threads that serve it.
+"""One browser tab: what it looks at, and its panels.
 
-What a person does is put into a queue and carried out in order by the *action* thread; the *draw*
-thread brings the screen up to date with the state, however many changes came meanwhile. viser's
-callbacks only fill the queue, so its event loop never waits.
+viser's callbacks only put actions into the queue of :mod:`app.viewer.tab_threads`, so its event
+loop never waits.
 """
 
 from __future__ import annotations
 
-import datetime
 import logging
-import queue
-import threading
-import time
 from collections.abc import Callable
 from typing import Any, Literal
 
-import numpy as np
 import viser
 
-from app.accepting import accept
 from app.open_object import OpenObject
 from app.viewer.annotate_panel import AnnotatePanel
+from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
 from app.viewer.joints_panel import JointsPanel
-from app.viewer.keys import KEYS, add_keys
+from app.viewer.keys import add_keys
 from app.viewer.motion import Motion
 from app.viewer.pointing import Pointing
 from app.viewer.queue_panel import QueuePanel
@@ -32,11 +26,10 @@ from app.viewer.review_panel import ReviewPanel
 from app.viewer.scene_list import SceneList
 from app.viewer.scene_view import SceneView
 from app.viewer.source_panel import SourcePanel
-from app.viewer.text import plain
+from app.viewer.tab_threads import TabThreads
 from app.workbench import Workbench
 from model.errors import ArtiworldError
 from model.kinematics.joint import Joint
-from model.progress import Cancelled
 from model.segmentation.prompts import MAX_PARTS
 from sessions import commands as cmd
 
@@ -57,19 +50,18 @@ class ClientApp:
         self.stage: Stage = "Annotate"
         self.hidden: frozenset[int] = frozenset()
         self.touch_wanted = False
-        self._actions: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._dirty = threading.Event()
-        self._closed = False
         self._unwatch: Callable[[], None] = lambda: None
         self.scene = SceneView(client, in_scene=bench.desk is not None)
         self._in_scene: InScene | None = None
+        self.commands = Commands(self)
         self.motion = Motion(self)
         self.pointing = Pointing(self)
         self.redraw = Redraw(self)
+        name = f"tab-{client.client_id}"
+        self._threads = TabThreads(name, self.redraw.draw, self.notify)
         self._build()
         self._unqueue = bench.on_queue(self.invalidate)
-        for target in (self._act_loop, self._draw_loop):
-            threading.Thread(target=target, name=f"tab-{client.client_id}", daemon=True).start()
+        self._threads.start()
         self.act(self._start)
 
     # --- life
@@ -88,7 +80,7 @@ class ClientApp:
         with self.object_folder:
             self._build_object()
         keys = gui.add_button("Keys and mouse (?)", icon=viser.Icon.KEYBOARD, color="gray")
-        keys.on_click(lambda _: self.act(self.show_keys))
+        keys.on_click(lambda _: self.act(self.commands.show_keys))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         add_keys(self)
@@ -107,9 +99,13 @@ class ClientApp:
         self.cancel_button = gui.add_button(
             "Cancel", icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
         )
-        self.cancel_button.on_click(lambda _: self.act(self.cancel))
+        self.cancel_button.on_click(lambda _: self.act(self.commands.cancel))
         history = gui.add_button_group("History", ("Undo", "Redo"))
-        history.on_click(lambda e: self.act(self.undo if e.target.value == "Undo" else self.redo))
+        history.on_click(
+            lambda e: self.act(
+                self.commands.undo if e.target.value == "Undo" else self.commands.redo
+            )
+        )
         self.stage_buttons = gui.add_button_group("Step", STAGES)
         self.stage_buttons.on_click(lambda e: self._stage_clicked(e.target.value))
         self.folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STAGES}
@@ -148,31 +144,19 @@ class ClientApp:
 
     def close(self) -> None:
         """The tab is gone."""
-        if self._closed:
+        if self._threads.closed:
             return
-        self._closed = True
+        self._threads.close()
         self.pointing.close()
         self.motion.stop()
         if self._in_scene is not None:
             self._in_scene.close()
         self._unwatch()
         self._unqueue()
-        self._actions.put(None)
-        self._dirty.set()
-
-    def show_keys(self) -> None:
-        """The sheet of keys, over the picture."""
-        gui = self.client.gui
-        modal = gui.add_modal("Keys and mouse")
-        with modal:
-            close = gui.add_button("Close (Esc)", color="gray")
-            rows = "\n".join(f"| **{plain(k)}** | {plain(v)} |" for k, v in KEYS)
-            gui.add_markdown(f"| | |\n|---|---|\n{rows}")
-        close.on_click(lambda _: modal.close())
 
     def act(self, action: Callable[[], None]) -> None:
         """Carry out ``action`` after those before it, off viser's threads."""
-        self._actions.put(action)
+        self._threads.act(action)
 
     def on_update(self, handle: Any, action: Callable[[], None]) -> None:
         """Carry out ``action`` when a person changes a widget, not when we do."""
@@ -180,39 +164,11 @@ class ClientApp:
 
     def invalidate(self) -> None:
         """Draw again soon."""
-        self._dirty.set()
-
-    def _act_loop(self) -> None:
-        while (action := self._actions.get()) is not None:
-            try:
-                action()
-            except Cancelled:
-                pass
-            except ArtiworldError as error:
-                self.notify("That can't be done", str(error), "yellow")
-            except Exception:  # the boundary of a person's action: say it and go on
-                if self._closed:
-                    return
-                log.exception("an action in tab %s failed", self.client.client_id)
-                self.notify("Something broke", "Nothing was lost; see the server's log", "red")
-            self.invalidate()
-
-    def _draw_loop(self) -> None:
-        while True:
-            self._dirty.wait()
-            self._dirty.clear()
-            if self._closed:
-                return
-            try:
-                self.redraw.draw()
-            except Exception:  # the boundary of drawing: a closing tab must not end the server
-                if not self._closed:
-                    log.exception("drawing tab %s failed", self.client.client_id)
-            time.sleep(0.01)
+        self._threads.invalidate()
 
     def notify(self, title: str, body: str, color: Any = "blue") -> None:
         """A note in the corner."""
-        if not self._closed:
+        if not self._threads.closed:
             seconds = 10.0 if color == "red" else 5.0
             self.client.add_notification(title, body[:400], auto_close_seconds=seconds, color=color)
 
@@ -293,24 +249,6 @@ class ClientApp:
             raise ArtiworldError(f"no object is open: choose one in {where}")
         return self.object
 
-    def undo(self) -> None:
-        """Take back the last decision."""
-        if self.overview is not None:
-            self.overview.undo()
-        elif self.need_object().state.can_undo:
-            self.do(cmd.Undo())
-        else:
-            self.notify("Nothing to undo", "", "gray")
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
-        if self.overview is not None:
-            self.overview.redo()
-        elif self.need_object().state.can_redo:
-            self.do(cmd.Redo())
-        else:
-            self.notify("Nothing to redo", "", "gray")
-
     def _stage_clicked(self, label: str) -> None:
         self.act(lambda: self.set_stage(label.removeprefix("● ")))  # type: ignore[arg-type]
 
@@ -335,94 +273,11 @@ class ClientApp:
         if part and part not in {p.id for p in doc.parts}:
             self.do(cmd.AddPart(part))
 
-    def choose_joint_at(self, element: int) -> None:
-        """The joint whose part holds a displayed element's source element."""
-        obj = self.need_object()
-        if obj.labels is None or obj.asset is None or any(self.q.values()):
-            return
-        shown = np.flatnonzero(obj.asset.element == element)
-        if not len(shown):
-            return
-        link = f"link_{int(obj.labels[shown[0]])}"
-        tree = obj.document.tree
-        if tree is not None and link in tree.joint_of:
-            self.choose_joint(link)
-
-    def predict(self) -> None:
-        """Ask for joints."""
-        self.need_object().predict(self.who)
-
-    def predict_here(self) -> None:
-        """Ask this machine for joints where the backend is away."""
-        self.need_object().predict(self.who, here=True)
-
-    def cancel(self) -> None:
-        """Stop what runs."""
-        for what in ("predict", "save", "segment", "room"):
-            self.need_object().jobs.cancel(what)
-
-    def accept(self) -> None:
-        """Accept the object; its asset is written first."""
-        if self.overview is not None:
-            self.overview.accept()
-            return
-        self.set_stage("Review")  # where a reason is asked for, and the next object follows
-        panel = self.review_panel
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        accept(self.need_object(), panel.comment_text, self.who, now, panel.override_text)
-        panel.decided()
-
-    def reject(self) -> None:
-        """Send the object back to its annotator."""
-        if self.overview is not None:
-            self.overview.reject()
-            return
-        self.set_stage("Review")
-        panel = self.review_panel
-        self.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
-        panel.decided()
-        panel.clear()
-        self.notify("Rejected", "It is back with its annotator", "orange")
-
-    def go_on(self) -> None:
-        """To the object that wants a decision most, after one was made."""
-        if self._in_scene is not None:
-            self._in_scene.leave()
-            self._in_scene.step(1)
-            return
-        bench, current = self.bench, self.need_object().record
-        following = bench.review_order.next(bench.records(), current.id)
-        if following is None:
-            return
-        self.open(following)
-        if self.need_object().document.tree is not None:
-            self.set_stage("Review")
-
     def choose_joint(self, child: str) -> None:
         """The joint that the editor shows."""
         self.child = child
         self.motion.gizmo_on = self.motion.gizmo_on and self.stage == "Joints"
         self.invalidate()
-
-    def next_choice(self) -> None:
-        """The next mask for the part, the next joint, or the next one to look at (Tab)."""
-        if self.stage == "Annotate":
-            self.annotate_panel.use_tool("Next")
-        elif self.stage == "Review":
-            self.review_panel.gate.show_next()
-        else:
-            self.next_joint()
-
-    def next_joint(self) -> None:
-        """The next moving joint of the tree."""
-        tree = self.need_object().document.tree
-        if tree is None or not tree.joints:
-            return
-        children = [j.child for j in tree.joints]
-        at = children.index(self.child) if self.child in children else -1
-        self.choose_joint(children[(at + 1) % len(children)])
-        if self.stage == "Annotate":
-            self.set_stage("Joints")
 
     @property
     def joint(self) -> Joint | None:
@@ -444,42 +299,3 @@ class ClientApp:
     def shows_labels(self) -> bool:
         """Whether the newest labels were sent."""
         return self.object is not None and self.scene.labels is self.object.labels
-
-    # --- motion
-
-    @property
-    def q(self) -> dict[str, float]:
-        """Joint name → radians or metres."""
-        return self.motion.q
-
-    @property
-    def gizmo_on(self) -> bool:
-        """Whether the chosen joint's axis has handles."""
-        return self.motion.gizmo_on
-
-    def set_q(self, name: str, value: float) -> None:
-        """Move one joint; radians or metres."""
-        self.motion.set_q(name, value)
-
-    def reset_pose(self) -> None:
-        """All joints back to the scanned pose."""
-        self.motion.reset()
-
-    def play(self, name: str | None = None) -> None:
-        """Start or stop moving one joint, or all of them."""
-        if self.overview is not None:
-            self.overview.play()
-        else:
-            self.motion.play(name)
-
-    def frame(self) -> None:
-        """Aim at the open object, at the chosen one of the scene, or at all of it."""
-        if self.overview is None:
-            self.scene.frame_camera()
-        else:
-            chosen = self.overview.selected
-            self.overview.picture.frame(None if chosen is None else [chosen])
-
-    def toggle_gizmo(self) -> None:
-        """Show or hide the handles for the chosen joint's axis."""
-        self.motion.toggle_gizmo()

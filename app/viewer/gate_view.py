@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.open_object import OpenObject
 from app.viewer import palette
-from app.viewer.joints_panel import part_title
+from app.viewer.joint_text import part_title
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
@@ -54,13 +54,13 @@ class GateView:
         self._shown = (report, joint)
         worst = verdict.worst
         if worst is None:
-            app.scene.show_moment(None, "")
+            app.scene.marks.show_moment(None, "")
             app.notify("Nothing to see", verdict.sentence, "gray")
             return
         app.motion.q = {k: v for k, v in worst.q.items() if k in obj.document.tree.by_name}
         app.joints_panel.show_q(app.motion.q)
         app.motion.pose()
-        app.scene.show_moment(worst.where, moment_text(worst.kind, worst.depth))
+        app.scene.marks.show_moment(worst.where, moment_text(worst.kind, worst.depth))
 
     def show_next(self) -> None:
         """The worst moment of the next joint that isn't fine (Tab)."""
@@ -92,7 +92,7 @@ class GateView:
         if self._shown is not None and self._shown[0] is not report:
             # Other joints, another answer: what was shown is no longer so.
             self._shown = None
-            self._app.scene.show_moment(None, "")
+            self._app.scene.marks.show_moment(None, "")
         key = None if report is None else (report, tuple(doc.part_names.items()))
         if key == self._key:
             return

@@ -132,11 +132,11 @@ class Hover:
         if self._place is None or obj is not app.object or obj.document.key != doc.key:
             return True  # clicked or left meanwhile
         self._shown = wanted
-        app.scene.show_hover(answer.gained, answer.lost, palette.part_color(part))
+        app.scene.overlays.show_hover(answer.gained, answer.lost, palette.part_color(part))
         self.seconds = time.perf_counter() - came
         return True
 
     def _clear(self) -> None:
         if self._shown is not None:
             self._shown = None
-            self._app.scene.show_hover(None, None, palette.BASE_COLOR)
+            self._app.scene.overlays.show_hover(None, None, palette.BASE_COLOR)

@@ -80,7 +80,7 @@ class Motion:
         if tree is None:
             return
         names = tree.by_name
-        app.scene.pose(tree.pose({k: v for k, v in self.q.items() if k in names}))
+        app.scene.parts.pose(tree.pose({k: v for k, v in self.q.items() if k in names}))
 
     # --- handles
 

@@ -16,10 +16,15 @@ _MARK = 0.006
 
 
 class Overlays:
-    """Short-lived marks in one client's scene."""
+    """Short-lived marks in one client's scene.
 
-    def __init__(self, client: viser.ClientHandle) -> None:
+    Args:
+        diagonal: of the object, metres; None where none is drawn, and no mark is either.
+    """
+
+    def __init__(self, client: viser.ClientHandle, diagonal: float | None = None) -> None:
         self._client = client
+        self._diagonal = diagonal
         self._dots: dict[str, Any] = {}
         self._places: list[Any] = []
 
@@ -28,12 +33,13 @@ class Overlays:
         gained: npt.NDArray[np.float32] | None,
         lost: npt.NDArray[np.float32] | None,
         color: palette.Rgb,
-        diagonal: float,
     ) -> None:
         """Dots on what a click would give to the part, dark ones on what it would take away."""
+        if self._diagonal is None:
+            return
         with self._client.atomic():
-            self._put("gained", gained, _light(color), diagonal)
-            self._put("lost", lost, palette.NEGATIVE, diagonal)
+            self._put("gained", gained, _light(color), self._diagonal)
+            self._put("lost", lost, palette.NEGATIVE, self._diagonal)
 
     def _put(
         self,
@@ -58,14 +64,16 @@ class Overlays:
             precision="float32",
         )
 
-    def show_places(self, places: tuple[tuple[float, float, float], ...], diagonal: float) -> None:
+    def show_places(self, places: tuple[tuple[float, float, float], ...]) -> None:
         """Marks where a cut goes through."""
+        if self._diagonal is None:
+            return
         for handle in self._places:
             handle.remove()
         self._places = [
             self._client.scene.add_icosphere(
                 f"/place/{k}",
-                radius=_MARK * diagonal,
+                radius=_MARK * self._diagonal,
                 color=palette.CONTACT,
                 subdivisions=2,
                 position=place,

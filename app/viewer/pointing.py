@@ -132,7 +132,7 @@ class Pointing:
             app.set_stage("Annotate")
         self.armed = "" if what == self.armed else what
         self.tool, self._places, self._third = "click", [], False
-        app.scene.show_places(())
+        app.scene.overlays.show_places(())
         self.hover.forget()
         app.invalidate()
 
@@ -140,13 +140,13 @@ class Pointing:
         """Back to plain clicks."""
         if self.armed or self.tool != "click":
             self.armed, self.tool, self._places = "", "click", []
-            self._app.scene.show_places(())
+            self._app.scene.overlays.show_places(())
             self._app.invalidate()
 
     def _tool_key(self, tool: str) -> None:
         app = self._app
         if tool == "help":
-            app.act(app.show_keys)
+            app.act(app.commands.show_keys)
         elif tool in ("click", "lasso", "brush"):
             # The page has switched already: that is no news for it.
             self._told["tool"] = tool
@@ -180,7 +180,7 @@ class Pointing:
         if hit is None:
             return
         if app.stage != "Annotate":
-            app.choose_joint_at(hit.element)
+            app.commands.choose_joint_at(hit.element)
             return
         self.hover.forget()
         position = tuple(float(v) for v in hit.position)
@@ -202,12 +202,12 @@ class Pointing:
         app = self._app
         self._third = self._third or not plain
         self._places.append((position, element))
-        app.scene.show_places(tuple(p for p, _ in self._places))
+        app.scene.overlays.show_places(tuple(p for p, _ in self._places))
         if len(self._places) < (3 if self._third else 2):
             return
         places, self._places = self._places, []
         self.armed, self._third = "", False
-        app.scene.show_places(())
+        app.scene.overlays.show_places(())
         request = tool_tasks.ToolRequest(
             "cut",
             app.part,

@@ -8,7 +8,7 @@ import numpy as np
 
 from app.open_object import OpenObject
 from app.viewer import palette
-from app.viewer.scene_view import AxisMark, axis_length
+from app.viewer.joint_marks import AxisMark, axis_length
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.kinematics.joint import Joint
@@ -128,10 +128,9 @@ class Redraw:
         app.scene.show_labels(obj.labels, app.hidden)
         clicks = [(i, p) for i, p in enumerate(doc.prompts) if isinstance(p, Click)]
         app.scene.show_prompts(clicks, visible=app.stage == "Annotate")
-        app.scene.show_parts(payloads, moving and payloads is not None)
-        app.scene.hide_parts(app.hidden)
-        app.scene.show_axes(self._axis_marks(obj, doc) if moving else ())
-        app.scene.show_contacts(obj.checks, visible=moving)
+        app.scene.show_parts(payloads, moving, app.hidden)
+        app.scene.marks.show_axes(self._axis_marks(obj, doc) if moving else ())
+        app.scene.marks.show_contacts(obj.checks, visible=moving)
         app.motion.pose()
         app.motion.draw_gizmo()
         pad = app.scene.touch

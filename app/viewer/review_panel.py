@@ -12,7 +12,7 @@ import viser
 from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
-from app.viewer.joints_panel import part_title, range_text
+from app.viewer.joint_text import part_title, range_text
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
@@ -64,8 +64,8 @@ class ReviewPanel:
         )
         with gui.add_folder("History", expand_by_default=False):
             self._history = gui.add_markdown("")
-        self._accept.on_click(lambda _: app.act(app.accept))
-        self._reject.on_click(lambda _: app.act(app.reject))
+        self._accept.on_click(lambda _: app.act(app.commands.accept))
+        self._reject.on_click(lambda _: app.act(app.commands.reject))
         self._reopen.on_click(lambda _: app.act(lambda: app.do(cmd.Reopen(self.comment_text))))
         self._download.on_click(lambda _: app.act(self._send))
 
@@ -144,7 +144,7 @@ class ReviewPanel:
         if decided and self._decided_here == obj.record.id and "save" not in obj.busy:
             self._decided_here = None
             if self._go_on.value:
-                self._app.act(self._app.go_on)
+                self._app.act(self._app.commands.go_on)
 
     def _draw_history(self) -> None:
         app = self._app

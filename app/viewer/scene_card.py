@@ -9,7 +9,7 @@ import viser
 from app.scene_desk import SceneDesk
 from app.scene_rows import Work
 from app.viewer import palette
-from app.viewer.joints_panel import part_title, range_text
+from app.viewer.joint_text import part_title, range_text
 from app.viewer.review_panel import REASONS
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -76,7 +76,7 @@ class SceneCard:
         app, scene = self._app, self._app.in_scene
         self._pause.on_click(lambda _: app.act(lambda: self._desk.pause(not self._desk.paused)))
         self._history.on_click(
-            lambda e: app.act(app.undo if e.target.value == "Undo" else app.redo)
+            lambda e: app.act(app.commands.undo if e.target.value == "Undo" else app.commands.redo)
         )
         self._play.on_click(lambda _: app.act(scene.play))
         self._kind.on_click(lambda e: app.act(lambda: scene.say(e.target.value)))

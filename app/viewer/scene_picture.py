@@ -32,7 +32,7 @@ from app.viewer.scene_nodes import (
     wxyz_of,
 )
 from app.viewer.scene_rays import meets_boxes
-from app.viewer.scene_view import FIELD_OF_VIEW, SCENE_ROOT, set_stage
+from app.viewer.stage import SCENE_ROOT, aim, fitting_distance, set_stage
 
 ROOT = SCENE_ROOT
 Array = npt.NDArray[np.float64]
@@ -313,9 +313,7 @@ class ScenePicture:
             direction = np.array(camera.position) - np.array(camera.look_at)
             direction[2] = max(direction[2], 0.35 * float(np.linalg.norm(direction[:2])))
         direction /= max(float(np.linalg.norm(direction)), 1e-9)
-        aspect = max(min(camera.aspect or 1.5, 2.5), 0.4)
-        half = min(FIELD_OF_VIEW / 2, np.arctan(np.tan(FIELD_OF_VIEW / 2) * aspect))
-        close = 0.5 * size / np.sin(half)
+        close = fitting_distance(camera, size)
         whole = self.bounds()
         alone = whole is None or size > 0.6 * float(np.linalg.norm(np.ptp(whole, axis=0)))
         distance = close * (0.82 if ids is None or alone else 1.9)
@@ -323,15 +321,7 @@ class ScenePicture:
         self.camera = (center + distance * direction, center)
 
     def _aim(self, position: Array, look_at: Array) -> None:
-        camera = self._client.camera
-        distance = float(np.linalg.norm(position - look_at))
-        with self._client.atomic():
-            camera.fov = FIELD_OF_VIEW
-            camera.up_direction = (0.0, 0.0, 1.0)
-            camera.position = position
-            camera.look_at = look_at  # after the position, which carries the old one along
-            camera.near = max(distance * 1e-3, 1e-3)
-            camera.far = max(distance * 100, 100.0)
+        aim(self._client, position, look_at, least_near=1e-3, least_far=100.0)
 
     # --- motion
 

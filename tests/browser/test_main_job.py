@@ -60,11 +60,13 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
 
     # A slider moves the link; the drawn frame is where the kinematics says.
     tab.set_slider("drawer 2 [mm]", 100)
-    wait_until(lambda: abs(tab.app.q.get(drawer.name, 0) - 0.1) < 1e-6, "the slider moves q")
+    wait_until(lambda: abs(tab.app.motion.q.get(drawer.name, 0) - 0.1) < 1e-6, "the slider moves q")
     frame = tab.app.client.scene.get_handle_by_name("/part/2")
     wait_until(lambda: np.allclose(frame.position, (0, -0.1, 0), atol=1e-3), "the link moves")
     tab.set_slider("door 1 [°]", 45)
-    wait_until(lambda: abs(tab.app.q.get(door.name, 0) - math.pi / 4) < 1e-6, "the door turns")
+    wait_until(
+        lambda: abs(tab.app.motion.q.get(door.name, 0) - math.pi / 4) < 1e-6, "the door turns"
+    )
     frame = tab.app.client.scene.get_handle_by_name("/part/1")
     expected = motion(door, math.pi / 4)[:3, 3]
     wait_until(lambda: np.allclose(frame.position, expected, atol=1e-4), "the door's frame")
@@ -251,9 +253,9 @@ def test_next_object_and_a_cloud(start: Any, open_tab: Any, cabinet: Any, tmp_pa
     predict(tab)
     assert tab.document.tree.joint_of["link_1"].moves
     tab.page.keyboard.press(" ")
-    wait_until(lambda: any(abs(v) > 0.01 for v in tab.app.q.values()), "Space plays")
+    wait_until(lambda: any(abs(v) > 0.01 for v in tab.app.motion.q.values()), "Space plays")
     tab.page.keyboard.press("r")
-    wait_until(lambda: not any(tab.app.q.values()), "R resets the pose")
+    wait_until(lambda: not any(tab.app.motion.q.values()), "R resets the pose")
 
 
 def test_a_file_that_cannot_be_opened_says_so(
@@ -341,7 +343,7 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     assert (first != second).any()
     assert second[tab.document.prompts[0].element] == 1
     while tab.app.object.state.can_undo and len(tab.document.prompts) > 1:
-        tab.app.undo()
+        tab.app.commands.undo()
     tab.settled()
     np.testing.assert_array_equal(store.get_array(tab.document.segmentation.labels), first)
     tab.button("All parts").click()

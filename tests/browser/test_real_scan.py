@@ -50,7 +50,7 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
         if joint.type != "revolute":  # what a person would mend
             tab.app.act(lambda child=joint.child: tab.app.choose_joint(child))
             wait_until(lambda child=joint.child: tab.app.child == child, "the joint is chosen")
-            tab.app.act(lambda: tab.app.joints_panel.set_type("revolute"))
+            tab.app.act(lambda: tab.app.joints_panel.editor.set_type("revolute"))
     wait_until(lambda: {j.type for j in tab.document.tree.joints} == {"revolute"}, "both swing")
     wait_until(lambda: not tab.app.object.busy, "sweeps are done")
     tab.key("y")

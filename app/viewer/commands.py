@@ -1,0 +1,162 @@
+"""What keys and buttons ask for, in an object as in the scene around it."""
+
+from __future__ import annotations
+
+import datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.accepting import accept
+from app.viewer.keys import KEYS
+from app.viewer.text import plain
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+
+class Commands:
+    """One tab's commands. Where no object is open they are for the chosen ones of the scene."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+
+    # --- decisions
+
+    def undo(self) -> None:
+        """Take back the last decision."""
+        app = self._app
+        if app.overview is not None:
+            app.overview.undo()
+        elif app.need_object().state.can_undo:
+            app.do(cmd.Undo())
+        else:
+            app.notify("Nothing to undo", "", "gray")
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        app = self._app
+        if app.overview is not None:
+            app.overview.redo()
+        elif app.need_object().state.can_redo:
+            app.do(cmd.Redo())
+        else:
+            app.notify("Nothing to redo", "", "gray")
+
+    def predict(self) -> None:
+        """Ask for joints."""
+        self._app.need_object().predict(self._app.who)
+
+    def predict_here(self) -> None:
+        """Ask this machine for joints where the backend is away."""
+        self._app.need_object().predict(self._app.who, here=True)
+
+    def cancel(self) -> None:
+        """Stop what runs."""
+        for what in ("predict", "save", "segment", "room"):
+            self._app.need_object().jobs.cancel(what)
+
+    def accept(self) -> None:
+        """Accept the object; its asset is written first."""
+        app = self._app
+        if app.overview is not None:
+            app.overview.accept()
+            return
+        app.set_stage("Review")  # where a reason is asked for, and the next object follows
+        panel = app.review_panel
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        accept(app.need_object(), panel.comment_text, app.who, now, panel.override_text)
+        panel.decided()
+
+    def reject(self) -> None:
+        """Send the object back to its annotator."""
+        app = self._app
+        if app.overview is not None:
+            app.overview.reject()
+            return
+        app.set_stage("Review")
+        panel = app.review_panel
+        app.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
+        panel.decided()
+        panel.clear()
+        app.notify("Rejected", "It is back with its annotator", "orange")
+
+    # --- what is looked at
+
+    def go_on(self) -> None:
+        """To the object that wants a decision most, after one was made."""
+        app = self._app
+        if app.bench.desk is not None:
+            app.in_scene.leave()
+            app.in_scene.step(1)
+            return
+        bench, current = app.bench, app.need_object().record
+        following = bench.review_order.next(bench.records(), current.id)
+        if following is None:
+            return
+        app.open(following)
+        if app.need_object().document.tree is not None:
+            app.set_stage("Review")
+
+    def next_choice(self) -> None:
+        """The next mask for the part, the next joint, or the next one to look at (Tab)."""
+        app = self._app
+        if app.stage == "Annotate":
+            app.annotate_panel.use_tool("Next")
+        elif app.stage == "Review":
+            app.review_panel.gate.show_next()
+        else:
+            self.next_joint()
+
+    def next_joint(self) -> None:
+        """The next moving joint of the tree."""
+        app = self._app
+        tree = app.need_object().document.tree
+        if tree is None or not tree.joints:
+            return
+        children = [j.child for j in tree.joints]
+        at = children.index(app.child) if app.child in children else -1
+        app.choose_joint(children[(at + 1) % len(children)])
+        if app.stage == "Annotate":
+            app.set_stage("Joints")
+
+    def choose_joint_at(self, element: int) -> None:
+        """The joint whose part holds a displayed element's source element."""
+        app = self._app
+        obj = app.need_object()
+        if obj.labels is None or obj.asset is None or any(app.motion.q.values()):
+            return
+        shown = np.flatnonzero(obj.asset.element == element)
+        if not len(shown):
+            return
+        link = f"link_{int(obj.labels[shown[0]])}"
+        tree = obj.document.tree
+        if tree is not None and link in tree.joint_of:
+            app.choose_joint(link)
+
+    def play(self) -> None:
+        """Start or stop moving all the joints."""
+        if self._app.overview is not None:
+            self._app.overview.play()
+        else:
+            self._app.motion.play()
+
+    def frame(self) -> None:
+        """Aim at the open object, at the chosen one of the scene, or at all of it."""
+        overview = self._app.overview
+        if overview is None:
+            self._app.scene.frame_camera()
+        else:
+            chosen = overview.selected
+            overview.picture.frame(None if chosen is None else [chosen])
+
+    def show_keys(self) -> None:
+        """The sheet of keys, over the picture."""
+        gui = self._app.client.gui
+        modal = gui.add_modal("Keys and mouse")
+        with modal:
+            close = gui.add_button("Close (Esc)", color="gray")
+            rows = "\n".join(f"| **{plain(k)}** | {plain(v)} |" for k, v in KEYS)
+            gui.add_markdown(f"| | |\n|---|---|\n{rows}")
+        close.on_click(lambda _: modal.close())

@@ -1,0 +1,208 @@
+"""The editor of the chosen joint: type, parent, axis, origin and limits, by hand or snapped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app import snapping_tasks
+from app.open_object import OpenObject
+from app.viewer.joint_text import joint_note, shown, titled
+from app.viewer.widgets import differs, put
+from model.errors import CommandError
+from model.kinematics.joint import JOINT_TYPES, Joint
+from model.kinematics.tree import KinematicTree
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+SNAP_SECONDS = 30.0
+AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+DEFAULT_LIMITS = {"revolute": (0.0, math.pi / 2), "prismatic": (0.0, 0.3)}
+
+
+class JointEditor:
+    """The widgets for one joint, and what a person does with them."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        gui = app.client.gui
+        self._child = gui.add_dropdown("Moves", ("—",))
+        self._note = gui.add_markdown("")
+        self._name = gui.add_text("Name", "")
+        self._type = gui.add_dropdown("Type", JOINT_TYPES)
+        self._parent = gui.add_dropdown("Parent", ("—",))
+        self._axis = gui.add_vector3("Axis", (0.0, 0.0, 1.0), step=0.001)
+        self._axis_to = gui.add_button_group("Axis to", ("X", "Y", "Z", "Flip (F)"))
+        self._axis_box = gui.add_button_group("Part's box", ("Long", "Middle", "Short"))
+        self._origin = gui.add_vector3("Origin [mm]", (0.0, 0.0, 0.0), step=0.1)
+        self._origin_to = gui.add_button_group("Snap to", ("Box edge", "Contact", "Centre"))
+        self._lower = gui.add_number("Lower [°]", 0.0, step=0.1)
+        self._upper = gui.add_number("Upper [°]", 0.0, step=0.1)
+        self._free = gui.add_button_group("Limits", ("Free range", "Zero is closed"))
+        self._gizmo = gui.add_button("Axis handles (G)", icon=viser.Icon.AXIS_X, color="gray")
+        self._locked = gui.add_checkbox("Keep when predicting again", False)
+        self._reset = gui.add_button("Reset to the prediction", color="gray")
+        app.on_update(self._child, self._child_chosen)
+        app.on_update(self._name, lambda: self._change(name=self._name.value.strip()))
+        app.on_update(self._type, lambda: self.set_type(self._type.value))
+        app.on_update(self._parent, lambda: self._change(parent=_link(self._parent.value)))
+        app.on_update(self._axis, lambda: self._change(axis=tuple(self._axis.value)))
+        app.on_update(
+            self._origin, lambda: self._change(origin=tuple(v / 1000 for v in self._origin.value))
+        )
+        app.on_update(self._lower, lambda: self._limit("lower", self._lower.value))
+        app.on_update(self._upper, lambda: self._limit("upper", self._upper.value))
+        app.on_update(self._locked, self._lock)
+        self._axis_to.on_click(lambda e: app.act(lambda: self._preset(e.target.value)))
+        self._axis_box.on_click(lambda e: app.act(lambda: self._snap(f"axis {e.target.value}")))
+        self._origin_to.on_click(lambda e: app.act(lambda: self._snap(e.target.value)))
+        self._free.on_click(lambda e: app.act(lambda: self._limits(e.target.value)))
+        self._gizmo.on_click(lambda _: app.act(app.motion.toggle_gizmo))
+        self._reset.on_click(lambda _: app.act(self._reset_joint))
+
+    # --- what a person does
+
+    def _need_joint(self) -> Joint:
+        joint = self._app.joint
+        if joint is None:
+            raise CommandError("choose a joint first: click a part, or press Tab")
+        return joint
+
+    def _child_chosen(self) -> None:
+        self._app.choose_joint(_link(self._child.value))
+
+    def _change(self, **changes: Any) -> None:
+        joint = self._need_joint()
+        if any(_differs(getattr(joint, k), v) for k, v in changes.items()):
+            self._app.set_joint(replace(joint, **changes))
+
+    def set_type(self, kind: Any) -> None:
+        """Give the chosen joint another type, with limits that such a joint usually has."""
+        joint = self._need_joint()
+        if kind == joint.type:
+            return
+        lower, upper = DEFAULT_LIMITS.get(kind, (None, None))
+        asset = self._app.need_object().asset
+        if kind == "prismatic" and asset is not None:
+            upper = round(0.3 * asset.diagonal, 3)
+        self._app.set_joint(replace(joint, type=kind, lower=lower, upper=upper))
+
+    def next_type(self) -> None:
+        """The next type in the list (T)."""
+        at = JOINT_TYPES.index(self._need_joint().type)
+        self.set_type(JOINT_TYPES[(at + 1) % len(JOINT_TYPES)])
+
+    def flip(self) -> None:
+        """Turn the axis round; the limits stay, so the part opens to the other side (F)."""
+        joint = self._need_joint()
+        axis = tuple(-v if v else 0.0 for v in joint.axis)
+        self._app.set_joint(replace(joint, axis=axis))
+
+    def _preset(self, which: str) -> None:
+        if which.startswith("Flip"):
+            self.flip()
+        else:
+            self._change(axis=AXES[which])
+
+    def _snap(self, to: str) -> None:
+        obj = self._app.need_object()
+        joint, tree = self._need_joint(), obj.document.tree
+        assert tree is not None
+        job = self._app.bench.prediction.submit(
+            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=15
+        )
+        snapped = job.result(SNAP_SECONDS)
+        if snapped == joint:
+            self._app.notify("Already there", f"The axis is on its {to.lower()}", "gray")
+        else:
+            self._app.set_joint(snapped)
+
+    def _limit(self, which: str, value: float) -> None:
+        joint = self._need_joint()
+        if joint.limited:
+            self._change(**{which: math.radians(value) if joint.rotates else value / 1000})
+
+    def _limits(self, what: str) -> None:
+        joint = self._need_joint()
+        if not joint.limited:
+            raise CommandError(f"a {joint.type} joint has no limits; choose another type first")
+        assert joint.lower is not None and joint.upper is not None
+        if what == "Free range":
+            self._snap("free range")
+        elif abs(joint.lower) < abs(joint.upper):
+            self._change(lower=0.0)
+        else:
+            self._change(upper=0.0)
+
+    def _lock(self) -> None:
+        joint = self._need_joint()
+        doc = self._app.need_object().document
+        if self._locked.value != (joint.child in doc.locked):
+            self._app.do(cmd.LockJoint(joint.child, self._locked.value))
+
+    def _reset_joint(self) -> None:
+        self._app.do(cmd.ResetJoint(self._need_joint().child))
+
+    # --- drawing
+
+    def draw(self, obj: OpenObject, tree: KinematicTree) -> None:
+        """Bring it up to date."""
+        doc = obj.document
+        titles = tuple(titled(doc, j.child) for j in tree.joints) or ("—",)
+        put(self._child, "options", titles)
+        joint = self._app.joint
+        if joint is None:
+            put(self._note, "content", "No joint.")
+            return
+        put(self._child, "value", titled(doc, joint.child))
+        put(self._name, "value", joint.name)
+        put(self._type, "value", joint.type)
+        below = tree.descendants(joint.child)
+        put(self._parent, "options", tuple(titled(doc, k) for k in tree.links if k not in below))
+        put(self._parent, "value", titled(doc, joint.parent))
+        _put_vector(self._axis, joint.axis, 5e-4)
+        _put_vector(self._origin, tuple(v * 1000 for v in joint.origin), 0.05)
+        unit = "°" if joint.rotates else "mm"
+        for box, word, value in (
+            (self._lower, "Lower", joint.lower),
+            (self._upper, "Upper", joint.upper),
+        ):
+            put(box, "label", f"{word} [{unit}]")
+            put(box, "visible", joint.limited)
+            if value is not None and abs(box.value - shown(joint, value)) > 1e-4:
+                box.value = round(shown(joint, value), 3)
+        for widget in (
+            self._axis,
+            self._axis_to,
+            self._axis_box,
+            self._origin,
+            self._origin_to,
+            self._gizmo,
+        ):
+            put(widget, "visible", joint.moves)
+        put(self._free, "visible", joint.limited)
+        put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
+        put(self._locked, "value", joint.child in doc.locked)
+        put(self._note, "content", joint_note(joint, doc, obj.checks))
+
+
+def _link(title: str) -> str:
+    return title.split(" · ", maxsplit=1)[0]
+
+
+def _differs(a: Any, b: Any) -> bool:
+    if isinstance(a, tuple):
+        return differs(a, b, 1e-7)
+    if isinstance(a, float) and isinstance(b, float):
+        return abs(a - b) > 1e-9
+    return a != b
+
+
+def _put_vector(box: Any, value: tuple[float, ...], tolerance: float) -> None:
+    if differs(tuple(box.value), value, tolerance):
+        box.value = tuple(round(v, 4) for v in value)

@@ -1,0 +1,53 @@
+"""What is around anything that is shown: light, backdrop, and where the camera stands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+
+FIELD_OF_VIEW = 0.7
+SCENE_ROOT = "/world"
+"""Node above all that belongs to a scene around the object."""
+
+
+def set_stage(scene: viser.SceneApi) -> None:
+    """Light and backdrop."""
+    scene.configure_default_lights(cast_shadow=False)
+    scene.set_background_image(_backdrop(), format="png")
+
+
+def _backdrop() -> npt.NDArray[np.uint8]:
+    """A soft vertical gradient, so that white scans stand out."""
+    t = np.linspace(0.0, 1.0, 128)[:, None, None]
+    top, bottom = np.array([222.0, 228.0, 236.0]), np.array([243.0, 244.0, 246.0])
+    return np.repeat(top + t * (bottom - top), 4, axis=1).astype(np.uint8)
+
+
+def fitting_distance(camera: viser.CameraHandle, size: float) -> float:
+    """Metres from which a ball of that diameter fills the picture."""
+    aspect = max(min(camera.aspect or 1.5, 2.5), 0.4)
+    half = min(FIELD_OF_VIEW / 2, np.arctan(np.tan(FIELD_OF_VIEW / 2) * aspect))
+    return float(0.5 * size / np.sin(half))
+
+
+def aim(
+    client: viser.ClientHandle,
+    position: npt.NDArray[Any],
+    look_at: npt.NDArray[Any],
+    *,
+    least_near: float,
+    least_far: float = 0.0,
+) -> None:
+    """Put the camera somewhere, upright; its clipping planes, in metres, go with the distance."""
+    camera = client.camera
+    distance = float(np.linalg.norm(position - look_at))
+    with client.atomic():
+        camera.fov = FIELD_OF_VIEW
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position = position
+        camera.look_at = look_at  # after the position, which carries the old one along
+        camera.near = max(distance * 1e-3, least_near)
+        camera.far = max(distance * 100, least_far)

@@ -1,0 +1,85 @@
+"""The two threads that serve one browser tab.
+
+What a person does is put into a queue and carried out in order by the *action* thread; the *draw*
+thread brings the screen up to date with the state, however many changes came meanwhile.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from model.errors import ArtiworldError
+from model.progress import Cancelled
+
+log = logging.getLogger(__name__)
+
+
+class TabThreads:
+    """Carries out a tab's actions, and draws.
+
+    Args:
+        name: the log and the threads call the tab so.
+        draw: sends what changed.
+        notify: shows a person ``(title, body, colour)``.
+    """
+
+    def __init__(
+        self, name: str, draw: Callable[[], None], notify: Callable[[str, str, str], None]
+    ) -> None:
+        self.closed = False
+        self._name = name
+        self._draw = draw
+        self._notify = notify
+        self._actions: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._dirty = threading.Event()
+
+    def start(self) -> None:
+        """Begin; what was asked for before is done now."""
+        for target in (self._act_loop, self._draw_loop):
+            threading.Thread(target=target, name=self._name, daemon=True).start()
+
+    def close(self) -> None:
+        """End both threads: the tab is gone."""
+        self.closed = True
+        self._actions.put(None)
+        self._dirty.set()
+
+    def act(self, action: Callable[[], None]) -> None:
+        """Carry out ``action`` after those before it."""
+        self._actions.put(action)
+
+    def invalidate(self) -> None:
+        """Draw again soon."""
+        self._dirty.set()
+
+    def _act_loop(self) -> None:
+        while (action := self._actions.get()) is not None:
+            try:
+                action()
+            except Cancelled:
+                pass
+            except ArtiworldError as error:
+                self._notify("That can't be done", str(error), "yellow")
+            except Exception:  # the boundary of a person's action: say it and go on
+                if self.closed:
+                    return
+                log.exception("an action in %s failed", self._name)
+                self._notify("Something broke", "Nothing was lost; see the server's log", "red")
+            self.invalidate()
+
+    def _draw_loop(self) -> None:
+        while True:
+            self._dirty.wait()
+            self._dirty.clear()
+            if self.closed:
+                return
+            try:
+                self._draw()
+            except Exception:  # the boundary of drawing: a closing tab must not end the server
+                if not self.closed:
+                    log.exception("drawing %s failed", self._name)
+            time.sleep(0.01)
