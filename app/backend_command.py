@@ -33,7 +33,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="largest object that a client may send (default: 200)")  # fmt: skip
 
 
-def run_backend(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Check the options, load the predictor, then answer until interrupted.
 
     Raises:

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from app.batch import asset_names, find_assets, run_all
+from app.options import add_json
 from app.physics_options import add_physics, physics_settings, store_folder
 from model.errors import ArtiworldError
 
@@ -33,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_physics(parser)
     add("--jobs", type=int, default=None, metavar="N",
         help="processes (default: as many as processors)")  # fmt: skip
-    add("--json", action="store_true", help="print JSON and nothing else")
+    add_json(parser)
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class CheckTask:
     coacd_seconds: float
 
 
-def run_check(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 where an asset has something wrong."""
     from app import printing
     from app.export_command import named_formats

@@ -1,4 +1,4 @@
-"""``artiworld doctor``: what is installed, what can be used, and what is wrong."""
+"""What is installed, what can be used, and what is wrong."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.options import add_json
 from model.errors import ConfigurationError
 from model.predictors import DEFAULT
 
@@ -72,9 +73,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="write the objects as folders for artiworld predict, and stop")  # fmt: skip
     add("--compare", nargs=2, type=Path, metavar=("A", "B"),
         help="what changed from one run's --out to another's, and stop")  # fmt: skip
+    add_json(parser)
 
 
-def run_evaluate(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Carry it out."""
     from app import printing
 
@@ -261,7 +263,7 @@ SEGMENTATION_SETS = ("procedural", "procedural-noisy", "procedural-one-sided")
 
 
 def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
-    from app.bench import bench_segment
+    from app.bench_command import bench_segment
     from app.headless import write_json
 
     sets: list[str] = list(SEGMENTATION_SETS)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.batch import ASSET_FILES, asset_names, find_assets, run_all
+from app.options import add_json
 from app.physics_options import add_physics, physics_settings, store_folder
 from model.errors import ArtiworldError, ConfigurationError
 
@@ -31,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--check", action="store_true", help="read each file back and compare link poses")
     add("--jobs", type=int, default=None, metavar="N",
         help="processes for several assets (default: as many as processors)")  # fmt: skip
-    add("--json", action="store_true", help="print JSON and nothing else")
+    add_json(parser)
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class ExportTask:
     check: bool
 
 
-def run_export(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Run the command and return the exit code: 2 where an asset could not be written."""
     from app import printing
     from app.headless import check_output

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from app.options import add_json
 from model.predictors import DEFAULT
 
 
@@ -26,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         add("--assets", type=Path, action="append", default=[], metavar="DIR",
             help="folder of the scene's 3D assets; may be repeated")  # fmt: skip
         add("--format", metavar="NAME", help="of the scene (default: told by the file)")
-        add("--json", action="store_true", help="print JSON and nothing else")
+        add_json(command)
         _add_finder(command)
     add = convert.add_argument
     add("--out", type=Path, required=True, metavar="DIR",
@@ -109,7 +110,7 @@ def _jobs(text: str) -> int:
 _jobs.__name__ = "number from 1"
 
 
-def run_scene(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from app import printing
 

@@ -7,21 +7,59 @@ import os
 import socket
 import threading
 import time
-import urllib.error
-import urllib.request
-import webbrowser
 from pathlib import Path
 from urllib.parse import quote
 
-from app.backend_command import chosen_predictor, greet
+from app.backend_command import add_client_options, chosen_predictor, greet
 from app.config import TOKEN_VARIABLE, ServeConfig
 from app.login import Login, new_token
 from app.network import check_address, free_port, is_loopback
+from app.options import add_point_sam, add_reading
 from model.errors import ConfigurationError, InputFileError
+from model.predictors import DEFAULT
 from model.remote import is_backend
 
 
-def run_serve(args: argparse.Namespace) -> int:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add = parser.add_argument
+    add("paths", nargs="*", type=Path, metavar="PATH",
+        help="files or folders to open, or one scene (default: the bundled examples)")  # fmt: skip
+    add("--assets", type=Path, action="append", default=[], metavar="DIR",
+        help="open PATH as a scene with the assets in this folder; may be repeated "
+             "(a scene description without it: those beside it)")  # fmt: skip
+    add("--scene", action="store_true",
+        help="open PATH as a scene even where it is a mesh or a scan, such as a scanned room "
+             "out of which objects are picked")  # fmt: skip
+    add("--finder", default="lexicon", metavar="NAME",
+        help="who says what in a scene can be articulated, as scene convert takes it "
+             "(default: lexicon)")  # fmt: skip
+    add("--finder-url", metavar="URL",
+        help="openai finder: address of the server, such as http://localhost:11434/v1")  # fmt: skip
+    add("--workspace", type=Path, default=Path("workspace"), metavar="DIR",
+        help="where sessions and accepted assets are kept (default: ./workspace)")  # fmt: skip
+    add("--database", metavar="URL", help="SQLAlchemy URL (default: SQLite in the workspace)")
+    add(
+        "--host", default="127.0.0.1", help="where to listen; others than this machine need a token"
+    )
+    add(
+        "--port", type=int, help="port to listen at; 0 for any (default: 8080 or the next free one)"
+    )
+    add("--token", help="what visitors must know; or set ARTIWORLD_TOKEN")
+    add("--allow-origin", action="append", default=[], metavar="URL",
+        help="address under which a proxy shows the server; may be repeated")  # fmt: skip
+    add("--user", help="name written beside decisions (default: your login name)")
+    add_reading(parser)
+    add("--max-upload-mb", type=int, default=500, metavar="MB",
+        help="largest file that a browser may send (default: 500)")  # fmt: skip
+    add("--segmenter", default="default", metavar="NAME", help="who answers clicks")
+    add_point_sam(parser)
+    add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts joints")
+    add_client_options(parser, "--backend-token")
+    add("--open", action=argparse.BooleanOptionalAction, default=False, help="open a browser")
+
+
+def run(args: argparse.Namespace) -> int:
     """Check the options while nothing is running yet, then serve until interrupted."""
     config = make_config(args)
     from app.server import serve  # viser, only now that the options are right
@@ -128,13 +166,17 @@ def _name_of(host: str) -> str:
 
 
 def _open_when_ready(config: ServeConfig, seconds: float = 60.0) -> None:
+    import webbrowser
+    from urllib.error import URLError
+    from urllib.request import urlopen
+
     address = f"http://localhost:{config.port}"
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:
-            with urllib.request.urlopen(address + "/healthz", timeout=2):
+            with urlopen(address + "/healthz", timeout=2):
                 break
-        except (urllib.error.URLError, OSError):
+        except (URLError, OSError):
             time.sleep(0.2)
     login = f"/login?token={quote(config.token)}" if config.token else "/"
     webbrowser.open(address + login)

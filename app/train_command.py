@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from model.training.full_loop import Sources
 
 
-def add_train(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add = parser.add_argument
     add("--preset", default="nano", metavar="NAME",
@@ -64,7 +64,7 @@ def add_train(parser: argparse.ArgumentParser) -> None:
         help="change a setting, as in --set epochs=5 (repeatable)")  # fmt: skip
 
 
-def run_train(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Make what samples are missing, train, write weights.
 
     Raises:

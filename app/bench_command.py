@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import argparse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from app.options import add_json, count
 from model.errors import ConfigurationError
 from model.progress import Progress, no_progress
 
@@ -18,6 +19,50 @@ class Bench:
 
     report: Any
     show: Callable[[], object]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add = parser.add_argument
+    add("what", choices=("ui", "scene", "segment", "predict"))
+    add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
+    add("--sets", nargs="+", metavar="NAME", help="segment: which data sets")
+    add("--segmenter", action="append", metavar="NAME",
+        help="segment: may be repeated; ui: who answers the clicks")  # fmt: skip
+    add("--points", type=count, nargs="+", metavar="N", help="ui: sizes of the clouds")
+    add("--faces", type=count, metavar="N", help="ui: size of the mesh; 0 leaves it out")
+    add("--clicks", type=count, metavar="N", help="ui: clicks on each object")
+    add("--objects", type=count, metavar="N", help="scene: how many (default: 200)")
+    add("--limit", type=int, help="segment: objects of each set")
+    add("--offset", type=int, metavar="N", help="segment: with which object the subset begins")
+    add("--parts", type=count, metavar="N", help="segment: parts asked for in an object at most")
+    add("--first", choices=("deepest", "random"), help="segment: where the first click goes")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, and show what came of it."""
+    from app import printing
+
+    runs: dict[str, Callable[[], Bench]] = {
+        "ui": lambda: bench_ui(args.points, args.faces, args.clicks, (args.segmenter or [None])[0]),
+        "scene": lambda: bench_scene(args.objects),
+        "segment": lambda: bench_segment(
+            args.data,
+            args.sets,
+            args.segmenter,
+            show.progress,
+            limit=args.limit,
+            offset=args.offset,
+            parts=args.parts,
+            first=args.first,
+        ),
+        "predict": lambda: bench_predict(show.progress),
+    }
+    with printing.session(args.json) as show:
+        answer = runs[args.what]()
+    show.result(answer.report, answer.show)
+    return 0
 
 
 def bench_ui(
@@ -55,6 +100,7 @@ def bench_segment(
 
     ``settings`` are those of its ``BenchConfig``; None leaves the default.
     """
+    import json
     from typing import get_args
 
     from model.segmentation.bench import BenchConfig, DataSet, run

@@ -1,0 +1,37 @@
+"""``artiworld predict``: the joints of a folder of parts."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from app.backend_command import add_client_options, chosen_predictor
+from app.options import add_json, add_reading
+from model.predictors import DEFAULT
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add = parser.add_argument
+    add("folder", type=Path, metavar="DIR", help="folder with link_0, link_1, … or an object.json")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for the URDF and its meshes")
+    add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts")
+    add_client_options(parser, "--token")
+    add("--category", metavar="NAME", help="what the object is, such as cabinet")
+    add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
+    add_reading(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Predict the joints, and say what they are."""
+    from app import headless, printing
+
+    with printing.session(args.json) as show:
+        report = headless.predict(
+            args.folder, args.out, predictor=chosen_predictor(args), category=args.category,
+            seed=args.seed, reading=headless.ReadOptions(args.up_axis, args.unit_scale),
+            progress=show.progress,
+        )  # fmt: skip
+    show.result(report, lambda: printing.joints_table(report, args.out))
+    return 0
