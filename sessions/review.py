@@ -14,7 +14,6 @@ Action = Literal["annotate", "adjust", "predict", "accept", "reject", "reopen"]
 
 REVIEW_STATES: tuple[ReviewState, ...] = get_args(ReviewState)
 REJECT_REASONS: tuple[RejectReason, ...] = get_args(RejectReason)
-ROLES: tuple[Role, ...] = get_args(Role)
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
 TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {

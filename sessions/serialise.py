@@ -1,4 +1,4 @@
-"""Session states and kinematic values to JSON and back. Every format carries its version.
+"""Session states to JSON and back. The format carries its version.
 
 The past of a session shares nearly everything with its present, so a written state holds each
 value once, and each document says only how it differs from the one before.
@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 from model import codec
 from model.errors import StoreError
 from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions.document import (
@@ -27,8 +26,6 @@ from sessions.document import (
 from sessions.state import SessionState
 
 VERSION = 1
-
-T = TypeVar("T")
 
 _VALUES: Mapping[str, type[Any]] = {
     "click": Click,
@@ -47,50 +44,6 @@ _SHARED = ("segmentation", "prediction", "tree", "review", "saved")
 _PLAIN = tuple(
     f.name for f in dataclasses.fields(Document) if f.name not in (*_SHARED, "prompts", "parts")
 )
-
-
-def joint_to_json(joint: Joint) -> dict[str, Any]:
-    """``joint`` as a dict."""
-    return _versioned(joint)
-
-
-def joint_from_json(data: object) -> Joint:
-    """The joint that :func:`joint_to_json` wrote.
-
-    Raises:
-        StoreError: naming the field and the value, or the newer version.
-    """
-    return _unversioned(Joint, data, "joint")
-
-
-def tree_to_json(tree: KinematicTree) -> dict[str, Any]:
-    """``tree`` as a dict."""
-    return _versioned(tree)
-
-
-def tree_from_json(data: object) -> KinematicTree:
-    """The tree that :func:`tree_to_json` wrote. Errors as :func:`joint_from_json`."""
-    return _unversioned(KinematicTree, data, "tree")
-
-
-def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
-    """``prediction`` as a dict."""
-    return _versioned(prediction)
-
-
-def prediction_from_json(data: object) -> Prediction:
-    """What :func:`prediction_to_json` wrote. Errors as :func:`joint_from_json`."""
-    return _unversioned(Prediction, data, "prediction")
-
-
-def document_to_json(document: Document) -> dict[str, Any]:
-    """``document`` as a dict."""
-    return state_to_json(SessionState(document))
-
-
-def document_from_json(data: object) -> Document:
-    """What :func:`document_to_json` wrote. Errors as :func:`joint_from_json`."""
-    return state_from_json(data).present
 
 
 def state_to_json(state: SessionState) -> dict[str, Any]:
@@ -116,7 +69,7 @@ def state_from_json(data: object) -> SessionState:
     Raises:
         StoreError: naming what is wrong with it, or the newer version.
     """
-    fields = _check_version(data, "state")
+    fields = _check_version(data)
     try:
         values = [_value(item, i) for i, item in enumerate(fields["values"])]
         documents: list[Document] = []
@@ -132,34 +85,18 @@ def state_from_json(data: object) -> SessionState:
         raise StoreError(f"the written state is damaged: {error!r}") from error
 
 
-def _versioned(value: Any) -> dict[str, Any]:
-    return {"version": VERSION, **codec.write(value, _name(value))}
-
-
-def _unversioned(kind: type[T], data: object, what: str) -> T:
-    fields = _check_version(data, what)
-    try:
-        return codec.read(kind, {k: v for k, v in fields.items() if k != "version"}, what)
-    except codec.CodecError as error:
-        raise StoreError(str(error)) from error
-
-
-def _check_version(data: object, what: str) -> dict[str, Any]:
+def _check_version(data: object) -> dict[str, Any]:
     if not isinstance(data, dict):
-        raise StoreError(f"a written {what} must be an object, got {str(data)[:80]!r}")
+        raise StoreError(f"a written state must be an object, got {str(data)[:80]!r}")
     version = data.get("version")
     if isinstance(version, int) and version > VERSION:
         raise StoreError(
-            f"the {what} has format {version}, this version of ArtiWorld reads up to {VERSION}; "
+            f"the state has format {version}, this version of ArtiWorld reads up to {VERSION}; "
             "use the newer version that wrote it"
         )
     if version != VERSION:
-        raise StoreError(f"the {what} has no format that ArtiWorld knows: {version!r}")
+        raise StoreError(f"the state has no format that ArtiWorld knows: {version!r}")
     return data
-
-
-def _name(value: Any) -> str:
-    return type(value).__name__.lower()
 
 
 class _Shared:

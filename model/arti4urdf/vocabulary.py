@@ -76,11 +76,6 @@ NUMBER_IDS = np.array([ID[f"<{i:+d}>"] for i in range(-STEPS, STEPS + 1)])
 assert len(SLOT_IDS) == SLOTS
 
 
-def type_id(name: str) -> int:
-    """Id of a joint type's token."""
-    return int(TYPE_IDS[TYPES.index(name)])
-
-
 def category_id(category: str | None) -> int:
     """Id of the category's token; ``<unknown>`` where there is none."""
     return ID.get(f"<category {category_key(category)}>", ID["<unknown>"])

@@ -11,7 +11,6 @@ from model.errors import GeometryError
 
 FloatArray = npt.NDArray[np.floating[Any]]
 IntArray = npt.NDArray[np.integer[Any]]
-BoolArray = npt.NDArray[np.bool_]
 
 
 def frozen(array: npt.ArrayLike, dtype: npt.DTypeLike, columns: int | None, what: str) -> Any:

@@ -16,7 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,6 @@ MAX_PARTS = 2000
 MAX_UNPACKED = 2 * 2**30
 MAX_HEADER = 8 * 2**20
 _REQUEST = "request"
-
-ErrorKind = Literal["user", "failed", "cancelled"]
 
 
 class RequestError(ArtiworldError):

@@ -35,9 +35,6 @@ from model.scenes.clicked import ClickedObject, clicked_parts
 from model.scenes.scene import FloatArray, SceneObject
 
 ASSETS, DONE, MJCF = "assets", "work/assets", "mjcf"
-FORMATS = ("sdf", "usd")
-"""What scenes can be written as besides MJCF."""
-
 PREDICTED, STATIC, ANNOTATE, FAILED = "predicted", "static", "annotate", "failed"
 """What became of an asset; ``annotate`` stands there rigid until a person cuts it."""
 ACCEPTED = "accepted"
@@ -60,7 +57,7 @@ class AssetJob:
         predictor, seed: as :func:`model.predictors.load_predictor` and ``predict`` take them.
         collision: whether collision shapes are made, which takes most of the time.
         seconds: time limit.
-        formats: further ones that the asset is written in, of :data:`FORMATS`.
+        formats: further ones that the asset is written in: "sdf", "usd".
         clicked: clicks that cut it into parts, or None.
     """
 

@@ -10,8 +10,6 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
-from PIL import Image
 
 from model.datasets.procedural import textures
 from model.geometry.mesh import Material
@@ -209,15 +207,6 @@ def plastic_palette(rng: np.random.Generator) -> Palette:
         metal(str(rng.choice(["steel", "dark"]))),
         plain("plastic_dark", (36, 37, 40)),
     )
-
-
-def average_color(material: Material) -> npt.NDArray[np.float64]:
-    """(4,) RGBA in 0..255 of a material seen from afar."""
-    base = np.asarray(material.base_color, np.float64)
-    if material.texture is None:
-        return base
-    pixel = np.asarray(material.texture.resize((1, 1), Image.Resampling.BOX).convert("RGBA"))[0, 0]
-    return base * pixel / 255.0
 
 
 def any_plastic(rng: np.random.Generator) -> Surface:

@@ -1,4 +1,4 @@
-"""Normals, stray points, planes and surfaces of clouds."""
+"""Normals and surfaces of clouds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from model.errors import GeometryError
 from model.geometry.normals import estimate_normals
 from model.geometry.point_cloud import PointCloud
 from model.geometry.reconstruct import mesh_from_cloud
-from model.geometry.scan_cleaning import find_planes, remove_outliers
 
 
 def sampled(shape: trimesh.Trimesh, count: int) -> tuple[PointCloud, np.ndarray]:
@@ -81,26 +80,3 @@ def test_what_spans_no_surface() -> None:
             mesh_from_cloud(PointCloud(points))
     with pytest.raises(GeometryError, match="at least 3"):
         estimate_normals(PointCloud(np.zeros((2, 3), np.float32)))
-
-
-def test_stray_points_go_and_the_others_stay(rng: np.random.Generator) -> None:
-    cloud, _ = sampled(trimesh.creation.icosphere(3), 5000)
-    stray = rng.normal(size=(40, 3))
-    stray *= 2 / np.linalg.norm(stray, axis=1, keepdims=True)
-    both = PointCloud(np.concatenate([cloud.points, stray.astype(np.float32)]))
-    clean, kept = remove_outliers(both)
-    assert len(set(range(5000)) - set(kept.tolist())) < 25
-    assert (kept < 5000).all() and len(clean) == len(kept)
-
-
-def test_floor_and_wall_are_found(rng: np.random.Generator) -> None:
-    floor = rng.random((4000, 3)) * (3, 3, 0) + rng.normal(0, 0.003, (4000, 3))
-    wall = rng.random((2000, 3)) * (0, 3, 2) + rng.normal(0, 0.003, (2000, 3))
-    thing = rng.random((500, 3)) * 0.4 + 1
-    cloud = PointCloud(np.concatenate([floor, wall, thing]).astype(np.float32))
-    first, second = find_planes(cloud, rng)
-    assert first.is_horizontal and not second.is_horizontal
-    np.testing.assert_allclose(first.normal, (0, 0, 1), atol=0.01)
-    assert abs(first.offset) < 0.01
-    assert np.mean(first.members < 4000) > 0.97 and len(first.members) > 3900
-    assert abs(second.normal[0]) > 0.99
