@@ -43,6 +43,9 @@ _THIN = 0.15
 _DEPTHS = (0.35, 0.65)
 """Metres that wall and base cabinets are deep."""
 _BOXES = 16
+_CUTS, _PEAKS = 24, 3
+_CUT_STEP, _LEAST_CUT = 0.02, 0.04
+"""Metres between planes that are tried, and between clicks for one to be tried at all."""
 _LARGEST = 0.15
 """Share of the room: what is larger is no object."""
 
@@ -273,20 +276,52 @@ class RoomSolver(PartSolver):
         return [Candidates.of(list(masks), "union")]
 
     def _cut(self, mask: Bool, regions: Bool, after: PartState, cell: int) -> list[Candidates]:
-        """The mask without what lies beyond a side of the boxes round the clicked regions."""
+        """The mask without what lies beyond an upright or level plane.
+
+        The planes are the sides of the boxes round the clicked regions, and those between the
+        click and the part's own clicks that run through the strongest cuts, or halfway: fronts of
+        cabinets that stand side by side are one surface.
+        """
         position = self._room.position
         kept = position[list(after.positive)]
         low, high = bounds_of(regions[~regions[:, list(after.positive)].any(1)], position)
         made: list[Bool] = []
         for axis in range(3):
             for bound, sign in ((low, 1.0), (high, -1.0)):
-                for edge in np.unique(bound[:, axis].round(2)):
-                    stays = sign * position[:, axis] < sign * edge - 1e-3
-                    spared = (sign * kept[:, axis] < sign * edge - 1e-3).all()
-                    if spared and not stays[cell] and (mask & stays).any():
+                spot = sign * float(position[cell, axis])
+                nearest = float((sign * kept[:, axis]).max()) if len(kept) else -np.inf
+                edges = sign * np.unique(bound[:, axis].round(2)) - 1e-3
+                if np.isfinite(nearest) and spot - nearest > _LEAST_CUT:
+                    edges = np.r_[edges, self._planes(mask, axis, sign, nearest, spot)]
+                for edge in edges[(edges > nearest) & (edges <= spot)]:
+                    stays = sign * position[:, axis] < edge
+                    if not stays[cell] and (mask & stays).any():
                         made.append(mask & stays)
         if not made:
             return []
         size = np.array([self.cells.size[m].sum() for m in made])
-        best = np.argsort(-size, kind="stable")[:_BOXES]
+        best = np.argsort(-size, kind="stable")[:_CUTS]
         return [Candidates.of([made[int(k)] for k in best], "cut")]
+
+    def _planes(self, mask: Bool, axis: int, sign: float, start: float, end: float) -> Float:
+        """Where between two coordinates the mask's links look most like cuts, and the middle."""
+        links, at = self.cells.links, sign * self._room.position[:, axis]
+        inside = mask[links.a] & mask[links.b]
+        a, b = at[links.a[inside]], at[links.b[inside]]
+        number = max(int((end - start) / _CUT_STEP), 2)
+        low, high = (
+            np.clip(((side - start) / (end - start) * number).astype(np.int64), 0, number)
+            for side in (np.minimum(a, b), np.maximum(a, b))
+        )
+        profile = []
+        for weight in (links.strength[inside], links.count[inside]):
+            passed = np.bincount(low, weight, number + 1) - np.bincount(high, weight, number + 1)
+            profile.append(np.cumsum(passed)[:number])
+        mean = profile[0] / np.maximum(profile[1], 1.0)
+        # Peaks only, the strongest first; nothing passes where the mask has a gap.
+        mean[profile[1] < 1] = 9.0
+        around = np.maximum(np.r_[0, mean[:-1]], np.r_[mean[1:], 0])
+        peaks = np.nonzero(mean >= around)[0]
+        peaks = peaks[np.argsort(-mean[peaks], kind="stable")[:_PEAKS]]
+        cuts = np.r_[peaks, (number - 1) / 2] + 0.5
+        return start + cuts * (end - start) / number

@@ -72,7 +72,7 @@ class ClickTraining:
     networks: int = 3
     first_seed: int = 60_000
     small_seed: int = 70_000
-    rooms: int = 100
+    rooms: int = 80
     room_objects: int = 8
     bare_rooms: float = 0.5
     room_seed: int = 80_000

@@ -33,6 +33,8 @@ NOTHING = 0
 """Label of floor, walls and what lies about; objects count from 1."""
 
 _STEP_BACK = 0.25
+_FLUSH = -0.02
+"""Metres that neighbours in a run may stand in one another by rounding."""
 
 
 @dataclass
@@ -109,10 +111,10 @@ class _Wall:
         local = np.array([along - self.length / 2, away - half - off, up])
         return _moved(replace(mesh, vertices=mesh.vertices + local), self.quarters, (0, 0, 0))
 
-    def stand(self, mesh: Mesh, label: int) -> bool:
-        """Add it where the floor is free."""
+    def stand(self, mesh: Mesh, label: int, margin: float = 0.05) -> bool:
+        """Add it where the floor is free, with a margin (metres) round it."""
         low, high = mesh.vertices[:, :2].min(0), mesh.vertices[:, :2].max(0)
-        if self.room.blocked(low, high):
+        if self.room.blocked(low, high, margin):
             return False
         self.room.standing.append((low, high))
         self.room.add(mesh, label)
@@ -144,9 +146,9 @@ def _run(wall: _Wall, start: float, end: float) -> None:
         mesh = replace(mesh, vertices=mesh.vertices * [wide / size[0], deep / size[1],
                                                        high / size[2]])  # fmt: skip
         label = together if together and not kitchen else room.new()
-        if wall.stand(wall.put(mesh, at + wide / 2), label):
+        if wall.stand(wall.put(mesh, at + wide / 2), label, margin=_FLUSH):
             placed += [at, at + wide]
-        at += wide + 0.06  # what is flush would count as standing in one another
+        at += wide + float(rng.choice([0.0, 0.0, 0.004, 0.06]))
     if placed and rng.random() < 0.8:
         low, top = min(placed), high + float(rng.uniform(0.02, 0.05))
         width = max(placed) - low

@@ -89,3 +89,36 @@ def test_scorers_of_rooms_can_be_trained_again(tmp_path) -> None:
     assert 0 < scores["first_iou"] <= scores["first_best_possible"] <= 1
     first, later = read_scorers(tmp_path, rooms=True)
     assert first is not None and later is not None and first.names[-1] == "click_outside"
+
+
+def test_cabinets_with_one_front_are_told_apart() -> None:
+    rng = np.random.default_rng(0)
+
+    def sheet(low, high, axis: int, at: float, count: int) -> np.ndarray:
+        flat = rng.uniform(low, high, (count, 2))
+        return np.insert(flat, axis, at, axis=1)
+
+    floor = sheet((-2, -2), (2, 2), 2, 0.0, 20_000)
+    wall = sheet((-2, 0), (2, 2.4), 1, 2.0, 12_000)
+    fronts = sheet((-1.2, 0.05), (1.2, 0.9), 1, 1.4, 8_000)
+    tops = sheet((-1.2, 1.4), (1.2, 1.98), 2, 0.9, 6_000)
+    points = np.concatenate([floor, wall, fronts, tops]) + rng.normal(0, 0.002, (46_000, 3))
+    furniture = np.arange(46_000) >= 32_000
+    # Three cabinets; nothing but thin dark seams tells them apart.
+    seam = np.abs(np.abs(points[:, 0]) - 0.4) < 0.012
+    colors = np.where((seam & furniture)[:, None], 60, 150) + rng.normal(0, 4, points.shape)
+    cloud = PointCloud(points.astype(np.float32), colors=colors.astype(np.uint8))
+    session = DefaultSegmenter().encode(Asset("kitchen", cloud=cloud))
+    assert session.encoding.room is not None
+    middle = furniture & (np.abs(points[:, 0]) < 0.4)
+    clicks = (
+        Click((0.0, 1.4, 0.5), 1),
+        Click((0.8, 1.4, 0.5), 1, False),
+        Click((-0.8, 1.4, 0.5), 1, False),
+        Click((0.0, 1.7, 0.9), 1),
+    )
+    reached = [
+        iou(session.segment(Prompts(clicks[: n + 1])).labels == 1, middle)
+        for n in range(len(clicks))
+    ]
+    assert reached[-1] > 0.8, np.round(reached, 2)
