@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from app.prompt_file import check_prompts, read_prompts
+from app.prompt_file import PromptFile, check_prompts, read_prompts
 from model.errors import ArtiworldError, ConfigurationError, InputFileError
-from model.geometry.asset import UpAxis
+from model.geometry.asset import Asset, UpAxis
 from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.kinematics.joint import Joint
 from model.predictors import DEFAULT
@@ -71,30 +71,34 @@ def segment(
     parts = split(asset, answer.labels, file.names)
     progress(0.9, f"writing {out}")
     (out / OBJECT_JSON).unlink(missing_ok=True)  # it comes last: with it the folder is whole
-    written = [_write_part(part, out) for part in parts]
-    found = {part.link for part in parts}
-    missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
     report = {
         "format": FORMAT,
         "name": asset.name,
         "category": file.category or asset.category,
-        "parts": written,
-        "source": {
-            "file": scan.name,
-            "sha256": asset.source.sha256 if asset.source else None,
-            "elements": asset.element_kind,
-            "count": asset.element_count,
-        },
+        "parts": [_write_part(part, out) for part in parts],
+        "source": _source_json(asset, scan),
         "segmenter": answer.segmenter or chosen.name,
         "seconds": round(answer.seconds, 6),
-        "problems": [
-            *asset.warnings,
-            *(f"part {i} got no {asset.element_kind}" for i in missing),
-        ],
+        "problems": _problems(asset, file, parts),
     }
     write_json(out / OBJECT_JSON, report)
     progress(1.0, "done")
     return report
+
+
+def _problems(asset: Asset, file: PromptFile, parts: Sequence[Part]) -> list[str]:
+    found = {part.link for part in parts}
+    missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
+    return [*asset.warnings, *(f"part {i} got no {asset.element_kind}" for i in missing)]
+
+
+def _source_json(asset: Asset, scan: Path) -> dict[str, Any]:
+    return {
+        "file": scan.name,
+        "sha256": asset.source.sha256 if asset.source else None,
+        "elements": asset.element_kind,
+        "count": asset.element_count,
+    }
 
 
 def predict(
@@ -139,11 +143,8 @@ def predict(
     progress(0.8, f"writing {out}")
     made = ArticulatedObject(segmented.name, segmented.parts, answer.tree, segmented.category)
     provenance = {
-        "source": str(folder),
-        "predictor": report["backend"],
-        "seed": seed,
-        "versions": versions(),
-    }
+        "source": str(folder), "predictor": report["backend"], "seed": seed, "versions": versions(),
+    }  # fmt: skip
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
     write_asset(made, out.absolute(), provenance=provenance, progress=part_of(progress, 0.8, 1.0))
     write_json(out / PREDICTION_JSON, report)
