@@ -9,6 +9,7 @@ import time
 from typing import TYPE_CHECKING
 
 from app import picking_tasks, tool_tasks
+from app.open_object import OpenObject
 from app.pointer_messages import ArtiworldHoverMessage
 from app.segmenting import stored_prompts
 from app.viewer import palette
@@ -88,20 +89,9 @@ class Hover:
         """Answer the newest place; False where that has to wait for the object."""
         app, place, came = self._app, self._place, self._came
         obj = app.object
-        ready = (
-            self.on
-            and place is not None
-            and obj is not None
-            and obj.asset is not None
-            and app.stage == "Annotate"
-            and not app.pointing.armed
-            and app.pointing.tool == "click"
-            and not {"open", "encode", "segment", "room"} & set(obj.busy)
-        )
-        if not ready:
+        if obj is None or obj.asset is None or place is None or not self._ready(obj):
             self._clear()
             return not (self.on and place is not None and obj is not None and obj.busy)
-        assert obj is not None and obj.asset is not None and place is not None
         origin, direction = app.pointing.camera().ray(place)
         hit = app.bench.geometry.submit(
             picking_tasks.pick,
@@ -135,6 +125,17 @@ class Hover:
         app.scene.overlays.show_hover(answer.gained, answer.lost, palette.part_color(part))
         self.seconds = time.perf_counter() - came
         return True
+
+    def _ready(self, obj: OpenObject) -> bool:
+        """Whether a click here and now would be a prompt that is answered at once."""
+        app = self._app
+        return (
+            self.on
+            and app.stage == "Annotate"
+            and not app.pointing.armed
+            and app.pointing.tool == "click"
+            and not {"open", "encode", "segment", "room"} & set(obj.busy)
+        )
 
     def _clear(self) -> None:
         if self._shown is not None:

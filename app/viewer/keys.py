@@ -41,6 +41,22 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("W A S D Q E, arrows", "move the camera"),
 )
 
+TOOL_KEYS: Final[tuple[tuple[str, str | None], ...]] = (
+    ("Cut", "K"),
+    ("Merge", "M"),
+    ("Connected", "O"),
+    ("Grow", "U"),
+    ("Shrink", "J"),
+    ("Same shape", "Z"),
+    ("Mirror", None),
+    ("Split", None),
+    ("Leftovers", None),
+    ("All parts", None),
+    # The page itself hears L and I, since the drag may begin before a message is here.
+    ("Lasso", None),
+    ("Brush", None),
+)
+
 
 def add_keys(app: ClientApp) -> None:
     """Register every command with its key; they also stand in the palette (Ctrl+K)."""
@@ -64,21 +80,7 @@ def add_keys(app: ClientApp) -> None:
     add("Axis handles", "G", app.motion.toggle_gizmo)
     add("Hide or show the part", "H", app.annotate_panel.toggle_hidden)
     panel = app.annotate_panel
-    for label, key in (
-        ("Cut", "K"),
-        ("Merge", "M"),
-        ("Connected", "O"),
-        ("Grow", "U"),
-        ("Shrink", "J"),
-        ("Same shape", "Z"),
-        ("Mirror", None),
-        ("Split", None),
-        ("Leftovers", None),
-        ("All parts", None),
-        # The page itself hears L and I, since the drag may begin before a message is here.
-        ("Lasso", None),
-        ("Brush", None),
-    ):
+    for label, key in TOOL_KEYS:
         add(f"Tool: {label}", key, lambda label=label: panel.use_tool(label))
     add("Preview under the pointer", "V", panel.toggle_hover)
     add("Leave out floor and walls", None, app.source_panel.leave_out)
