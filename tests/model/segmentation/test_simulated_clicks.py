@@ -10,8 +10,8 @@ import pytest
 from model.datasets.procedural.families import HELD_OUT
 from model.errors import InputFileError
 from model.segmentation.bench import BenchConfig, run
-from model.segmentation.scorers import read_scorers
 from model.segmentation.mlp import Mlp, load_mlp, save_mlp
+from model.segmentation.scorers import read_scorers
 from model.segmentation.simulate import deepest, next_click, next_part_click
 from model.segmentation.training.clicks import ClickTraining, train_scorers
 from model.segmentation.training.fit import area_under_curve, averaged, fit_ranker
