@@ -259,7 +259,10 @@ class AnnotatePanel:
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and np.ptp(obj.asset.bounds[:, :2], axis=0).max() > ROOM_METRES
         if self._app.picking_out:
-            text = "Whatever is part 1 can be taken out; the tools below help where clicks don't."
+            text = (
+                f"**Part {self._app.part}** is what is taken out. Things side by side with one "
+                "front: **K**, then two clicks, one above the other, cut them apart."
+            )
         elif wide and doc.left_out is None and not doc.prompts:
             text = (
                 "**A room?** Leave out the floor and the walls first (*Room or table top*, below). "

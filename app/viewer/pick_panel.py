@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 _HOW = (
-    "**Pick an object out:** click it, or Alt+drag a box round it; what is loose from it stays "
-    "behind. Shift takes away. Then say what it is and take it out."
+    "**Pick an object out:** click it, once more where something is missing, Shift+click what is "
+    "too much; or Alt+drag a box round it. Then say what it is and take it out."
 )
 
 

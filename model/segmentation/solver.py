@@ -33,7 +33,7 @@ _USUAL_OVERLAP = 0.8
 _OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
 _SIZE_RANK = FEATURE_NAMES.index("size_rank")
-_LEANING = 3.0
+_LEANING = 2.0
 """What the largest mask is ahead of the smallest at a first click."""
 
 _STALL_SHARE = 0.03
