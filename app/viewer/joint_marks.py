@@ -67,6 +67,20 @@ class JointMarks:
                 ),
             )
 
+    def _ball(
+        self, name: str, at: tuple[float, float, float], radius: float, opacity: float
+    ) -> Any:
+        return self._client.scene.add_icosphere(
+            name,
+            radius=radius,
+            color=palette.CONTACT,
+            subdivisions=2,
+            opacity=opacity,
+            position=at,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
     def show_contacts(self, checks: Sequence[JointCheck], visible: bool) -> None:
         """Mark where a sweep hits something."""
         hits = tuple(c.where for c in checks) if visible else ()
@@ -77,17 +91,7 @@ class JointMarks:
             handle.remove()
         radius = 0.009 * self._diagonal
         self._contacts = [
-            self._client.scene.add_icosphere(
-                f"/contact/{k}",
-                radius=radius,
-                color=palette.CONTACT,
-                subdivisions=2,
-                opacity=0.85,
-                position=where,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            for k, where in enumerate(hits)
+            self._ball(f"/contact/{k}", where, radius, 0.85) for k, where in enumerate(hits)
         ]
 
     def show_moment(self, where: tuple[float, float, float] | None, text: str) -> None:
@@ -98,16 +102,7 @@ class JointMarks:
         if where is None or self._diagonal is None:
             return
         radius = 0.016 * self._diagonal
-        ball = self._client.scene.add_icosphere(
-            "/moment",
-            radius=radius,
-            color=palette.CONTACT,
-            subdivisions=2,
-            opacity=0.9,
-            position=where,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        ball = self._ball("/moment", where, radius, 0.9)
         # Labels are drawn over everything, the ball is inside of what meets there.
         cross = self._client.scene.add_label("/moment/cross", "✖", anchor="center-center")
         label = self._client.scene.add_label(

@@ -141,11 +141,11 @@ class RoomDescriber(MaskDescriber):
         features = super().__call__(candidates, clicked)
         room, masks = self._room, candidates.masks
         m = masks.astype(np.float32)
-        size = np.maximum(m @ self._size, 1e-9)
+        size = m @ self._size
         low, high = bounds_of(masks, room.position)
         side = np.maximum(high - low, 0.01)
         within = m @ (self._size * ~room.border)
-        held = np.array([self._size[b].sum() for b in contents(room, low, high)], np.float32)
+        held = contents(room, low, high).astype(np.float32) @ self._size
         growth = np.zeros(len(masks), np.float32)
         outside = 0.0
         if clicked.before is not None and clicked.before.any():
@@ -155,7 +155,7 @@ class RoomDescriber(MaskDescriber):
             spot = room.position[clicked.last]
             outside = float(np.maximum(before[0] - spot, spot - before[1]).max())
         columns = [
-            m @ (self._size * room.border) / size,
+            (size - within) / np.maximum(size, 1e-9),
             np.log(side[:, :2].max(1)),
             np.log(side[:, :2].min(1)),
             np.log(side[:, 2]),
@@ -208,6 +208,7 @@ class RoomSolver(PartSolver):
         describe = RoomDescriber(cells, hierarchy, room)
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
         self._room = room
+        self._size = cells.size.astype(np.float32)
         self._most = _LARGEST * cells.size.sum()
 
     def first_regions(self, cell: int) -> Candidates:
@@ -239,7 +240,7 @@ class RoomSolver(PartSolver):
 
     def _some(self, masks: Bool) -> Bool:
         """Those of the masks that an object may be, at most ``_BOXES``."""
-        size = masks.astype(np.float32) @ self.cells.size.astype(np.float32)
+        size = masks.astype(np.float32) @ self._size
         fit = np.nonzero(size <= self._most)[0]
         if len(fit) > _BOXES:
             order = fit[np.argsort(size[fit], kind="stable")]
@@ -269,7 +270,7 @@ class RoomSolver(PartSolver):
         if not len(low):
             return []
         masks = contents(self._room, low, high)
-        size = masks.astype(np.float32) @ self.cells.size.astype(np.float32)
+        size = masks.astype(np.float32) @ self._size
         masks = masks[(size > 0) & (size <= self._most)]
         if not len(masks):
             return []
@@ -284,6 +285,8 @@ class RoomSolver(PartSolver):
         """
         position = self._room.position
         kept = position[list(after.positive)]
+        links = self.cells.links
+        inside = np.nonzero(mask[links.a] & mask[links.b])[0]
         low, high = bounds_of(regions[~regions[:, list(after.positive)].any(1)], position)
         made: list[Bool] = []
         for axis in range(3):
@@ -292,7 +295,7 @@ class RoomSolver(PartSolver):
                 nearest = float((sign * kept[:, axis]).max()) if len(kept) else -np.inf
                 edges = sign * np.unique(bound[:, axis].round(2)) - 1e-3
                 if np.isfinite(nearest) and spot - nearest > _LEAST_CUT:
-                    edges = np.r_[edges, self._planes(mask, axis, sign, nearest, spot)]
+                    edges = np.r_[edges, self._planes(inside, axis, sign, nearest, spot)]
                 for edge in edges[(edges > nearest) & (edges <= spot)]:
                     stays = sign * position[:, axis] < edge
                     if not stays[cell] and (mask & stays).any():
@@ -303,10 +306,12 @@ class RoomSolver(PartSolver):
         best = np.argsort(-size, kind="stable")[:_CUTS]
         return [Candidates.of([made[int(k)] for k in best], "cut")]
 
-    def _planes(self, mask: Bool, axis: int, sign: float, start: float, end: float) -> Float:
-        """Where between two coordinates the mask's links look most like cuts, and the middle."""
+    def _planes(
+        self, inside: npt.NDArray[np.integer], axis: int, sign: float, start: float, end: float
+    ) -> Float:
+        """Where between two coordinates the links ``inside`` a mask look most like cuts, and the
+        middle."""
         links, at = self.cells.links, sign * self._room.position[:, axis]
-        inside = mask[links.a] & mask[links.b]
         a, b = at[links.a[inside]], at[links.b[inside]]
         number = max(int((end - start) / _CUT_STEP), 2)
         low, high = (

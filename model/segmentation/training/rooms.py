@@ -16,7 +16,7 @@ from model.geometry.asset import Asset
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.crop import floor_and_walls, outliers
-from model.segmentation.training.primitives import block
+from model.segmentation.training.primitives import AXES, block, turned
 from model.segmentation.training.scans import HELD_OUT, LabelledCloud, family_shape
 
 Array = npt.NDArray[np.float64]
@@ -315,9 +315,7 @@ def _fused(
     light = 1 - rng.choice([0.1, 0.3, 0.5]) * (0.5 - 0.5 * normals[first] @ [0.3, 0.3, 0.9])
     color = color * light[:, None] + rng.normal(0, rng.choice([3, 8, 15]), color.shape)
     angle = rng.choice([0.0, rng.uniform(0, 2 * np.pi)])
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
-                     [0, 0, 1]])  # fmt: skip
-    moved = (mean + off[:, None] * normals[first]) @ turn.T
+    moved = turned(mean + off[:, None] * normals[first], AXES["z"], angle, (0.0, 0.0, 0.0))
     painted = np.clip(color, 0, 255).astype(np.uint8)
     cloud = PointCloud(moved.astype(np.float32), colors=painted)
     return LabelledCloud(cloud, label[first].astype(np.int16), "room")
