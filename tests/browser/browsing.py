@@ -134,8 +134,17 @@ class Tab:
         box.press("Enter")
 
     def choose(self, label: str, option: str) -> None:
-        self.field(label).click()
-        self.page.get_by_role("option", name=option, exact=True).click()
+        from playwright.sync_api import TimeoutError as NotInTime
+
+        wanted = self.page.get_by_role("option", name=option, exact=True)
+        for tries_left in (2, 1, 0):
+            self.field(label).click()
+            try:
+                wanted.click(timeout=5000)
+                break
+            except NotInTime:  # a folder that still unfolds moves the box from under its list
+                if not tries_left:
+                    raise
         self.page.wait_for_timeout(150)  # the box gives the keyboard back
 
     def button(self, text: str) -> Any:
