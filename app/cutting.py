@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from app import room_tasks
 from model.errors import CommandError
 from sessions import commands as cmd
+from sessions.document import Document
 
 if TYPE_CHECKING:
     from app.open_object import OpenObject
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
     """Look no more at floor and walls ("floor and walls"), or at one part ("part")."""
     asset, doc = obj.need_asset(), obj.document
+    _need_whole_faces(doc)
     left_out = None if doc.left_out is None else doc.left_out.elements
     if what == "part":
         labels = obj.source().labels
@@ -77,6 +79,7 @@ def _cut(
     keep: Callable[[Any], None],
 ) -> None:
     asset, doc = obj.need_asset(), obj.document
+    _need_whole_faces(doc)
     if not doc.segmentation_current:
         raise CommandError("the parts are still being computed; try again in a moment")
     job = obj.bench.geometry.submit(
@@ -93,3 +96,9 @@ def _cut(
     )
     obj.start("room", job, keep)
     obj.changed()
+
+
+def _need_whole_faces(doc: Document) -> None:
+    # What is left out or cut out is told by the source's own elements.
+    if doc.face_cuts:
+        raise CommandError("faces were split here by a cut; undo it first, then cut again in there")

@@ -117,7 +117,7 @@ class OpenObject(Watched):
         """Read the asset in the background unless it is read or being read."""
         with self._lock:
             doc = self.document
-            frame = (doc.up_axis, doc.unit_scale, doc.left_out)
+            frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
             if "open" in self.jobs or (self.asset is not None and self._frame == frame):
                 return
             if self.problem is not None and self._frame == frame:
@@ -131,6 +131,7 @@ class OpenObject(Watched):
                 doc.up_axis or config.up_axis,
                 doc.unit_scale * config.unit_scale,
                 None if doc.left_out is None else doc.left_out.elements,
+                doc.face_cuts,
             )
             job = self.bench.geometry.submit(
                 display_tasks.open_asset,

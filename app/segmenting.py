@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,6 +126,8 @@ class Segmenting:
         asset, doc = obj.need_asset(), obj.document
         replaces = _last_of(doc, request.tool, request.part) if request.tool == "next mask" else 0
         kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
+        used = {p.id for p in doc.parts}
+        request = replace(request, free_part=_free(used))
         offers = obj.bench.segmentation.submit(
             tool_tasks.use_tool,
             asset.folder,
@@ -134,21 +137,37 @@ class Segmenting:
             request,
             priority=12,
         ).result(TOOL_SECONDS)
+        if isinstance(offers, tool_tasks.FaceCutOffer):
+            self._cut_faces(offers, request.tool, who)
+            return 1
         if not offers and not replaces:
             return 0
         named = request.tool in ("same shape", "mirror")
         name = doc.part_names.get(request.part) if named else None
-        used = {p.id for p in doc.parts}
         regions = []
         for offer in offers:
             part = offer.part
             if part == tool_tasks.NEW_PART:
-                part = next(i for i in range(1, MAX_PARTS) if i not in used)
+                part = _free(used)
                 used.add(part)
             regions.append(ToolRegion(part, offer.elements, offer.positive, offer.count, name))
         gone = (request.other,) if request.tool == "merge" and request.other else ()
         obj.do(cmd.ApplyTool(request.tool, tuple(regions), replaces, gone), who)
         return len(offers)
+
+    def _cut_faces(self, offer: tool_tasks.FaceCutOffer, tool: str, who: str) -> None:
+        """Split faces; the parts are known already, so the segmenter is not asked."""
+        obj = self._obj
+        regions = tuple(ToolRegion(r.part, r.elements, True, r.count) for r in offer.regions)
+        obj.do(cmd.CutFaces(tool, offer.cut, regions), who)
+        obj.do(
+            cmd.RecordSegmentation(obj.document.key, offer.labels, "cut", 0.0, offer.counts),
+            "segmenter",
+        )
+
+
+def _free(used: set[int]) -> int:
+    return next(i for i in range(1, MAX_PARTS) if i not in used)
 
 
 def _last_of(doc: Document, tool: str, part: int) -> int:

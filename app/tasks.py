@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -21,6 +21,7 @@ import numpy.typing as npt
 from model.errors import ArtiworldError, CommandError
 from model.geometry.asset import Asset, UpAxis
 from model.progress import Progress, no_progress
+from sessions.tool_commands import FaceCut
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -51,11 +52,13 @@ class ReadOptions:
         up_axis: None is the format's default.
         unit_scale: metres per unit.
         left_out: reference of the stored elements that are not looked at, or None.
+        face_cuts: cuts that split faces of what is left, in order.
     """
 
     up_axis: UpAxis | None = None
     unit_scale: float = 1.0
     left_out: str | None = None
+    face_cuts: tuple[FaceCut, ...] = ()
 
 
 def working_copy(
@@ -68,6 +71,8 @@ def working_copy(
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
         identity = (*identity, options.left_out)
+    if options.face_cuts:
+        identity = (*identity, options.face_cuts)
     key = hashlib.sha256(repr(identity).encode()).hexdigest()[:24]
     folder = workspace / "cache" / key
     asset: Asset | None = None
@@ -77,11 +82,16 @@ def working_copy(
         except ArtiworldError:
             asset = None
     if asset is None:
-        asset = read_asset(
-            path, up_axis=options.up_axis, unit_scale=options.unit_scale, progress=progress
-        )
-        if options.left_out is not None:
-            asset = _without(asset, arrays_of(workspace).get(options.left_out))
+        if options.face_cuts:
+            before = replace(options, face_cuts=options.face_cuts[:-1])
+            asset, _ = working_copy(path, workspace, before, progress)
+            asset = _split(asset, options.face_cuts[-1], workspace)
+        else:
+            asset = read_asset(
+                path, up_axis=options.up_axis, unit_scale=options.unit_scale, progress=progress
+            )
+            if options.left_out is not None:
+                asset = _without(asset, arrays_of(workspace).get(options.left_out))
         progress(0.6, "Keeping a working copy")
         save_asset(asset, folder)
     return asset, folder
@@ -95,6 +105,19 @@ def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
         raise CommandError("the source has fewer elements than when some were left out; undo that")
     keep[elements] = False
     return crop(asset, keep)
+
+
+def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
+    from model.geometry.splitting import split_faces
+
+    elements = arrays_of(workspace).get(cut.elements)
+    if asset.mesh is None or (len(elements) and elements[-1] >= asset.element_count):
+        raise CommandError("the source has fewer faces than when some were cut; undo that")
+    chosen = np.zeros(asset.element_count, bool)
+    chosen[elements] = True
+    split = split_faces(asset.mesh, chosen, cut.planes)
+    part = None if asset.element_part is None else asset.element_part[split.parent]
+    return replace(asset, mesh=split.mesh, element_part=part)
 
 
 def stamp(path: Path) -> tuple[tuple[str, int, int], ...]:

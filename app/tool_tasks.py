@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,13 @@ import numpy.typing as npt
 from app.segmenting_tasks import StoredRegion, prompts_of, session_of
 from app.tasks import Recent, arrays_of, asset_of
 from model.errors import CommandError
+from model.geometry.asset import Asset
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
+from sessions.tool_commands import FaceCut
+
+if TYPE_CHECKING:
+    from model.segmentation.cuts import Cut
 
 Bool = npt.NDArray[np.bool_]
 Point = tuple[float, float, float]
@@ -38,6 +43,23 @@ class RegionOffer:
 
 
 @dataclass(frozen=True)
+class FaceCutOffer:
+    """A cut that splits faces, with what the parts hold afterwards.
+
+    Attributes:
+        cut: what is split.
+        regions: of all parts but the base.
+        labels: reference of the stored labels of all faces.
+        counts: label → number of faces.
+    """
+
+    cut: FaceCut
+    regions: tuple[RegionOffer, ...]
+    labels: str
+    counts: dict[int, int]
+
+
+@dataclass(frozen=True)
 class ToolRequest:
     """What a person asks of a tool.
 
@@ -49,6 +71,7 @@ class ToolRequest:
         places: clicked places for a cut, metres, with the element of the first one.
         element: see ``places``.
         view: (3,) the direction that the person looks in.
+        free_part: the lowest id that no part has.
     """
 
     tool: str
@@ -58,6 +81,7 @@ class ToolRequest:
     places: tuple[Point, ...] = ()
     element: int | None = None
     view: Point | None = None
+    free_part: int = NEW_PART
 
 
 @dataclass(frozen=True)
@@ -108,7 +132,7 @@ def use_tool(
     segmenter: str,
     items: tuple[Click | StoredRegion, ...],
     request: ToolRequest,
-) -> list[RegionOffer]:
+) -> list[RegionOffer] | FaceCutOffer:
     """What a segmentation tool makes of the parts.
 
     Raises:
@@ -195,18 +219,63 @@ def _split(work: _Work) -> list[RegionOffer]:
     return out
 
 
-def _cut(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.cuts import straight_cut
+def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
+    from model.segmentation.cuts import line_cut, rectangle_cut
 
-    request = work.request
+    request, labels = work.request, work.labels
     if request.element is None:
         raise CommandError("a cut needs the places that were clicked")
-    # What is cut is what was clicked; its smaller side goes to the chosen part while that has
+    # What is cut is what was clicked; what comes off goes to the chosen part while that has
     # nothing yet, else to a new one.
-    part = int(work.labels[request.element])
-    first, _ = straight_cut(work.encoded, work.labels == part, request.places, request.view)
-    empty = request.part not in (part, BASE) and not (work.labels == request.part).any()
-    return work.offer(first, request.part if empty else NEW_PART)
+    part = int(labels[request.element])
+    kind = rectangle_cut if request.tool == "rectangle" else line_cut
+    cut = kind(work.encoded, labels == part, request.places, request.view)
+    empty = request.part not in (part, BASE) and not (labels == request.part).any()
+    target = request.part if empty else request.free_part
+    asset = asset_of(work.folder)
+    if cut.splits_faces(asset):
+        return _face_cut(work, asset, cut, target)
+    off = cut.inside(asset)
+    rest = (labels == part) & ~off
+    if request.tool == "cut" and off.sum() > rest.sum():
+        off = rest
+    if not off.any():
+        raise CommandError("nothing of the part lies there: click on the part that is to be cut")
+    return work.offer(off, target)
+
+
+def frame_at(folder: Path, place: Point, view: Point) -> tuple[Point, Point]:
+    """Out of the surface at a place, and level along it: how a rectangle begun there will lie."""
+    from model.segmentation.cuts import surface_frame
+
+    out, across = surface_frame(session_of(folder, DEFAULT), np.array([place]), view)
+    return tuple(out.tolist()), tuple(across.tolist())
+
+
+def _face_cut(work: _Work, asset: Asset, cut: Cut, target: int) -> FaceCutOffer:
+    """The parts after a cut that splits faces, by the numbers that those have then."""
+    from model.geometry.splitting import split_faces
+
+    assert asset.mesh is not None
+    split = split_faces(asset.mesh, cut.chosen, cut.planes)
+    off, labels = split.inside, work.labels[split.parent]
+    if work.request.tool == "cut":
+        area = split.mesh.face_areas
+        rest = cut.chosen[split.parent] & ~off
+        off = off if area[off].sum() <= area[rest].sum() else rest
+    labels[off] = target
+    arrays = arrays_of(work.workspace)
+    chosen = arrays.put(np.flatnonzero(cut.chosen).astype(np.int64))
+    parts, counts = np.unique(labels, return_counts=True)
+    regions: list[RegionOffer] = []
+    for part in parts[parts > BASE].tolist():
+        regions += work.offer(labels == part, part)
+    return FaceCutOffer(
+        FaceCut(chosen, cut.planes),
+        tuple(regions),
+        arrays.put(labels),
+        dict(zip(parts.tolist(), counts.tolist(), strict=True)),
+    )
 
 
 def _merge(work: _Work) -> list[RegionOffer]:
@@ -227,7 +296,7 @@ def _leftovers(work: _Work) -> list[RegionOffer]:
     return out
 
 
-TOOLS: dict[str, Callable[[_Work], list[RegionOffer]]] = {
+TOOLS: dict[str, Callable[[_Work], list[RegionOffer] | FaceCutOffer]] = {
     "propose": _propose,
     "next mask": _next_mask,
     "connected": _connected,
@@ -237,6 +306,7 @@ TOOLS: dict[str, Callable[[_Work], list[RegionOffer]]] = {
     "shrink": _shrink,
     "split": _split,
     "cut": _cut,
+    "rectangle": _cut,
     "merge": _merge,
     "leftovers": _leftovers,
 }

@@ -22,7 +22,7 @@ from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clea
 from sessions.review import REJECT_REASONS, RejectReason
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.text import clean_text
-from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
+from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
 
 COMMENT_LIMIT = 2000
 NOTE_LIMIT = 500
@@ -281,6 +281,7 @@ Command = (
     AddClick
     | AddRegion
     | ApplyTool
+    | CutFaces
     | LeaveOut
     | CropOut
     | Placed
@@ -312,6 +313,7 @@ KINDS: Mapping[str, type[Command]] = {
     "add_click": AddClick,
     "add_region": AddRegion,
     "apply_tool": ApplyTool,
+    "cut_faces": CutFaces,
     "leave_out": LeaveOut,
     "crop_out": CropOut,
     "placed": Placed,

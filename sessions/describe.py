@@ -28,7 +28,7 @@ from sessions.commands import (
     kind_of,
 )
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
-from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
+from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
 
 
 def describe(command: Command) -> str:
@@ -41,6 +41,8 @@ def describe(command: Command) -> str:
             return f"{sign} {command.tool} of {command.count}, part {command.part}"
         case ApplyTool(tool=tool):
             return _tool_in_words(command, tool)
+        case CutFaces(tool=tool):
+            return f"{tool} through faces"
         case LeaveOut(elements=elements, what=what):
             return f"leave out {what}" if elements else "leave nothing out"
         case CropOut(name=name):

@@ -14,6 +14,7 @@ from model.kinematics.tree import KinematicTree
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.review import RejectReason, ReviewState
 from sessions.scene_commands import Decided, PickOut
+from sessions.tool_commands import FaceCut
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,7 @@ class Document:
         joint_edits: how many of them corrected the tree since the last prediction.
         label: what the last of them did, in a few words.
         left_out: elements of the source that are not looked at, or None.
+        face_cuts: cuts that split faces of what is left, in order.
         crops: objects that were cut out of this scan.
         placement: where the object stood in the scan it was cut out of, or None.
         articulable: of a scene: object id → whether it is articulated, where a person said so.
@@ -193,6 +195,7 @@ class Document:
     joint_edits: int = 0
     label: str = ""
     left_out: LeftOut | None = None
+    face_cuts: tuple[FaceCut, ...] = ()
     crops: tuple[CropRecord, ...] = ()
     placement: Placement | None = None
     articulable: Mapping[str, bool] = field(default_factory=dict)
@@ -260,6 +263,8 @@ def prompts_key(document: Document) -> str:
     digest = hashlib.sha256(repr((document.up_axis, document.unit_scale)).encode())
     if document.left_out is not None:
         digest.update(document.left_out.elements.encode())
+    if document.face_cuts:
+        digest.update(repr(document.face_cuts).encode())
     for p in document.prompts:
         if isinstance(p, Click):
             position = tuple(map(float, p.position))

@@ -48,7 +48,7 @@ from sessions.document import (
 )
 from sessions.review import Action, Role, transition
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
-from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed
+from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
 from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
 
 
@@ -116,6 +116,8 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             return _add_prompt(document, region), "annotate"
         case ApplyTool():
             return _apply_tool(document, command), "annotate"
+        case CutFaces():
+            return _cut_faces(document, command), "annotate"
         case LeaveOut():
             return _leave_out(document, command), "annotate"
         case CropOut():
@@ -267,6 +269,7 @@ def _afresh(document: Document) -> Document:
     return replace(
         document,
         prompts=(),
+        face_cuts=(),
         segmentation=None,
         prediction=None,
         prediction_for=None,
@@ -318,6 +321,11 @@ def _apply_tool(document: Document, command: ApplyTool) -> Document:
     if document is before:
         return before
     return _with_prompts(document, document.prompts)
+
+
+def _cut_faces(document: Document, command: CutFaces) -> Document:
+    bare = replace(document, prompts=(), face_cuts=(*document.face_cuts, command.cut))
+    return _apply_tool(bare, ApplyTool(command.tool, command.regions))
 
 
 def _record_prediction(document: Document, command: RecordPrediction) -> tuple[Document, Action]:

@@ -54,6 +54,7 @@ def provenance(
         "format": FORMAT,
         "source": None if source is None else _source(source),
         "left_out": codec.write(document.left_out, "left_out"),
+        "face_cuts": codec.write(document.face_cuts, "face_cuts"),
         "placement": codec.write(document.placement, "placement"),
         "category": document.category,
         "parts": _parts(document),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from model.errors import CommandError
+from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
 from sessions.checks import (
     NAME_LIMIT,
@@ -67,6 +68,45 @@ class ApplyTool:
             check_part(part)
             if part == BASE:
                 raise CommandError("part 0 is the base and can't be deleted")
+
+
+@dataclass(frozen=True)
+class FaceCut:
+    """Faces that are split along planes, so that a border can run where no edge does.
+
+    Attributes:
+        elements: reference of the stored (K,) int64 faces, as they are numbered before this cut.
+        planes: one after another on what is inside of those before; see
+            :func:`model.geometry.splitting.split_faces`.
+    """
+
+    elements: str
+    planes: tuple[Plane, ...]
+
+    def __post_init__(self) -> None:
+        check_ref(self.elements, "elements")
+        if not self.planes:
+            raise CommandError("a cut needs a plane")
+
+
+@dataclass(frozen=True)
+class CutFaces:
+    """A cut that splits faces. All faces have other numbers afterwards.
+
+    So the prompts give way to the parts as they are, each with its elements by the new numbers.
+
+    Attributes:
+        tool: which one, for people: cut, rectangle.
+        cut: what is split.
+        regions: what each part holds afterwards.
+    """
+
+    tool: str
+    cut: FaceCut
+    regions: tuple[ToolRegion, ...]
+
+    def __post_init__(self) -> None:
+        put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
 
 
 @dataclass(frozen=True)

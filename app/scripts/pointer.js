@@ -4,7 +4,7 @@
 (() => {
   const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300;
   const KEYS = { l: "lasso", i: "brush" };
-  const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, hint: "" };
+  const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null, hint: "" };
   let pointer = null, sent = null, timer = 0, stroke = null, pressed = null, down = null;
 
   const viser = () => window.__viserMutable;
@@ -34,6 +34,8 @@
     "stroke-linejoin": "round", "stroke-linecap": "round" });
   const ring = shape("circle", { stroke: "#222", "stroke-width": 1.5, fill: "#e67e2233" });
   const cut = shape("line", { stroke: "#c0392b", "stroke-width": 2, "stroke-dasharray": "7 5" });
+  const rectangle = shape("polygon", { stroke: "#c0392b", "stroke-width": 2, fill: "#c0392b22",
+    "stroke-linejoin": "round" });
   const badge = document.createElement("div");
   badge.id = "artiworld-hint";
   badge.style.cssText = "position:fixed;bottom:1.1rem;transform:translateX(-50%);z-index:51;" +
@@ -41,6 +43,31 @@
     "font:13.5px/1.4 system-ui,sans-serif;pointer-events:none;white-space:nowrap";
   const start = () => document.body.append(svg, badge);
   document.body ? start() : window.addEventListener("DOMContentLoaded", start);
+
+  // The rectangle from its first corner to where the pointer meets the surface, in page pixels.
+  const spanned = () => {
+    const v = viser(), b = box(), { corner, out, across } = state.frame;
+    const camera = v.camera, root = v.nodeRefFromName[""];
+    const vector = (p) => camera.position.clone().set(p[0], p[1], p[2]);
+    camera.updateMatrixWorld();
+    if (root) root.updateWorldMatrix(true, false);
+    const into = (p) => root ? p.applyMatrix4(root.matrixWorld.clone().invert()) : p;
+    const first = vector(corner), normal = vector(out), u = vector(across);
+    const side = normal.clone().cross(u);
+    const [x, y] = pointer.at;
+    const eye = into(camera.position.clone());
+    const ray = into(vector([2 * x - 1, 1 - 2 * y, 0.5]).unproject(camera)).sub(eye);
+    const t = first.clone().sub(eye).dot(normal) / ray.dot(normal);
+    if (!(t > 0)) return null;
+    const reach = eye.addScaledVector(ray, t).sub(first);
+    const [du, dw] = [reach.dot(u), reach.dot(side)];
+    return [[0, 0], [du, 0], [du, dw], [0, dw]].map(([i, j]) => {
+      const p = first.clone().addScaledVector(u, i).addScaledVector(side, j);
+      if (root) p.applyMatrix4(root.matrixWorld);
+      p.project(camera);
+      return [b.left + (p.x + 1) / 2 * b.width, b.top + (1 - p.y) / 2 * b.height].join(",");
+    }).join(" ");
+  };
 
   const active = () => state.drawing && state.tool !== "click";
   const draw = () => {
@@ -60,7 +87,10 @@
     }
     const near = pointer && pointer.inside;
     shown(ring, near && active() && state.tool === "brush");
-    shown(cut, near && state.anchor && down);
+    const corners = near && state.frame && spanned();
+    shown(rectangle, corners);
+    if (corners) rectangle.setAttribute("points", corners);
+    shown(cut, near && state.anchor && down && !state.frame);
     if (near) {
       ring.setAttribute("cx", pointer.x);
       ring.setAttribute("cy", pointer.y);

@@ -26,9 +26,15 @@ PARTS_SHOWN = 40
 TOOL_ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     (
         "Draw",
-        ("Lasso", "Brush", "Cut"),
-        "Lasso (L) and brush (I): drag, Shift takes away. Cut (K): click two places, and the "
-        "part is cut along the line between them",
+        ("Lasso", "Brush"),
+        "Lasso (L) and brush (I): drag, Shift takes away",
+    ),
+    (
+        "Cut",
+        ("Line", "Rectangle"),
+        "Line (K): click two places, and the part is cut along the line between them. Rectangle "
+        "(K again): click two opposite corners of a door or drawer that no gap parts. Where a "
+        "mesh's faces are large, they are split",
     ),
     (
         "Mask",
@@ -192,8 +198,11 @@ class AnnotatePanel:
             case "Lasso" | "Brush":
                 app.pointing.set_tool(label.lower())  # type: ignore[arg-type]
                 return
-            case "Cut" | "Merge":
+            case "Merge" | "Rectangle":
                 app.pointing.arm(label.lower())  # type: ignore[arg-type]
+                return
+            case "Line":
+                app.pointing.arm("cut")
                 return
         tool = _TOOL_OF.get(label, label.lower())
         last = (app.need_object().record.id, app.part)

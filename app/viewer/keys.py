@@ -16,7 +16,8 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Alt + drag", "box; with Shift it takes away"),
     ("L + drag", "lasso; with Shift it takes away"),
     ("I + drag", "brush, [ and ] for its size; with Shift it takes away"),
-    ("K", "cut: click two places, or three from Shift + click on"),
+    ("K", "cut along a line: click two places, or three from Shift + click on"),
+    ("K, K", "cut out a rectangle: click two opposite corners"),
     ("M", "merge: click the part that joins the chosen one"),
     ("O", "all that is connected joins the part"),
     ("U, J", "grow, shrink"),
@@ -42,7 +43,6 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
 )
 
 TOOL_KEYS: Final[tuple[tuple[str, str | None], ...]] = (
-    ("Cut", "K"),
     ("Merge", "M"),
     ("Connected", "O"),
     ("Grow", "U"),
@@ -82,6 +82,7 @@ def add_keys(app: ClientApp) -> None:
     panel = app.annotate_panel
     for label, key in TOOL_KEYS:
         add(f"Tool: {label}", key, lambda label=label: panel.use_tool(label))
+    add("Tool: Cut along a line, or a rectangle", "K", app.pointing.next_cut)
     add("Preview under the pointer", "V", panel.toggle_hover)
     add("Leave out floor and walls", None, app.source_panel.leave_out)
     add("Cut this part out as an object", None, app.source_panel.cut_out)

@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 PICK_SECONDS = 30.0
+FRAME_SECONDS = 5.0
 Point = tuple[float, float, float]
-Armed = Literal["", "cut", "merge"]
+Armed = Literal["", "cut", "rectangle", "merge"]
 Tool = Literal["click", "lasso", "brush"]
+_CUTS = {"cut": "Cut", "rectangle": "Cut a rectangle"}
 _STROKE_HINTS = {
     "lasso": "Lasso: draw round what joins the part · Shift takes away · Esc ends",
     "brush": "Brush: paint what joins the part · Shift takes away · [ ] size · Esc ends",
@@ -37,7 +39,8 @@ class Pointing:
     """What a click or a drag in the picture means now.
 
     Attributes:
-        armed: "cut" waits for places along a cut, "merge" for a part; "" for nothing.
+        armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part;
+            "" for nothing.
         tool: what a drag draws.
     """
 
@@ -48,6 +51,7 @@ class Pointing:
         self.hover = Hover(app)
         self._places: list[tuple[Point, int]] = []
         self._third = False
+        self._frame: dict[str, Point] | None = None
         self._told: dict[str, Any] = {}
 
     def listen(self) -> None:
@@ -97,7 +101,8 @@ class Pointing:
             "tool": self.tool,
             "drawing": drawing,
             "hover": drawing and self.hover.on,
-            "anchor": drawing and self.armed == "cut" and bool(self._places),
+            "frame": self._frame if drawing and self.armed == "rectangle" else None,
+            "anchor": drawing and self.armed in _CUTS and bool(self._places),
             "hint": hint,
         }
         news = {k: v for k, v in state.items() if self._told.get(k) != v}
@@ -111,10 +116,14 @@ class Pointing:
         if self.armed == "cut":
             if not self._places:
                 return (
-                    "Cut: click where the cut begins (Shift+click: through three places) · Esc ends"
+                    "Cut: click where the cut begins (Shift+click: through three places) · "
+                    "K again: a rectangle · Esc ends"
                 )
             left = (3 if self._third else 2) - len(self._places)
             return f"Cut: {left} more place{'s'[: left != 1]} · Esc ends"
+        if self.armed == "rectangle":
+            which = "the opposite corner" if self._places else "one corner of a door or drawer"
+            return f"Cut a rectangle: click {which} · Esc ends"
         return _STROKE_HINTS.get(self.tool, "")
 
     # --- tools
@@ -135,6 +144,10 @@ class Pointing:
         app.scene.overlays.show_places(())
         self.hover.forget()
         app.invalidate()
+
+    def next_cut(self) -> None:
+        """A cut along a line, then a rectangle, then none."""
+        self.arm("rectangle" if self.armed in _CUTS else "cut")
 
     def disarm(self) -> None:
         """Back to plain clicks."""
@@ -185,7 +198,7 @@ class Pointing:
         self.hover.forget()
         position = tuple(float(v) for v in hit.position)
         element = int(hit.element)
-        if self.armed == "cut":
+        if self.armed in _CUTS:
             self._cut_at(position, element, direction, positive)  # type: ignore[arg-type]
         elif self.armed == "merge":
             self._merge_at(element)
@@ -200,22 +213,37 @@ class Pointing:
 
     def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
         app = self._app
-        self._third = self._third or not plain
+        self._third = self.armed == "cut" and (self._third or not plain)
         self._places.append((position, element))
         app.scene.overlays.show_places(tuple(p for p, _ in self._places))
         if len(self._places) < (3 if self._third else 2):
+            self._frame = self._rectangle_frame(position, direction)
+            app.invalidate()
             return
         places, self._places = self._places, []
-        self.armed, self._third = "", False
+        tool, self.armed, self._third = self.armed, "", False
         app.scene.overlays.show_places(())
         request = tool_tasks.ToolRequest(
-            "cut",
+            tool,
             app.part,
             places=tuple(p for p, _ in places),
             element=places[0][1],
             view=direction,
         )
-        app.annotate_panel.use(request, "Cut")
+        app.annotate_panel.use(request, _CUTS[tool])
+
+    def _rectangle_frame(self, corner: Point, view: Point) -> dict[str, Point] | None:
+        """What the page needs to draw the rectangle that the pointer spans."""
+        if self.armed != "rectangle":
+            return None
+        bench, asset = self._app.bench, self._app.need_object().need_asset()
+        try:
+            out, across = bench.segmentation.submit(
+                tool_tasks.frame_at, asset.folder, corner, view, priority=15
+            ).result(FRAME_SECONDS)
+        except TimeoutError:
+            return None  # the workers are busy: the cut itself can wait for them
+        return {"corner": corner, "out": out, "across": across}
 
     def _merge_at(self, element: int) -> None:
         app, obj = self._app, self._app.need_object()

@@ -161,3 +161,49 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     assert rest.count == len(every) - crop.count
     with pytest.raises(CommandError, match="single object"):
         room_tasks.floor_and_walls(alone.folder, tmp_path, None)
+
+
+def test_a_cut_splits_large_faces_and_the_parts_keep_theirs(tmp_path):
+    box = trimesh.creation.box((1.0, 0.6, 1.2))
+    box.export(tmp_path / "box.ply")
+    opened = open_asset(tmp_path / "box.ply", tmp_path, tasks.ReadOptions())
+    mesh = tasks.asset_of(opened.folder).mesh
+    top = mesh.face_normals[:, 2] > 0.5
+    here = (opened, tmp_path)
+    items = [region(here, top, 1)]
+    front = int(np.flatnonzero(mesh.face_normals[:, 1] < -0.5)[0])
+
+    def cut(tool: str, *places: tuple[float, float, float]) -> tool_tasks.FaceCutOffer:
+        request = ToolRequest(
+            tool, 1, places=places, element=front, view=(0.0, 1.0, 0.0), free_part=2
+        )
+        offer = use_tool(opened.folder, tmp_path, "default", tuple(items), request)
+        assert isinstance(offer, tool_tasks.FaceCutOffer)
+        return offer
+
+    offer = cut("rectangle", (-0.3, -0.3, -0.4), (0.2, -0.3, 0.5))
+    options = tasks.ReadOptions(face_cuts=(offer.cut,))
+    after = open_asset(tmp_path / "box.ply", tmp_path, options)
+    split = tasks.asset_of(after.folder).mesh
+    labels = tasks.arrays_of(tmp_path).get(offer.labels)
+    assert len(split.faces) == len(labels) == sum(offer.counts.values()) > 12
+    assert split.face_areas[labels == 2].sum() == pytest.approx(0.5 * 0.9, rel=1e-6)
+    assert split.face_areas[labels == 1].sum() == pytest.approx(0.6, rel=1e-6)
+    # The regions alone say the same, when the segmenter is asked again after a reload.
+    stored = tuple(StoredRegion(r.part, r.elements) for r in offer.regions)
+    session = segmenting_tasks.session_of(after.folder, "default")
+    prompts = segmenting_tasks.prompts_of(tmp_path, stored)
+    np.testing.assert_array_equal(session.segment(prompts).labels, labels)
+    # A line takes the smaller side of what was clicked.
+    line = cut("cut", (0.3, -0.3, -0.2), (0.3, -0.3, 0.2))
+    right = tasks.arrays_of(tmp_path).get(line.labels) == 2
+    opened_line = open_asset(
+        tmp_path / "box.ply", tmp_path, tasks.ReadOptions(face_cuts=(line.cut,))
+    )
+    mesh = tasks.asset_of(opened_line.folder).mesh
+    assert mesh.triangles[right][..., 0].min() == pytest.approx(0.3, abs=1e-6)
+    with pytest.raises(CommandError, match="nothing of the part"):
+        cut("rectangle", (3.0, -0.3, 3.0), (4.0, -0.3, 4.0))
+    trimesh.Trimesh(np.eye(3), [[0, 1, 2]]).export(tmp_path / "tri.ply")
+    with pytest.raises(CommandError, match="fewer faces"):
+        tasks.working_copy(tmp_path / "tri.ply", tmp_path, options)

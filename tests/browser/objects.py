@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 
 def _box(size: tuple[float, ...], center: tuple[float, ...]) -> trimesh.Trimesh:
@@ -63,3 +64,30 @@ def write_cloud(path: Path, count: int = 6000) -> dict[str, np.ndarray]:
     colors[count * 3 // 4 :, :3] = (90, 120, 160)
     trimesh.PointCloud(points, colors).export(path)
     return {"base": np.array([0.1, -0.2, 0.15]), "lid": np.array([0.05, 0.02, 0.365])}
+
+
+def write_flush(path: Path) -> dict[str, np.ndarray]:
+    """A box of twelve triangles; its door is only painted on the front (at -y), 0.5 m by 0.6 m.
+
+    Returns two opposite corners of the door, and a point beside it.
+    """
+    w, d, h = 0.8, 0.4, 1.0
+    box = _box((w, d, h), (0, 0, h / 2))
+    box.unmerge_vertices()
+    uv = np.stack([box.vertices[:, 0] / w + 0.5, box.vertices[:, 2] / h], axis=1)
+    front = np.repeat(box.face_normals[:, 1] < -0.5, 3)
+    uv = np.where(front[:, None], uv, 0.02)
+    picture = np.full((200, 160, 3), (196, 178, 150), np.uint8)
+    picture[40:160, 30:130] = (120, 86, 60)  # x -0.25..0.25, z 0.2..0.8
+    picture[90:110, 118:124] = (220, 220, 220)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.fromarray(picture), metallicFactor=0.0, roughnessFactor=0.9
+    )
+    box.visual = trimesh.visual.TextureVisuals(uv, material=material)
+    box.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))  # y up
+    box.export(path)
+    return {
+        "low": np.array([-0.25, -d / 2, 0.2]),
+        "high": np.array([0.25, -d / 2, 0.8]),
+        "beside": np.array([-0.35, -d / 2, 0.9]),
+    }

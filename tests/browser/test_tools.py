@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from browsing import Tab, wait_until
-from objects import write_cabinet
+from objects import write_cabinet, write_flush
 from PIL import Image
+
+from app.tasks import asset_of
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
@@ -104,13 +106,53 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     # Cut the base in two by clicks; the smaller side is a new part.
     tab.key("k")
     wait_until(lambda: tab.app.pointing.armed == "cut", "cut waits for places")
-    count = len(tab.document.prompts)
     for offset in (0.1, -0.1):
         tab.click3d(points["base"] + (0.0, offset, 0.0))
         tab.page.wait_for_timeout(400)
-    region = prompts_become(tab, count + 1)
+    wait_until(lambda: tab.document.face_cuts, "the cut goes through the faces of the carcass")
+    tab.settled()
+    region = tab.document.prompts[-1]
     assert region.tool == "cut" and region.part == 3
     assert tab.app.pointing.armed == ""
+
+
+def test_a_painted_door_is_cut_out_of_two_triangles(
+    start: Any, open_tab: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "flush.glb"
+    points = write_flush(path)
+    tab = open_tab(start(path))
+    camera = np.asarray(tab.app.client.camera.position)
+    for armed in ("cut", "rectangle"):
+        tab.key("k")
+        wait_until(lambda armed=armed: tab.app.pointing.armed == armed, armed)
+    for corner in ("low", "high"):
+        tab.click3d(points[corner])
+        tab.page.wait_for_timeout(400)
+    wait_until(lambda: tab.document.face_cuts, "faces are split")
+    tab.settled()
+    asset = wait_until(lambda: tab.app.object.asset, "it is open with more faces")
+    assert asset.element_count > 12
+    mesh = asset_of(asset.folder).mesh
+    store = tab.app.bench.store
+    labels = store.get_array(tab.document.segmentation.labels)
+    door = mesh.triangles[labels == 1].reshape(-1, 3)
+    # As exact as a click on the picture: two pixels.
+    np.testing.assert_allclose(door.min(0), points["low"], atol=0.01)
+    np.testing.assert_allclose(door.max(0), points["high"], atol=0.01)
+    np.testing.assert_allclose(tab.app.client.camera.position, camera, err_msg="the view jumped")
+    # Clicks go on from there: what is beside the door stays apart from it.
+    tab.key("2")
+    tab.prompt(points["beside"])
+    again = store.get_array(tab.document.segmentation.labels)
+    np.testing.assert_array_equal(again == 1, labels == 1)
+    while tab.document.face_cuts:
+        tab.app.commands.undo()
+    wait_until(
+        lambda: tab.app.object.asset is not None and tab.app.object.asset.element_count == 12,
+        "undo brings the old faces back",
+    )
+    assert not tab.document.prompts
 
 
 def test_an_obj_with_its_texture_is_uploaded_in_one_go(

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from model.errors import CommandError
+from model.geometry.splitting import Plane
 from model.segmentation.prompts import Click
-from sessions.commands import AddClick, AddPart, NamePart, Undo
+from sessions.commands import AddClick, AddPart, NamePart, SetFrame, Undo, from_json, to_json
 from sessions.document import Placement, RegionRef
+from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
-from sessions.tool_commands import ApplyTool, CropOut, LeaveOut, Placed, ToolRegion
+from sessions.tool_commands import (
+    ApplyTool,
+    CropOut,
+    CutFaces,
+    FaceCut,
+    LeaveOut,
+    Placed,
+    ToolRegion,
+)
 
 A, B = "ab" * 32, "cd" * 32
 HERE = Context("ann", "2030-01-01T00:00:00Z")
@@ -88,3 +100,35 @@ def test_a_crop_keeps_its_pose_on_both_sides():
 def test_nonsense_is_refused(make, message):
     with pytest.raises(CommandError, match=message):
         make()
+
+
+def test_a_cut_through_faces_keeps_the_parts_by_their_new_numbers():
+    state = done(AddClick(Click((0, 0, 0), 1)), NamePart(1, "door"))
+    before = state.present
+    cut = FaceCut(A, (Plane((0.5, 0, 0), (1, 0, 0)),))
+    regions = (ToolRegion(1, A, True, 7), ToolRegion(2, B, True, 9))
+    command = CutFaces("rectangle", cut, regions)
+    assert from_json(to_json(command)) == command
+    state = apply(state, command, HERE)
+    after = state.present
+    assert after.face_cuts == (cut,) and after.segmentation is None
+    assert after.prompts == (
+        RegionRef(1, A, True, 7, "rectangle"),
+        RegionRef(2, B, True, 9, "rectangle"),
+    )
+    assert [(p.id, p.name) for p in after.parts] == [(0, None), (1, "door"), (2, None)]
+    assert after.label == "rectangle through faces"
+    assert state_from_json(state_to_json(state)) == state
+    # The same prompts without the cut are about other faces.
+    assert replace(after, face_cuts=()).key != after.key
+    # Read in another frame, the planes would lie elsewhere.
+    assert apply(state, SetFrame("y", 1.0), HERE).present.face_cuts == ()
+    undone = apply(state, Undo(), HERE).present
+    assert (undone.prompts, undone.face_cuts, undone.key) == (before.prompts, (), before.key)
+
+
+def test_a_cut_without_planes_is_refused():
+    with pytest.raises(CommandError, match="plane"):
+        FaceCut(A, ())
+    with pytest.raises(CommandError):
+        from_json({"kind": "cut_faces", "tool": "line", "regions": [], "cut": {"elements": "x"}})

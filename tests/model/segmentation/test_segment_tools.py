@@ -9,7 +9,7 @@ from model.errors import GeometryError, PromptError
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
-from model.segmentation.cuts import pieces, straight_cut
+from model.segmentation.cuts import pieces, rectangle_cut, straight_cut
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.proposal import propose, without_leftovers
 from model.segmentation.similar import mirrored, same_shape
@@ -99,6 +99,32 @@ def test_straight_cut_by_two_and_three_clicks(session, cloud_cabinet):
         straight_cut(session, top, [(0, 0, 0)])
     with pytest.raises(PromptError, match="line"):
         straight_cut(session, top, [(0, 0, 0), (0, 0, 0)])
+
+
+def test_a_rectangle_takes_the_door_that_no_gap_parts_with_its_handle():
+    rng = np.random.default_rng(3)
+    body, _ = sampled([((0, 0, 0), (1, 0.6, 1.2))], 30_000)
+    handle, _ = sampled([((0.2, -0.06, 0.5), (0.24, 0, 0.7))], 600)
+    points = np.concatenate([body, handle]) + rng.normal(0, 0.002, (30_600, 3))
+    session = DefaultSegmenter().encode(Asset("flush", cloud=PointCloud(points.astype(np.float32))))
+    mask = np.ones(len(points), bool)
+    for view in ((0.3, 1.0, -0.2), None):
+        cut = rectangle_cut(session, mask, [(0.1, 0, 1.1), (0.8, 0, 0.1)], view)
+        door = cut.inside(session.asset)
+        clean = np.concatenate([body, handle])
+        truth = (clean[:, 1] < 1e-6) & (np.abs(clean[:, 0] - 0.45) < 0.35)
+        truth &= np.abs(clean[:, 2] - 0.6) < 0.5
+        assert iou(door, truth) > 0.97
+        assert door[30_000:].all()
+    # On a level surface it follows the object, not the view.
+    lid = rectangle_cut(session, mask, [(0.1, 0.1, 1.2), (0.9, 0.5, 1.2)], (0.3, 0.7, -1.0))
+    top = lid.inside(session.asset)
+    truth = (np.abs(clean - (0.5, 0.3, 1.2)) < (0.4, 0.2, 1e-6)).all(1)
+    assert iou(top, truth) > 0.95
+    with pytest.raises(PromptError, match="two opposite"):
+        rectangle_cut(session, mask, [(0, 0, 0)])
+    with pytest.raises(PromptError, match="one line"):
+        rectangle_cut(session, mask, [(0.1, 0, 1.1), (0.8, 0, 1.1)], (0, 1, 0))
 
 
 def test_mirrored_door_is_the_other_door(session, cloud_cabinet):
