@@ -122,10 +122,10 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     path = tmp_path / "flush.glb"
     points = write_flush(path)
     tab = open_tab(start(path))
-    camera = np.asarray(tab.app.client.camera.position)
     for armed in ("cut", "rectangle"):
         tab.key("k")
         wait_until(lambda armed=armed: tab.app.pointing.armed == armed, armed)
+    camera = np.asarray(tab.app.client.camera.position)
     for corner in ("low", "high"):
         tab.click3d(points[corner])
         tab.page.wait_for_timeout(400)
