@@ -39,6 +39,7 @@ class Redraw:
     def __init__(self, app: ClientApp) -> None:
         self._app = app
         self.asset: Any = None
+        self._shown: int | None = None
         self._seen: tuple[int, Any] | None = None
 
     def draw(self) -> None:
@@ -67,13 +68,16 @@ class Redraw:
         self._draw_status(obj)
         self._follow_prediction(obj)
         if obj.asset is not None and obj.asset is not self.asset:
-            app.scene.show_asset(obj.asset)
+            stays = self._shown == obj.record.id and self.asset is not None
+            stays = stays and np.array_equal(self.asset.bounds, obj.asset.bounds)
+            app.scene.show_asset(obj.asset, keep_view=stays)
+            self._shown = obj.record.id
             if app.bench.desk is not None:
                 app.in_scene.look_as_before()
             self.asset = obj.asset
             app.motion.forget_scene()
             app.pointing.begin()
-        elif obj.asset is None and self.asset is not None:
+        elif obj.asset is None and self.asset is not None and not self._read_again(obj):
             app.scene.clear()
             self.asset = None
         self._draw_scene(obj)
@@ -83,6 +87,10 @@ class Redraw:
         app.joints_panel.draw(obj)
         if app.stage == "Review":  # it reads the history, which no click should pay for
             app.review_panel.draw(obj)
+
+    def _read_again(self, obj: OpenObject) -> bool:
+        """Whether what is shown is the same object, whose faces are numbered anew just now."""
+        return self._shown == obj.record.id and not obj.problem
 
     def _follow_prediction(self, obj: OpenObject) -> None:
         """A new prediction is what the person waited for: show its joints."""

@@ -63,8 +63,8 @@ class SceneView:
                 self._scene.remove_by_name(name)
         self._forget()
 
-    def show_asset(self, asset: OpenedAsset) -> None:
-        """Draw a newly opened object and aim the camera at it."""
+    def show_asset(self, asset: OpenedAsset, *, keep_view: bool = False) -> None:
+        """Draw a newly opened object and aim the camera at it, unless the view is to stay."""
         self.clear()
         self._asset, size = asset, 0.0
         scene = self._scene
@@ -88,7 +88,8 @@ class SceneView:
         self.parts = MovingParts(self._client, size)
         self.marks = JointMarks(self._client, asset.diagonal)
         self.overlays = Overlays(self._client, asset.diagonal)
-        self.frame_camera()
+        if not keep_view:
+            self.frame_camera()
 
     def _show_ground(self, asset: OpenedAsset) -> None:
         diagonal = asset.diagonal

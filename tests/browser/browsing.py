@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 CHROMIUM_FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -80,6 +82,16 @@ class Tab:
             arg=name,
             timeout=150_000,
         )
+
+    def camera_at_rest(self) -> Any:
+        """Where the camera is once it has come to rest; a new object is flown to."""
+        view, still = self.app.client.camera, 0
+        last = np.asarray(view.position)
+        while still < 3:
+            self.page.wait_for_timeout(200)
+            now = np.asarray(view.position)
+            still, last = (still + 1 if (now == last).all() else 0), now
+        return last
 
     def pixel(self, point: Any) -> tuple[float, float]:
         """Where a 3D point is on the page."""
