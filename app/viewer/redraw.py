@@ -68,8 +68,8 @@ class Redraw:
         self._draw_status(obj)
         self._follow_prediction(obj)
         if obj.asset is not None and obj.asset is not self.asset:
-            stays = self._shown == obj.record.id and self.asset is not None
-            stays = stays and np.array_equal(self.asset.bounds, obj.asset.bounds)
+            before = self.asset if self._shown == obj.record.id else None
+            stays = before is not None and np.array_equal(before.bounds, obj.asset.bounds)
             app.scene.show_asset(obj.asset, keep_view=stays)
             self._shown = obj.record.id
             if app.bench.desk is not None:
