@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+import viser
 
 from app.accepting import accept
 from app.viewer.keys import KEYS
@@ -15,12 +17,18 @@ from sessions import commands as cmd
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
+_SHEET = (
+    "display:grid;grid-template-columns:max-content 1fr;gap:0.1em 1.2em;"
+    "font-size:0.85em;line-height:1.55"
+)
+
 
 class Commands:
     """One tab's commands. Where no object is open they are for the chosen ones of the scene."""
 
     def __init__(self, app: ClientApp) -> None:
         self._app = app
+        self._sheet: viser.GuiModalHandle | None = None
 
     # --- decisions
 
@@ -153,10 +161,19 @@ class Commands:
 
     def show_keys(self) -> None:
         """The sheet of keys, over the picture."""
+        if self.close_keys():
+            return
         gui = self._app.client.gui
-        modal = gui.add_modal("Keys and mouse")
-        with modal:
+        self._sheet = gui.add_modal("Keys and mouse")
+        with self._sheet:
             close = gui.add_button("Close (Esc)", color="gray")
-            rows = "\n".join(f"| **{plain(k)}** | {plain(v)} |" for k, v in KEYS)
-            gui.add_markdown(f"| | |\n|---|---|\n{rows}")
-        close.on_click(lambda _: modal.close())
+            rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in KEYS)
+            gui.add_html(f'<div style="{_SHEET}">{rows}</div>')
+        close.on_click(lambda _: self.close_keys())
+
+    def close_keys(self) -> bool:
+        """Take the sheet away; whether it was there."""
+        sheet, self._sheet = self._sheet, None
+        if sheet is not None:
+            sheet.close()
+        return sheet is not None

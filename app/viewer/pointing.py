@@ -165,6 +165,7 @@ class Pointing:
             self._told["tool"] = tool
 
             def switch() -> None:
+                app.commands.close_keys()
                 self.disarm()
                 self.tool = tool  # type: ignore[assignment]
 

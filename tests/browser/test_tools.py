@@ -70,6 +70,11 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
     )
     tab.prompt(points["door"])
     assert tab.document.segmentation.counts[1] > 0
+    # The sheet of keys comes by its key and goes as its button says.
+    tab.page.keyboard.press("?")
+    tab.button("Close (Esc)").wait_for()
+    tab.page.keyboard.press("Escape")
+    tab.button("Close (Esc)").wait_for(state="detached")
 
 
 def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> None:
