@@ -11,7 +11,6 @@ import viser
 
 from app.accepting import accept
 from app.viewer.keys import KEYS
-from app.viewer.text import plain
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
