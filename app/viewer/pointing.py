@@ -81,9 +81,15 @@ class Pointing:
         endpoint.register_handler(ArtiworldStrokeMessage, lambda _, m: self._stroked(m))
         endpoint.register_handler(ArtiworldToolMessage, lambda _, m: self._tool_key(m.tool))
 
-    def begin(self) -> None:
-        """Another object: nothing is armed, nothing is previewed."""
-        self.armed, self._places = "", []
+    def begin(self, *, same: bool = False) -> None:
+        """Another object: nothing is armed, nothing is previewed.
+
+        Args:
+            same: it is the same one with other faces; a tool stays armed.
+        """
+        self._places, self._frame = [], None
+        if not same:
+            self.armed = ""
         self.hover.forget()
 
     def close(self) -> None:
@@ -222,7 +228,9 @@ class Pointing:
             app.invalidate()
             return
         places, self._places = self._places, []
-        tool, self.armed, self._third = self.armed, "", False
+        tool, self._third, self._frame = self.armed, False, None
+        if tool == "cut":  # doors and drawers come in rows: the rectangle stays for the next one
+            self.armed = ""
         app.scene.overlays.show_places(())
         request = tool_tasks.ToolRequest(
             tool,
@@ -232,6 +240,7 @@ class Pointing:
             view=direction,
         )
         app.annotate_panel.use(request, _CUTS[tool])
+        app.invalidate()
 
     def _rectangle_frame(self, corner: Point, view: Point) -> dict[str, Point] | None:
         """What the page needs to draw the rectangle that the pointer spans."""

@@ -76,7 +76,7 @@ class Redraw:
                 app.in_scene.look_as_before()
             self.asset = obj.asset
             app.motion.forget_scene()
-            app.pointing.begin()
+            app.pointing.begin(same=stays)
         elif obj.asset is None and self.asset is not None and not self._read_again(obj):
             app.scene.clear()
             self.asset = None

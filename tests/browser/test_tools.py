@@ -149,6 +149,9 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     np.testing.assert_allclose(door.max(0), points["high"], atol=0.01)
     np.testing.assert_allclose(tab.app.client.camera.position, camera, err_msg="the view jumped")
     # Clicks go on from there: what is beside the door stays apart from it.
+    assert tab.app.pointing.armed == "rectangle"  # for the next one of a row
+    tab.key("Escape")
+    wait_until(lambda: tab.app.pointing.armed == "", "back to clicks")
     tab.key("2")
     tab.prompt(points["beside"])
     again = store.get_array(tab.document.segmentation.labels)
