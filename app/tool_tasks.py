@@ -71,6 +71,7 @@ class ToolRequest:
         places: clicked places for a cut, metres, with the element of the first one.
         element: see ``places``.
         view: (3,) the direction that the person looks in.
+        exact: a rectangle lies where it was clicked, whatever is close by.
         free_part: the lowest id that no part has.
     """
 
@@ -81,6 +82,7 @@ class ToolRequest:
     places: tuple[Point, ...] = ()
     element: int | None = None
     view: Point | None = None
+    exact: bool = False
     free_part: int = NEW_PART
 
 
@@ -228,15 +230,20 @@ def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
     # What is cut is what was clicked; what comes off goes to the chosen part while that has
     # nothing yet, else to a new one.
     part = int(labels[request.element])
-    kind = rectangle_cut if request.tool == "rectangle" else line_cut
-    cut = kind(work.encoded, labels == part, request.places, request.view)
+    mask = labels == part
+    if request.tool == "rectangle":
+        cut = rectangle_cut(
+            work.encoded, mask, request.places, request.view, snap=not request.exact
+        )
+    else:
+        cut = line_cut(work.encoded, mask, request.places, request.view)
     empty = request.part not in (part, BASE) and not (labels == request.part).any()
     target = request.part if empty else request.free_part
     asset = asset_of(work.folder)
     if cut.splits_faces(asset):
         return _face_cut(work, asset, cut, target)
     off = cut.inside(asset)
-    rest = (labels == part) & ~off
+    rest = mask & ~off
     if request.tool == "cut" and off.sum() > rest.sum():
         off = rest
     if not off.any():
@@ -259,6 +266,8 @@ def _face_cut(work: _Work, asset: Asset, cut: Cut, target: int) -> FaceCutOffer:
     assert asset.mesh is not None
     split = split_faces(asset.mesh, cut.chosen, cut.planes)
     off, labels = split.inside, work.labels[split.parent]
+    if cut.whole is not None:
+        off = off | cut.whole[split.parent]
     if work.request.tool == "cut":
         area = split.mesh.face_areas
         rest = cut.chosen[split.parent] & ~off

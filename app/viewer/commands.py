@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import datetime
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import viser
 
 from app.accepting import accept
 from app.viewer.keys import KEYS
@@ -27,7 +26,7 @@ class Commands:
 
     def __init__(self, app: ClientApp) -> None:
         self._app = app
-        self._sheet: viser.GuiModalHandle | None = None
+        self._sheet: Any = None
 
     # --- decisions
 
@@ -168,7 +167,10 @@ class Commands:
             close = gui.add_button("Close (Esc)", color="gray")
             rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in KEYS)
             gui.add_html(f'<div style="{_SHEET}">{rows}</div>')
-        close.on_click(lambda _: self.close_keys())
+
+        @close.on_click
+        def _(_: Any) -> None:
+            self.close_keys()
 
     def close_keys(self) -> bool:
         """Take the sheet away; whether it was there."""

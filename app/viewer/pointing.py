@@ -50,7 +50,7 @@ class Pointing:
         self.tool: Tool = "click"
         self.hover = Hover(app)
         self._places: list[tuple[Point, int]] = []
-        self._third = False
+        self._shifted = False
         self._frame: dict[str, Point] | None = None
         self._told: dict[str, Any] = {}
 
@@ -87,7 +87,7 @@ class Pointing:
         Args:
             same: it is the same one with other faces; a tool stays armed.
         """
-        self._places, self._frame = [], None
+        self._places, self._frame, self._shifted = [], None, False
         if not same:
             self.armed = ""
         self.hover.forget()
@@ -125,11 +125,12 @@ class Pointing:
                     "Cut: click where the cut begins (Shift+click: through three places) · "
                     "K again: a rectangle · Esc ends"
                 )
-            left = (3 if self._third else 2) - len(self._places)
+            left = self._needed - len(self._places)
             return f"Cut: {left} more place{'s'[: left != 1]} · Esc ends"
         if self.armed == "rectangle":
-            which = "the opposite corner" if self._places else "one corner of a door or drawer"
-            return f"Cut a rectangle: click {which} · Esc ends"
+            if not self._places:
+                return "Cut a rectangle: click one corner of a door or drawer · Esc ends"
+            return "Cut a rectangle: click the opposite corner (Shift: don't snap) · Esc ends"
         return _STROKE_HINTS.get(self.tool, "")
 
     # --- tools
@@ -146,7 +147,7 @@ class Pointing:
         if app.stage != "Annotate":
             app.set_stage("Annotate")
         self.armed = "" if what == self.armed else what
-        self.tool, self._places, self._third = "click", [], False
+        self.tool, self._places, self._shifted = "click", [], False
         app.scene.overlays.show_places(())
         self.hover.forget()
         app.invalidate()
@@ -158,7 +159,7 @@ class Pointing:
     def disarm(self) -> None:
         """Back to plain clicks."""
         if self.armed or self.tool != "click":
-            self.armed, self.tool, self._places = "", "click", []
+            self.armed, self.tool, self._places, self._shifted = "", "click", [], False
             self._app.scene.overlays.show_places(())
             self._app.invalidate()
 
@@ -220,15 +221,16 @@ class Pointing:
 
     def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
         app = self._app
-        self._third = self.armed == "cut" and (self._third or not plain)
+        self._shifted = self._shifted or not plain
         self._places.append((position, element))
         app.scene.overlays.show_places(tuple(p for p, _ in self._places))
-        if len(self._places) < (3 if self._third else 2):
+        if len(self._places) < self._needed:
             self._frame = self._rectangle_frame(position, direction)
             app.invalidate()
             return
         places, self._places = self._places, []
-        tool, self._third, self._frame = self.armed, False, None
+        tool, exact, self._frame = self.armed, self._shifted, None
+        self._shifted = False
         if tool == "cut":  # doors and drawers come in rows: the rectangle stays for the next one
             self.armed = ""
         app.scene.overlays.show_places(())
@@ -238,6 +240,7 @@ class Pointing:
             places=tuple(p for p, _ in places),
             element=places[0][1],
             view=direction,
+            exact=exact,
         )
         app.annotate_panel.use(request, _CUTS[tool])
         app.invalidate()
@@ -254,6 +257,11 @@ class Pointing:
         except TimeoutError:
             return None  # the workers are busy: the cut itself can wait for them
         return {"corner": corner, "out": out, "across": across}
+
+    @property
+    def _needed(self) -> int:
+        """Places that the cut takes."""
+        return 3 if self.armed == "cut" and self._shifted else 2
 
     def _merge_at(self, element: int) -> None:
         app, obj = self._app, self._app.need_object()

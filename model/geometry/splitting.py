@@ -16,7 +16,7 @@ Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.float64]
 Int = npt.NDArray[np.int64]
 
-_ON_THE_PLANE = 1e-5
+ON_THE_PLANE = 1e-5
 """Of the diagonal: vertices nearer than that lie on the plane, so that no slivers come off."""
 
 
@@ -51,7 +51,8 @@ class Split:
     Attributes:
         mesh: looks as before; new vertices lie on old edges.
         parent: (F',) int64 the face that each face was, ascending.
-        inside: (F',) the pieces of the chosen faces that lie on the inner side of all planes.
+        inside: (F',) the pieces of the chosen faces that lie on the inner side of all planes, or
+            on one.
     """
 
     mesh: Mesh
@@ -95,7 +96,7 @@ def split_faces(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> Split:
         np.arange(len(mesh.faces)),
         chosen.copy(),
     )
-    near = _ON_THE_PLANE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    near = ON_THE_PLANE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     for plane in planes:
         _split(soup, plane, near)
     return Split(
@@ -118,7 +119,7 @@ def crossing_share(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> float:
     if not area.sum() > 0:
         return 0.0
     corners = mesh.triangles[chosen]
-    near = _ON_THE_PLANE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    near = ON_THE_PLANE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     crossed = np.zeros(len(area), bool)
     outside = np.zeros(len(area), bool)
     for plane in planes:
@@ -146,7 +147,7 @@ def _split(soup: _Soup, plane: Plane, near: float) -> None:
         _subdivide(soup, index)
         apart = plane.distance(soup.vertices)
         apart[np.abs(apart) <= near] = 0.0
-    soup.inside &= apart[soup.faces].sum(1) > 0
+    soup.inside &= apart[soup.faces].sum(1) >= 0  # a panel's rim lies on the plane: it comes along
 
 
 def _middles(soup: _Soup, apart: Float, tail: Int, head: Int, key: Int) -> Int:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from model.errors import GeometryError, PromptError
 from model.geometry.asset import Asset
+from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
 from model.segmentation.cuts import pieces, rectangle_cut, straight_cut
@@ -125,6 +127,41 @@ def test_a_rectangle_takes_the_door_that_no_gap_parts_with_its_handle():
         rectangle_cut(session, mask, [(0, 0, 0)])
     with pytest.raises(PromptError, match="one line"):
         rectangle_cut(session, mask, [(0.1, 0, 1.1), (0.8, 0, 1.1)], (0, 1, 0))
+
+
+def test_a_rectangle_moves_to_the_step_of_colour_close_by():
+    points, _ = sampled([((0, 0, 0), (1, 0.6, 1.2))], 60_000)
+    points = points + np.random.default_rng(3).normal(0, 0.001, points.shape)
+    truth = (np.abs(points - (0.45, 0, 0.6)) < (0.35, 0.01, 0.5)).all(1)
+    colors = np.where(truth[:, None], (120, 80, 60), (200, 190, 170)).astype(np.uint8)
+    asset = Asset("painted", cloud=PointCloud(points.astype(np.float32), colors=colors))
+    session = DefaultSegmenter().encode(asset)
+    everything = np.ones(len(points), bool)
+    corners = [(0.115, 0, 1.085), (0.785, 0, 0.112)]  # a centimetre or two off
+    inside = [
+        rectangle_cut(session, everything, corners, (0, 1, 0), snap=snap).inside(asset)
+        for snap in (False, True)
+    ]
+    assert iou(inside[0], truth) < 0.94
+    assert iou(inside[1], truth) > 0.98
+
+
+def test_a_rectangle_moves_onto_the_edges_that_a_mesh_has():
+    body = trimesh.creation.box((1, 0.6, 1.2))
+    door = trimesh.creation.box((0.6, 0.02, 0.9))
+    door.apply_translation((0, -0.31, 0))
+    knob = trimesh.creation.box((0.04, 0.04, 0.04))
+    knob.apply_translation((0.2, -0.34, 0))
+    both = trimesh.util.concatenate([body, door, knob])
+    asset = Asset("cupboard", mesh=Mesh(both.vertices, both.faces))
+    session = DefaultSegmenter().encode(asset)
+    corners = [(-0.292, -0.32, 0.443), (0.295, -0.32, -0.456)]
+    cut = rectangle_cut(session, np.ones(36, bool), corners, (0, 1, 0))
+    at = sorted(float(np.dot(p.point, np.abs(p.normal))) for p in cut.planes)
+    np.testing.assert_allclose(at, [-0.45, -0.3, 0.3, 0.45], atol=1e-9)
+    # The door with its rim, its back and its knob, and nothing of the body behind it.
+    assert not cut.splits_faces(asset)
+    np.testing.assert_array_equal(np.flatnonzero(cut.inside(asset)), np.arange(12, 36))
 
 
 def test_mirrored_door_is_the_other_door(session, cloud_cabinet):
