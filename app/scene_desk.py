@@ -24,6 +24,7 @@ from app.scene_rows import STATUSES, Row, Status, Work, drawn_by
 from app.scene_saving import Saving
 from app.scene_shapes import DrawnParts, Shape
 from app.scene_tasks import OpenedScene, Prepared, SceneItem
+from app.tasks import ReadOptions
 from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
@@ -274,7 +275,7 @@ class SceneDesk(Watched):
             assert work.item.copy is not None
             job = self.bench.geometry.submit(
                 scene_shapes.drawn_parts, work.item.copy, self.bench.workspace, ref,
-                self._max_faces, priority=4,
+                self._max_faces, _options(doc), priority=4,
             )  # fmt: skip
 
             def keep(drawn: DrawnParts, work: Work = work) -> None:
@@ -367,3 +368,9 @@ class SceneDesk(Watched):
                 left = {i.path for i in self.items.values() if i.path} - set(self.shapes)
                 self.shapes = {**self.shapes, **dict.fromkeys(left, message)}
             self.tell("That didn't work", message, "red")
+
+
+def _options(doc: Document) -> ReadOptions:
+    """What the person left out and cut; the frame is the scene's own."""
+    left_out = None if doc.left_out is None else doc.left_out.elements
+    return ReadOptions(left_out=left_out, face_cuts=doc.face_cuts)

@@ -119,11 +119,13 @@ def shape_of_part(part: Part, max_faces: int) -> Shape:
     return Shape(bounds, vertices, faces.reshape(-1, 3).astype(np.uint32), colors)
 
 
-def drawn_parts(copy: Path, workspace: Path, labels: str, max_faces: int) -> DrawnParts:
-    """The parts of a working copy by stored labels."""
+def drawn_parts(
+    copy: Path, workspace: Path, labels: str, max_faces: int, options: ReadOptions
+) -> DrawnParts:
+    """The parts of a working copy, read as its document says, by stored labels."""
     from model.geometry.parts import split
 
-    asset, folder = working_copy(copy, workspace, ReadOptions())
+    asset, folder = working_copy(copy, workspace, options)
     assert asset.source is not None
     cut = split(asset, arrays_of(workspace).get(labels))
     budget = max(200, max_faces // max(1, len(cut)))

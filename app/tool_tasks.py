@@ -222,7 +222,8 @@ def _split(work: _Work) -> list[RegionOffer]:
 
 
 def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
-    from model.segmentation.cuts import line_cut, rectangle_cut
+    from model.segmentation.cuts import line_cut
+    from model.segmentation.rectangles import rectangle_cut
 
     request, labels = work.request, work.labels
     if request.element is None:
@@ -253,7 +254,7 @@ def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
 
 def frame_at(folder: Path, place: Point, view: Point) -> tuple[Point, Point]:
     """Out of the surface at a place, and level along it: how a rectangle begun there will lie."""
-    from model.segmentation.cuts import surface_frame
+    from model.segmentation.rectangles import surface_frame
 
     out, across = surface_frame(session_of(folder, DEFAULT), np.array([place]), view)
     return tuple(out.tolist()), tuple(across.tolist())

@@ -10,6 +10,7 @@ import trimesh
 
 from app import room_tasks, segmenting_tasks, tasks, tool_tasks
 from app.display_tasks import OpenedAsset, open_asset
+from app.scene_shapes import drawn_parts
 from app.segmenting_tasks import StoredRegion
 from app.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.errors import CommandError
@@ -189,6 +190,12 @@ def test_a_cut_splits_large_faces_and_the_parts_keep_theirs(tmp_path):
     assert len(split.faces) == len(labels) == sum(offer.counts.values()) > 12
     assert split.face_areas[labels == 2].sum() == pytest.approx(0.5 * 0.9, rel=1e-6)
     assert split.face_areas[labels == 1].sum() == pytest.approx(0.6, rel=1e-6)
+    # So is it drawn in a scene, and saved from there.
+    drawn = drawn_parts(tmp_path / "box.ply", tmp_path, offer.labels, 1000, options)
+    np.testing.assert_allclose(
+        drawn.shapes["link_2"].bounds, [(-0.3, -0.3, -0.4), (0.2, -0.3, 0.5)], atol=1e-6
+    )
+    assert drawn.folder == after.folder
     # The regions alone say the same, when the segmenter is asked again after a reload.
     stored = tuple(StoredRegion(r.part, r.elements) for r in offer.regions)
     session = segmenting_tasks.session_of(after.folder, "default")

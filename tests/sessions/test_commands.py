@@ -82,6 +82,15 @@ VERSION_1 = [
         "replaces": 1,
         "delete": [2],
     },
+    {
+        "kind": "cut_faces",
+        "tool": "rectangle",
+        "cut": {
+            "elements": REF,
+            "planes": [{"point": [0.5, 0.0, 0.25], "normal": [0.0, 0.0, -1.0]}],
+        },
+        "regions": [{"part": 2, "elements": REF, "positive": True, "count": 5, "name": None}],
+    },
     {"kind": "leave_out", "elements": REF, "count": 7, "what": "floor and walls"},
     {"kind": "leave_out", "elements": None, "count": 0, "what": "floor and walls"},
     {

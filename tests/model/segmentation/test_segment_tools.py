@@ -11,9 +11,10 @@ from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
-from model.segmentation.cuts import pieces, rectangle_cut, straight_cut
+from model.segmentation.cuts import pieces, straight_cut
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.proposal import propose, without_leftovers
+from model.segmentation.rectangles import rectangle_cut
 from model.segmentation.similar import mirrored, same_shape
 from model.segmentation.simulate import iou
 from model.segmentation.tools import connected, grow, hover
