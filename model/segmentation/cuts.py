@@ -72,7 +72,7 @@ def line_cut(
     if len(at) == 3:
         normal = np.cross(along, at[2] - at[0])
     else:
-        normal = np.cross(along, into_the_surface(session, at, view))
+        normal = np.cross(along, _into_the_surface(session, at, view))
     length = float(np.linalg.norm(normal))
     if length < 1e-9 * max(float(along @ along), 1e-18):
         raise PromptError("the clicks of a straight cut must not lie on one another or one line")
@@ -107,7 +107,7 @@ def plane_through(point: Float, normal: Float) -> Plane:
     return Plane((x, y, z), (u, v, w))
 
 
-def into_the_surface(session: DefaultSession, at: Float, view: Position | None) -> Float:
+def _into_the_surface(session: DefaultSession, at: Float, view: Position | None) -> Float:
     """(3,) the direction of the surface around some places, or ``view`` where it has no one."""
     nodes, normals = session.encoding.nodes, session.encoding.graph.normals
     _, near = nodes.tree.query(at, k=min(_AROUND, len(nodes)))

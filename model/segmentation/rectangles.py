@@ -14,7 +14,6 @@ from model.segmentation.cuts import (
     Cut,
     Float,
     Position,
-    into_the_surface,
     plane_through,
     within,
 )
@@ -23,6 +22,8 @@ from model.segmentation.edge_strength import MAX_STRENGTH
 from model.segmentation.element_masks import checked
 
 _UPRIGHT = 0.9
+_AROUND, _OWN = 1000, 0.94
+"""Nodes around each place whose normals tell its direction, and the cosine of those that do."""
 _BEHIND, _BEHIND_SPACINGS = 0.05, 3.0
 """How far behind the rectangle what it takes may lie, in its shorter side and in node spacings."""
 _BEHIND_FACING, _FACING = 0.02, 0.7
@@ -211,11 +212,24 @@ def surface_frame(
     session: DefaultSession, at: Float, view: Position | None = None
 ) -> tuple[Float, Float]:
     """(3,) unit vectors out of the surface around places (N, 3), and level along it."""
-    out = into_the_surface(session, at, view)
     middle = session.encoding.nodes.points.mean(0)
     toward = np.asarray(tuple(view), float) if view is not None else middle - at.mean(0)
+    out = _facing(session, at, toward)
     out = out / np.linalg.norm(out) * (-1.0 if out @ toward > 0 else 1.0)
     return out, _across(session, out)
+
+
+def _facing(session: DefaultSession, at: Float, toward: Float) -> Float:
+    """(3,) the main direction of the normals around some places: corners have several."""
+    nodes, normals = session.encoding.nodes, session.encoding.graph.normals
+    _, near = nodes.tree.query(at, k=min(_AROUND, len(nodes)))
+    around = normals[near].reshape(-1, 3).astype(float)
+    seen = np.abs(around @ (toward / max(np.linalg.norm(toward), 1e-12)))
+    main = np.linalg.eigh((around * seen[:, None] ** 2).T @ around)[1][:, 2]
+    # The faces beside it tilt the main direction: the mean of its own is free of them.
+    side = around @ main
+    own = around[np.abs(side) > _OWN] * np.sign(side[np.abs(side) > _OWN])[:, None]
+    return own.mean(0) if len(own) else main
 
 
 def _across(session: DefaultSession, out: Float) -> Float:
