@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,15 @@ FEATURE_NAMES = (
     "change_size", "change_depth", "change_depth_relative", "change_depth_rank",
     "change_of_mask", "change_border", "change_border_weak", "change_normal", "repeats",
 )  # fmt: skip
+_AMONG = (
+    "height", "life", "life_relative", "agreement", "agreement_max", "border_rank", "size_rank",
+    "closest_larger", "change_depth_rank", *(f"from_{s}" for s in SOURCES),
+)  # fmt: skip
+"""What depends on where a mask came from and on the other masks."""
+
+
+_KEPT = 64
+"""Clicked cells whose distances to all others are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +114,11 @@ class Clicked:
     before: Bool | None = None
 
 
+def _rank(values: Float) -> npt.NDArray[np.int64]:
+    """(H,) 0 for the lowest."""
+    return np.argsort(np.argsort(values, kind="stable"), kind="stable")
+
+
 def _words(masks: Bool) -> npt.NDArray[np.uint64]:
     """(C, W) the bits of all masks at each cell."""
     number, count = masks.shape
@@ -117,9 +132,11 @@ class MaskDescriber:
 
     Attributes:
         names: of the features.
+        among: those of them that depend on more than a mask and the clicks.
     """
 
     names: tuple[str, ...] = FEATURE_NAMES
+    among: tuple[str, ...] = _AMONG
 
     def __init__(self, cells: Cells, hierarchy: Hierarchy) -> None:
         links = cells.links
@@ -161,11 +178,58 @@ class MaskDescriber:
         moments = np.concatenate([one, x, outer, cells.normal, color, square], axis=1)
         self._cell = np.concatenate([moments * size[:, None], incident], axis=1).astype(np.float32)
         self._repeats = Repeats(cells, hierarchy, x)
+        self._column = {name: i for i, name in enumerate(self.names)}
+        self._own_names = tuple(n for n in self.names if n not in self.among)
+        self._own_columns = [self._column[n] for n in self._own_names]
+        self._click: Clicked | None = None
+        self._seen: dict[bytes, Float] = {}
+        self._near_to: OrderedDict[int, tuple[Float, npt.NDArray[np.int64]]] = OrderedDict()
         self._has_color = float(np.ptp(cells.color) > 1e-6)
 
     def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
-        """(H, F) features, in the order of ``FEATURE_NAMES``."""
+        """(H, F) features, in the order of ``names``."""
         masks = candidates.masks
+        own = self._known(masks, clicked)
+        out = np.zeros((len(masks), len(self.names)), np.float32)
+        out[:, self._own_columns] = own
+        log_size, border = (own[:, self._own_names.index(n)] for n in ("log_size", "border"))
+        m = masks.astype(np.float32)
+        overlap = self._overlap(m)
+        count = max(len(masks) - 1, 1)
+        among = {
+            "height": candidates.height,
+            "life": candidates.life,
+            "life_relative": candidates.life / (1 + 0.5 * candidates.height),
+            "agreement": (overlap.sum(1) - 1) / count,
+            "agreement_max": self._second(overlap),
+            "border_rank": _rank(border) / count,
+            "size_rank": _rank(log_size) / count,
+            "closest_larger": self._next_larger(np.exp(log_size)),
+            **{f"from_{s}": candidates.source == i for i, s in enumerate(SOURCES)},
+        }
+        if clicked.before is not None:
+            depth = own[:, self._own_names.index("change_depth")]
+            among["change_depth_rank"] = _rank(depth) / count
+        for name, values in among.items():
+            out[:, self._column[name]] = values
+        return out
+
+    def _known(self, masks: Bool, clicked: Clicked) -> Float:
+        """(H, K) what masks show each by itself; those seen for the same click are kept.
+
+        A click's masks are described twice: before some are mended, and with what came of that.
+        """
+        if self._click is not clicked:
+            self._click, self._seen = clicked, {}
+        keys = [row.tobytes() for row in np.packbits(masks, axis=1)]
+        new = [i for i, key in enumerate(keys) if key not in self._seen]
+        if new:
+            for i, row in zip(new, self._own(masks[new], clicked), strict=True):
+                self._seen[keys[i]] = row
+        return np.stack([self._seen[key] for key in keys])
+
+    def _own(self, masks: Bool, clicked: Clicked) -> Float:
+        """(H, K) what each mask shows by itself, in the order of ``own_names``."""
         m = masks.astype(np.float32)
         # One bit a mask: a word or two say on which sides of all the masks a cell lies.
         words = _words(masks)
@@ -188,10 +252,6 @@ class MaskDescriber:
         first = clicked.positive[0] if clicked.positive else clicked.last
         first_depth = depth if first == clicked.last else self._depth(words, len(masks), first)
         off = np.linalg.norm(center - self._x[clicked.last], axis=1)
-        overlap = self._overlap(m)
-        order = np.argsort(np.argsort(area, kind="stable"), kind="stable")
-        rank = np.argsort(np.argsort(mean_border, kind="stable"), kind="stable")
-        count = max(len(masks) - 1, 1)
         extent = np.maximum(extents[:, 2], 1e-6)
         columns = [
             np.log(area), mean_border, soft, border[:, 3] / b0, border[:, 4] / b0,
@@ -200,32 +260,22 @@ class MaskDescriber:
             extents[:, 2], extents[:, 1], extents[:, 0], extents[:, 0] / (extents[:, 1] + 1e-6),
             extents[:, 1] / extent, np.linalg.norm(sums[:, 10:13], axis=1) / area, spread,
             depth, depth / scale, off / extent, first_depth / scale,
-            candidates.height, candidates.life,
-            candidates.life / (1 + 0.5 * candidates.height),
-            (overlap.sum(1) - 1) / count, self._second(overlap), rank / count, order / count,
             mean_border - inside[:, 1] / i0,
-        ]  # fmt: skip
-        columns += self._context(crossed, clicked, m, area)
-        columns += [
+            *self._context(crossed, clicked, m, area),
             np.full(len(m), self._has_color),
             area / np.maximum(extents.prod(1) ** (2 / 3), 1e-6).clip(1e-6),
-            self._next_larger(area),
-        ]
-        flags = candidates.source[:, None] == np.arange(len(SOURCES))
-        change = self._change(words, masks, clicked, area)
-        repeats = self._repeats(sums[:, [0, 1, 2, 3, 4, 7, 9]])[:, None]
-        return np.concatenate(
-            [np.stack([np.asarray(c, np.float32) for c in columns], 1), flags, change, repeats],
-            axis=1,
-        ).astype(np.float32)
+            *self._change(words, masks, clicked, area).T,
+            self._repeats(sums[:, [0, 1, 2, 3, 4, 7, 9]]),
+        ]  # fmt: skip
+        return np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
 
     def _change(
         self, words: npt.NDArray[np.uint64], masks: Bool, clicked: Clicked, area: Float
     ) -> Float:
-        """(H, 8) what the click flips: people click into the middle of what is wrong."""
+        """(H, 7) what the click flips: people click into the middle of what is wrong."""
         number = len(masks)
         if clicked.before is None:
-            return np.zeros((number, 8), np.float32)
+            return np.zeros((number, 7), np.float32)
         before = clicked.before
         flipped = masks ^ before
         moved = np.asarray(np.where(before[:, None], ~words, words), np.uint64)
@@ -235,13 +285,11 @@ class MaskDescriber:
         border = self._over_links(crossed, number, 4)
         b0 = np.maximum(border[:, 0], 1e-9)
         depth = self._depth(moved, number, clicked.last)
-        rank = np.argsort(np.argsort(depth, kind="stable"), kind="stable")
         return np.stack(
             [
                 np.log(size),
                 depth,
                 depth / np.sqrt(size),
-                np.asarray(rank, np.float32) / max(number - 1, 1),
                 np.minimum(size / np.maximum(area, 1e-9), 4),
                 border[:, 1] / b0,
                 border[:, 3] / b0,
@@ -259,6 +307,15 @@ class MaskDescriber:
         bits = np.unpackbits(crossed[touched].view(np.uint8), axis=1)[:, :number]
         return bits.astype(np.float32).T @ self._link[touched, :columns]
 
+    def _around(self, cell: int) -> tuple[Float, npt.NDArray[np.int64]]:
+        """(C,) distances from a cell, diagonal = 1, and the cells by it."""
+        if cell not in self._near_to:
+            apart = np.linalg.norm(self._x - self._x[cell], axis=1)
+            self._near_to[cell] = apart, np.argsort(apart)
+            if len(self._near_to) > _KEPT:
+                self._near_to.popitem(last=False)
+        return self._near_to[cell]
+
     def _extents(self, second: Float, center: Float) -> Float:
         covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         covariance = covariance - center[:, :, None] * center[:, None, :]
@@ -268,8 +325,7 @@ class MaskDescriber:
 
     def _depth(self, words: npt.NDArray[np.uint64], number: int, cell: int) -> Float:
         """(H,) distance from a cell to the nearest cell on the other side, diagonal = 1."""
-        apart = np.linalg.norm(self._x - self._x[cell], axis=1)
-        order = np.argsort(apart)
+        apart, order = self._around(cell)
         out = np.ones(number, np.float32)
         open_ = np.ones(number, bool)
         begin, step = 0, 256

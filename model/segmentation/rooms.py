@@ -136,10 +136,8 @@ class RoomDescriber(MaskDescriber):
         self._room = room
         self._size = cells.size.astype(np.float32)
 
-    def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
-        """(H, F) features, in the order of ``ROOM_FEATURE_NAMES``."""
-        features = super().__call__(candidates, clicked)
-        room, masks = self._room, candidates.masks
+    def _own(self, masks: Bool, clicked: Clicked) -> Float:
+        room = self._room
         m = masks.astype(np.float32)
         size = m @ self._size
         low, high = bounds_of(masks, room.position)
@@ -166,7 +164,7 @@ class RoomDescriber(MaskDescriber):
             np.full(len(masks), np.clip(outside, -1, 2)),
         ]
         extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
-        return np.concatenate([features, extra], axis=1)
+        return np.concatenate([super()._own(masks, clicked), extra], axis=1)
 
 
 def bounds_of(masks: Bool, position: npt.NDArray[np.float32]) -> tuple[Float, Float]:

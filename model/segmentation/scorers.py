@@ -6,8 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from model.resources import static_assets
+from model.segmentation.boxes import OBJECT_FEATURE_NAMES, ObjectSolver
 from model.segmentation.encoding import Encoding
-from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
 from model.segmentation.solver import PartSolver
@@ -28,7 +28,7 @@ def shipped_scorers(*, rooms: bool = False) -> Scorers:
 def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
     """The scorers in ``folder``."""
     first, later = (folder / name for name in (ROOM_SCORERS if rooms else PART_SCORERS))
-    names = ROOM_FEATURE_NAMES if rooms else FEATURE_NAMES
+    names = ROOM_FEATURE_NAMES if rooms else OBJECT_FEATURE_NAMES
     return (
         load_mlp(first, names) if first.is_file() else None,
         load_mlp(later, names) if later.is_file() else None,
@@ -39,5 +39,5 @@ def solver_of(encoding: Encoding, first: Mlp | None, later: Mlp | None) -> PartS
     """The solver for what was encoded, an object or a room."""
     cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
     if room is None:
-        return PartSolver(cells, hierarchy, walk, first, later)
+        return ObjectSolver(cells, hierarchy, walk, first, later)
     return RoomSolver(cells, hierarchy, walk, room, first, later)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,7 @@ Float = npt.NDArray[np.floating]
 _THINNING = 1.06
 _BIASES = (-0.02, -0.1, -0.25)
 _CHAIN = 40
+_CHAINS_KEPT = 16
 _IDLE_CELLS = 2
 _IDLE_SHARE = 0.1
 _IDLE_PENALTY = 3.0
@@ -92,6 +94,7 @@ class PartSolver:
         self._walk = walk
         self._first = first_scorer
         self._later = later_scorer
+        self._chains: OrderedDict[int, Candidates] = OrderedDict()
         self._labels = hierarchy.labels
         self._tree = hierarchy.tree
         self._height = hierarchy.height
@@ -105,6 +108,13 @@ class PartSolver:
 
     def chain(self, cell: int) -> Candidates:
         """The nested regions around a cell, those of nearly the same size only once."""
+        if cell not in self._chains:
+            self._chains[cell] = self._nested(cell)
+            if len(self._chains) > _CHAINS_KEPT:
+                self._chains.popitem(last=False)
+        return self._chains[cell]
+
+    def _nested(self, cell: int) -> Candidates:
         sizes = self._sizes[self._labels[:, cell] + self._offset]
         total = self.cells.size.sum()
         levels: list[int] = []

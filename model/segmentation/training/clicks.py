@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometry.asset import Asset
+from model.segmentation.boxes import OBJECT_FEATURE_NAMES
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES
 from model.segmentation.scorers import (
@@ -26,12 +26,14 @@ from model.segmentation.simulate import deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.fit import averaged, fit_ranker
 from model.segmentation.training.rooms import NOTHING, bared, scanned_room
-from model.segmentation.training.scans import SMALL_PARTED, build, random_scan
+from model.segmentation.training.scans import DRAWERED, SMALL_PARTED, build, random_scan
 
 Float = npt.NDArray[np.floating]
-Round = Literal["all", "small", "rooms"]
-ROUNDS: tuple[Round, ...] = ("all", "small", "rooms")
-"""What is played on: objects of all families, of those with small parts, or rooms."""
+Round = Literal["all", "small", "drawers", "rooms"]
+ROUNDS: tuple[Round, ...] = ("all", "small", "drawers", "rooms")
+"""What is played on: objects of all families, of those with small parts or with drawers, rooms."""
+_FAMILIES = {"small": SMALL_PARTED, "drawers": DRAWERED}
+_POINTS = {"small": (60_000, 100_000), "drawers": (60_000, 100_000)}
 
 _LEAST_OF_OBJECT = 150
 """Nodes that an object of a room must show to be asked for."""
@@ -43,35 +45,38 @@ class ClickTraining:
 
     Attributes:
         objects: of the first round, of all families, played by ``start``.
-        small_objects: of the second round, of families with small parts, played by the scorers
-            of the first.
-        held_out: every n-th object of both rounds measures in a fit of its own.
+        small_objects, drawer_objects: of the second and third round, of families with small parts
+            and with drawers, played by what came of the rounds before.
+        held_out: every n-th object of all rounds measures in a fit of its own.
         parts: asked for in each object, spread over the logarithm of their sizes.
         first_clicks: first clicks of each part, one of them on its deepest point.
         clicks: length of a simulated session.
         explore: probability of following a hypothesis that is not the best one, by kind of round.
         mesh_share: of the objects that are met as meshes, the others as clouds.
         networks: that are fitted and averaged.
-        first_seed, small_seed: of the objects of the two rounds.
-    rooms: that the scorers of rooms learn from, and as many again, played by what came of those.
-    room_objects: asked for in each.
-    bare_rooms: share of the rooms that are met without floor and walls.
-    room_seed: of the first.
+        first_seed, small_seed, drawer_seed: of the objects of the rounds.
+        rooms: that the scorers of rooms learn from, and as many again, played by what came of
+            those.
+        room_objects: asked for in each.
+        bare_rooms: share of the rooms that are met without floor and walls.
+        room_seed: of the first.
         start: folder with the scorers that play the first round; None: those that ship.
         workers: processes.
     """
 
-    objects: int = 250
-    small_objects: int = 150
+    objects: int = 220
+    small_objects: int = 110
+    drawer_objects: int = 120
     held_out: int = 5
-    parts: int = 4
+    parts: int = 5
     first_clicks: int = 4
     clicks: int = 8
-    explore: tuple[float, float, float] = (0.3, 0.2, 0.15)
+    explore: tuple[float, float, float, float] = (0.3, 0.2, 0.2, 0.15)
     mesh_share: float = 0.3
     networks: int = 3
     first_seed: int = 60_000
     small_seed: int = 70_000
+    drawer_seed: int = 90_000
     rooms: int = 80
     room_objects: int = 8
     bare_rooms: float = 0.5
@@ -151,13 +156,12 @@ def _scene(seed: int, config: ClickTraining, kind: Round, rng: np.random.Generat
         # What is nothing's own is never asked for, as strays are not.
         labels = np.where(room.labels == NOTHING, np.int16(-1), room.labels)
         return _Scene(encoding, labels[encoding.nodes.elements.element_of_node])
-    small = kind == "small"
-    families = SMALL_PARTED if small else None
+    families = _FAMILIES.get(kind)
     if rng.random() < config.mesh_share:
         shape = build(seed, families)
         labels, asset = shape.part, Asset("object", mesh=shape.mesh)
     else:
-        counts = (60_000, 100_000) if small else (30_000, 40_000, 100_000)
+        counts = _POINTS.get(kind, (30_000, 40_000, 100_000))
         data = random_scan(seed, counts[seed % len(counts)], families)
         labels, asset = data.labels, Asset("object", cloud=data.cloud)
     encoding = encode(asset, shipped_edge_model())
@@ -255,7 +259,7 @@ def collect(
         return list(pool.map(play, seeds, *same, chunksize=4))
 
 
-def fit_scorer(rows: Rows, networks: int = 1, names: tuple[str, ...] = FEATURE_NAMES) -> Mlp:
+def fit_scorer(rows: Rows, networks: int = 1, names: tuple[str, ...] = OBJECT_FEATURE_NAMES) -> Mlp:
     """The mean of ``networks`` networks that rank the hypotheses of a click by IoU."""
     told = np.maximum.reduceat(rows.overlap, _starts(rows)) - np.minimum.reduceat(
         rows.overlap, _starts(rows)
@@ -296,7 +300,7 @@ def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
 
 
 def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
-    """Two rounds; the second, on small parts, plays with the scorers of the first.
+    """Three rounds: all families, small parts, drawers; each plays with what came of the last.
 
     Writes both networks, fitted on all objects, into ``folder``; returns the scores that a fit
     without every n-th object has on those objects.
@@ -305,8 +309,9 @@ def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
     rounds: list[tuple[Round, range]] = [
         ("all", range(config.first_seed, config.first_seed + config.objects)),
         ("small", range(config.small_seed, config.small_seed + config.small_objects)),
+        ("drawers", range(config.drawer_seed, config.drawer_seed + config.drawer_objects)),
     ]
-    return _fitted(_rounds(rounds, config, start), config, folder, PART_SCORERS, FEATURE_NAMES)
+    return _fitted(_rounds(rounds, config, start), config, folder, PART_SCORERS, OBJECT_FEATURE_NAMES)
 
 
 def train_room_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
@@ -329,7 +334,7 @@ def _rounds(
     played: list[tuple[Rows, Rows]] = []
     for index, (kind, seeds) in enumerate(rounds):
         if index:
-            names = ROOM_FEATURE_NAMES if kind == "rooms" else FEATURE_NAMES
+            names = ROOM_FEATURE_NAMES if kind == "rooms" else OBJECT_FEATURE_NAMES
             first, later = (_joined([p[k] for p in played]) for k in (0, 1))
             scorers = (fit_scorer(first, config.networks, names),
                        fit_scorer(later, config.networks, names))  # fmt: skip

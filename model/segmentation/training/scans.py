@@ -30,6 +30,9 @@ FAMILIES = tuple(name for name in family_names() if name not in HELD_OUT)
 SMALL_PARTED = ("Keyboard", "Remote", "Phone", "Switch", "Microwave", "WashingMachine",
                 "CoffeeMachine", "Camera", "Printer", "Dispenser", "Lamp", "Safe")  # fmt: skip
 """Families with keys, knobs and buttons."""
+DRAWERED = ("StorageFurniture", "StorageFurniture", "StorageFurniture", "Table", "Cart",
+            "Refrigerator", "Dishwasher", "Printer", "TrashCan", "Composite")  # fmt: skip
+"""Families with drawers, racks and trays within a body."""
 
 _FAMILY_SHARE = 0.6
 _COMPOSITE_SHARE = 0.12

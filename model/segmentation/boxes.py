@@ -1,0 +1,368 @@
+"""Boxes round what was clicked: a drawer is more than its front, and fills the box behind it.
+
+Links of furniture and appliances stand square to one another, so boxes along the object's main
+directions are hypotheses of their own: round a clicked region, round the mask with it, behind a
+flat front as deep as the next surface that faces it; and planes along the sides of such boxes cut
+off what a negative click means.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.spatial import KDTree
+
+from model.segmentation.cells import Cells
+from model.segmentation.hierarchy import Hierarchy
+from model.segmentation.masks import (
+    FEATURE_NAMES,
+    SOURCES,
+    Candidates,
+    Clicked,
+    MaskDescriber,
+    joined,
+)
+from model.segmentation.mlp import Mlp
+from model.segmentation.plane_boxes import STEPS as _STEPS
+from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
+from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.walk import Walk
+
+BOX_FEATURES = (
+    "from_box", "box_filled", "box_volume", "box_short", "box_middle", "box_long", "box_bottom",
+    "box_top", "box_reaches", "box_growth", "click_outside_box", "squareness",
+    "round_positives", "round_positives_worst", "round_negatives", "round_negatives_worst",
+)  # fmt: skip
+OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES)
+_FROM_BOX = len(SOURCES)
+
+Bool = npt.NDArray[np.bool_]
+Float = npt.NDArray[np.floating]
+Int = npt.NDArray[np.int16]
+
+_AXES_TRIED = 400
+_ALONG = np.cos(np.radians(6))
+_SQUARE = 0.12
+_LEAST_SUPPORT = 0.03
+"""Share of the surface that has to face along a direction for it to be a main one."""
+_TRIM = 0.01
+"""Share of a mask that may stick out of its box at each end: a handle, crumbs."""
+_FLAT = 0.3
+"""Of its second longest side: what is thinner is a front that a box may lie behind."""
+_COVER = 0.2
+"""Share of a front's own surface that has to face it for a box to end there."""
+_REGIONS = 10
+"""Of the nested regions round a click, how many boxes are put round."""
+_FRONTS, _PLANES, _BETWEEN = 4, 16, 10
+"""Fronts that boxes are put behind, planes that cut, and boxes between planes, at
+most."""
+_LIKE = 0.5
+"""Overlap of the volumes of boxes that are alike."""
+_ROUND = 16
+"""Cells next to a click that it speaks of."""
+_NEAREST, _ENDS = 4, 2
+"""Steps between a front and what a box may end at, and how many ends are tried to each side."""
+
+
+def main_directions(normal: Float, weight: Float) -> npt.NDArray[np.float64]:
+    """(3, 3) orthonormal rows along which most of the surface faces, the last nearest to z.
+
+    Args:
+        normal: (C, 3) unit normals, or zeros.
+        weight: (C,) share of the surface.
+    """
+    step = max(len(normal) // _AXES_TRIED, 1)
+    tried = np.concatenate([np.eye(3), normal[::step]])
+    tried = tried[np.linalg.norm(tried, axis=1) > 0.5]
+    total = max(float(weight.sum()), 1e-12)
+    found: list[npt.NDArray[np.float64]] = []
+    for _ in range(2):
+        for axis in found:
+            tried = tried[np.abs(tried @ axis) < _SQUARE]
+            tried = tried - np.outer(tried @ axis, axis)
+        tried = tried / np.linalg.norm(tried, axis=1, keepdims=True)
+        if not len(tried):
+            break
+        support = (np.abs(tried @ normal.T) > _ALONG) @ weight / total
+        best = tried[int(support.argmax())]
+        if support.max() < _LEAST_SUPPORT:
+            break
+        near = np.abs(normal @ best) > _ALONG
+        mean = (normal[near] * np.sign(normal[near] @ best)[:, None] * weight[near, None]).sum(0)
+        for axis in found:
+            mean -= mean @ axis * axis
+        found.append(mean / np.linalg.norm(mean))
+    if len(found) < 2:
+        return np.eye(3)
+    axes = np.stack([*found, np.cross(found[0], found[1])])
+    upright = int(np.abs(axes[:, 2]).argmax())
+    return np.roll(axes, 2 - upright, axis=0)
+
+
+class Boxes:
+    """The cells on a grid of 256 steps along the object's main directions.
+
+    Attributes:
+        place: (3, C) uint8 step of each cell along each direction.
+        facing: (3, C) whether the cell faces along it.
+        size: (C,) float32 nodes in each cell; square: the same where it faces along any of them.
+        step: (3,) metres.
+    """
+
+    def __init__(self, cells: Cells) -> None:
+        unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
+        axes = main_directions(unit, cells.size)
+        at = cells.center @ axes.T
+        low, side = at.min(0), np.maximum(np.ptp(at, axis=0), 1e-9)
+        self.step = side / _STEPS
+        place = np.minimum((at - low) / self.step, _STEPS - 1)
+        self.place = np.ascontiguousarray(place.T.astype(np.uint8))
+        self.facing = np.ascontiguousarray(np.abs(unit @ axes.T).T > 0.9)
+        self.size = cells.size.astype(np.float32)
+        self.square = self.facing.any(0) * self.size
+        number = len(cells)
+        rows = (self.place.astype(np.int64) + _STEPS * np.arange(3)[:, None]).ravel()
+        self._bins = csr_matrix(
+            (np.tile(self.size, 3), (rows, np.tile(np.arange(number), 3))),
+            shape=(3 * _STEPS, number),
+        )
+
+    def between_planes(self, cells: Cells) -> PlaneBoxes:
+        """The boxes between the object's planes."""
+        links = cells.links
+        apart = np.linalg.norm(cells.center[links.a] - cells.center[links.b], axis=1)
+        # Cells are patches of some nodes: their distance tells how dense those lie.
+        spacing = float(np.median(apart)) if len(apart) else 1.0
+        spacing /= max(float(np.sqrt(np.median(cells.size))), 1.0)
+        return plane_boxes(cells, self.place, self.facing, self.step, max(spacing, 1e-9))
+
+    def bounds(self, masks: Bool) -> tuple[Int, Int]:
+        """(H, 3) first and last step of each mask, but for a hundredth of it at each end."""
+        held = (self._bins @ masks.T.astype(np.float32)).T.reshape(len(masks), 3, _STEPS)
+        passed = np.cumsum(held, axis=2)
+        total = passed[:, :, -1:]
+        low = (passed > _TRIM * total).argmax(2)
+        high = (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(2)
+        return low.astype(np.int16), high.astype(np.int16)
+
+    def contents(self, low: Int, high: Int, margin: int = 1) -> Bool:
+        """(H, C) what lies in boxes (H, 3)."""
+        first = np.clip(low - margin, 0, _STEPS - 1).astype(np.uint8)
+        last = np.clip(high + margin, 0, _STEPS - 1).astype(np.uint8)
+        out = np.ones((len(low), self.place.shape[1]), bool)
+        for axis in range(3):
+            out &= self.place[axis] >= first[:, axis, None]
+            out &= self.place[axis] <= last[:, axis, None]
+        return out
+
+    def behind(self, low: Int, high: Int, most: int) -> tuple[Int, Int]:
+        """Boxes that reach from flat ones (the ``most`` largest) to what faces them, both ways."""
+        lows: list[Int] = []
+        highs: list[Int] = []
+        side = (high - low + 1) * self.step
+        order = np.sort(side, axis=1)
+        flat = np.nonzero(order[:, 0] <= _FLAT * order[:, 1])[0]
+        flat = flat[np.argsort(-order[flat, 1] * order[flat, 2], kind="stable")][:most]
+        for one, other, long in zip(low[flat], high[flat], side[flat], strict=True):
+            axis = int(long.argmin())
+            deep_low, deep_high = one.copy(), other.copy()
+            deep_low[axis], deep_high[axis] = 0, _STEPS - 1
+            inside = self.contents(deep_low[None], deep_high[None])[0] & self.facing[axis]
+            at = self.place[axis][inside]
+            held = np.bincount(at, self.size[inside], _STEPS)
+            held = held + np.r_[held[1:], 0] + np.r_[0, held[:-1]]
+            own = held[one[axis] : other[axis] + 1].max()
+            peak = (held >= np.r_[0, held[:-1]]) & (held > np.r_[held[1:], 0])
+            ends = np.nonzero(peak & (held > _COVER * own))[0]
+            after = ends[ends >= other[axis] + _NEAREST][:_ENDS]
+            before = ends[ends <= one[axis] - _NEAREST][::-1][:_ENDS]
+            for end in after:
+                lows.append(one)
+                more = other.copy()
+                more[axis] = end
+                highs.append(more)
+            for end in before:
+                more = one.copy()
+                more[axis] = end
+                lows.append(more)
+                highs.append(other)
+        if not lows:
+            return np.zeros((0, 3), np.int16), np.zeros((0, 3), np.int16)
+        return np.stack(lows), np.stack(highs)
+
+
+class ObjectDescriber(MaskDescriber):
+    """Adds how well a mask fills its box, and where and how large that is."""
+
+    names = OBJECT_FEATURE_NAMES
+    among = (*MaskDescriber.among, "from_box")
+
+    def __init__(self, cells: Cells, hierarchy: Hierarchy, boxes: Boxes) -> None:
+        super().__init__(cells, hierarchy)
+        self._boxes = boxes
+        self._tree = KDTree(cells.center)
+        self._near = np.arange(1, min(_ROUND, len(cells)) + 1)
+
+    def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
+        """(H, F) features, in the order of ``OBJECT_FEATURE_NAMES``."""
+        out = super().__call__(candidates, clicked)
+        out[:, self._column["from_box"]] = candidates.source == _FROM_BOX
+        return out
+
+    def _own(self, masks: Bool, clicked: Clicked) -> Float:
+        boxes = self._boxes
+        m = masks.astype(np.float32)
+        size = m @ boxes.size
+        low, high = boxes.bounds(masks)
+        held = (boxes.contents(low, high) | masks).astype(np.float32) @ boxes.size
+        steps = (high - low + 1).astype(np.float32)
+        sides = np.sort(steps * boxes.step.astype(np.float32), axis=1)
+        sides /= np.float32(np.linalg.norm(_STEPS * boxes.step))
+        volume = np.log(steps / _STEPS).sum(1)
+        growth, outside = np.zeros(len(masks), np.float32), 0.0
+        if clicked.before is not None and clicked.before.any():
+            first, last = boxes.bounds(clicked.before[None])
+            growth = volume - np.log((last - first + 1) / _STEPS).sum()
+            spot = boxes.place[:, clicked.last].astype(np.int64)
+            beyond = np.maximum(first[0] - spot, spot - last[0])
+            outside = float((beyond * boxes.step).max() / np.linalg.norm(_STEPS * boxes.step))
+        columns = [
+            size / np.maximum(held, 1e-9),
+            volume,
+            *np.log(sides).T,
+            low[:, 2] / _STEPS,
+            high[:, 2] / _STEPS,
+            ((low <= 2) | (high >= _STEPS - 3)).sum(1),
+            np.clip(growth, -5, 5),
+            np.full(len(masks), outside),
+            m @ boxes.square / np.maximum(size, 1e-9),
+            *self._round(masks, clicked.positive),
+            *self._round(~masks, clicked.negative),
+        ]
+        extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
+        return np.concatenate([super()._own(masks, clicked), extra], axis=1)
+
+    def _round(self, masks: Bool, clicks: tuple[int, ...]) -> Float:
+        """(2, H) share of the cells next to the clicks that each mask holds, mean and least.
+
+        People click into the middle of what they mean, so what lies round an earlier click
+        belongs with it.
+        """
+        if not clicks:
+            return np.ones((2, len(masks)), np.float32)
+        _, near = self._tree.query(self._cells.center[list(clicks)], k=self._near)
+        share = masks[:, near].mean(2, dtype=np.float32)
+        return np.stack([share.mean(1), share.min(1)])
+
+
+class ObjectSolver(PartSolver):
+    """Finds the part of an object that clicks mean."""
+
+    def __init__(
+        self,
+        cells: Cells,
+        hierarchy: Hierarchy,
+        walk: Walk,
+        first_scorer: Mlp | None,
+        later_scorer: Mlp | None,
+    ) -> None:
+        self._boxes = Boxes(cells)
+        self._planes = self._boxes.between_planes(cells)
+        describe = ObjectDescriber(cells, hierarchy, self._boxes)
+        super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
+
+    def first_regions(self, cell: int) -> Candidates:
+        """The nested regions, the boxes round them, and those behind flat ones."""
+        chain = super().first_regions(cell)
+        regions, boxes = self._some(chain.masks), self._boxes
+        low, high = boxes.bounds(regions)
+        deep = boxes.contents(*boxes.behind(low, high, _FRONTS))
+        round_all = boxes.contents(low, high) | regions
+        return self._with(chain, [round_all, deep, self._between((cell,), (), _BETWEEN)])
+
+    def _region_hypotheses(
+        self, state: PartState, after: PartState, cell: int, positive: bool
+    ) -> Candidates:
+        found = super()._region_hypotheses(state, after, cell, positive)
+        assert state.mask is not None
+        mask, boxes = state.mask, self._boxes
+        regions = self._some(self.chain(cell).masks)
+        low, high = boxes.bounds(regions)
+        if positive:
+            wider = regions | mask
+            round_all = boxes.contents(*boxes.bounds(wider)) | wider
+            deep = boxes.contents(*boxes.behind(low, high, _FRONTS)) | mask
+            own = (boxes.contents(low, high) | mask)[::2]
+            beside = self._between((cell,), after.negative, _BETWEEN // 2) | mask
+            made = [round_all, deep, own, beside]
+        else:
+            without = mask & ~boxes.contents(low, high)
+            outside = mask & ~self._between((cell,), after.positive, _BETWEEN)
+            made = [without, outside, self._cut(mask, low, high, after, cell)]
+        if after.positive:
+            made.append(self._between(after.positive, after.negative, _BETWEEN))
+            made.append(self._alike(mask, after.positive, after.negative))
+        return self._with(found, made)
+
+    def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
+        """(H, C) boxes between planes that hold some cells and not others, of all sizes."""
+        return self._within(self._planes.of_all_sizes(self._holding(inside, outside), most))
+
+    def _alike(self, mask: Bool, inside: tuple[int, ...], outside: tuple[int, ...]) -> Bool:
+        """(H, C) boxes between planes that hold some cells and not others, like the mask's."""
+        low, high = self._boxes.bounds(mask[None])
+        found = self._holding(inside, outside)
+        return self._within(self._planes.like(found, low[0], high[0], _LIKE, _BETWEEN))
+
+    def _holding(
+        self, inside: tuple[int, ...], outside: tuple[int, ...]
+    ) -> npt.NDArray[np.int64]:
+        place = self._boxes.place.T
+        return self._planes.holding(place[list(inside)], place[list(outside)])
+
+    def _within(self, found: npt.NDArray[np.int64]) -> Bool:
+        planes = self._planes
+        return self._boxes.contents(planes.low[:, found].T, planes.high[:, found].T, 0)
+
+    def _with(self, found: Candidates, more: list[Bool]) -> Candidates:
+        masks = np.concatenate(more)
+        masks = masks[masks.any(1)]
+        number = len(masks)
+        if not number:
+            return found
+        zero = np.zeros(number, np.float32)
+        return joined(
+            [found, Candidates(masks, np.full(number, _FROM_BOX, np.int8), zero, zero.copy())]
+        )
+
+    def _some(self, masks: Bool) -> Bool:
+        """At most ``_REGIONS`` of the masks, of all sizes."""
+        size = masks.astype(np.float32) @ self._boxes.size
+        order = np.argsort(size, kind="stable")
+        if len(order) > _REGIONS:
+            order = order[np.linspace(0, len(order) - 1, _REGIONS).astype(int)]
+        return masks[order]
+
+    def _cut(self, mask: Bool, low: Int, high: Int, after: PartState, cell: int) -> Bool:
+        """(H, C) the mask without what lies beyond a plane along a side of a box, or halfway
+        between the click and the part's own ones; all planes keep the latter.
+        """
+        place = self._boxes.place
+        spot = place[:, cell].astype(int)
+        kept = place[:, list(after.positive)].astype(int)
+        stays: list[Bool] = []
+        for axis in range(3):
+            inner, outer = int(kept[axis].min(initial=255)), int(kept[axis].max(initial=0))
+            upper = {int(v) - 1 for v in low[:, axis]} | {(outer + int(spot[axis])) // 2}
+            lower = {int(v) + 1 for v in high[:, axis]} | {(inner + int(spot[axis]) + 1) // 2}
+            stays += [place[axis] <= v for v in sorted(upper) if outer <= v < spot[axis]]
+            stays += [place[axis] >= v for v in sorted(lower) if spot[axis] < v <= inner]
+        if not stays:
+            return np.zeros((0, len(mask)), bool)
+        made = np.stack(stays) & mask
+        size = made.astype(np.float32) @ self._boxes.size
+        order = np.argsort(-size, kind="stable")
+        if len(order) > _PLANES:
+            order = order[np.linspace(0, len(order) - 1, _PLANES).astype(int)]
+        return made[order]

@@ -1,0 +1,151 @@
+"""Boxes round clicked regions: a drawer is found with the tray behind its front."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from model.geometry.asset import Asset
+from model.geometry.mesh import Mesh
+from model.geometry.sampling import sample_surface
+from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import encode
+from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.training.primitives import block
+
+DRAWER = 2
+"""The middle one of three."""
+
+
+def chest() -> tuple[Mesh, np.ndarray]:
+    """A chest of three drawers, trays included, and the part of each face; 0 is the carcass."""
+    made = [((0, 0, 0), (0.02, 0.5, 0.6)), ((0.78, 0, 0), (0.8, 0.5, 0.6)),
+            ((0, 0.48, 0), (0.8, 0.5, 0.6)), ((0, 0, 0), (0.8, 0.5, 0.02)),
+            ((0, 0, 0.58), (0.8, 0.5, 0.6))]  # fmt: skip
+    parts = [0] * len(made)
+    for drawer, z in enumerate((0.02, 0.21, 0.40), start=1):
+        made += [((0.01, -0.02, z), (0.79, 0.0, z + 0.185)),
+                 ((0.03, 0, z + 0.01), (0.77, 0.45, z + 0.02)),
+                 ((0.03, 0, z + 0.01), (0.04, 0.45, z + 0.15)),
+                 ((0.76, 0, z + 0.01), (0.77, 0.45, z + 0.15)),
+                 ((0.03, 0.44, z + 0.01), (0.77, 0.45, z + 0.15))]  # fmt: skip
+        parts += [drawer] * 5
+    triangles = [block(*ends) for ends in made]
+    part = np.repeat(parts, [len(t) for t in triangles])
+    vertices = np.concatenate(triangles).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    return Mesh(vertices, faces), part
+
+
+@pytest.fixture(scope="module")
+def drawers():
+    mesh, part = chest()
+    turned = Mesh(mesh.vertices @ Rotation.from_euler("z", 0.4).as_matrix().T, mesh.faces)
+    cloud, face = sample_surface(turned, 40_000, np.random.default_rng(0))
+    encoding = encode(Asset("chest", cloud=cloud), shipped_edge_model())
+    return encoding, part[np.asarray(face)]
+
+
+def overlap(mask, encoding, truth) -> float:
+    of_node = mask[encoding.cells.of_node]
+    return float((of_node & truth).sum() / (of_node | truth).sum())
+
+
+def cell_at(encoding, labels, spot) -> int:
+    """A cell of the drawer near a place in the chest's own frame."""
+    at = Rotation.from_euler("z", 0.4).as_matrix() @ np.asarray(spot, float)
+    own = np.nonzero(labels == DRAWER)[0]
+    node = own[np.linalg.norm(encoding.nodes.points[own] - at, axis=1).argmin()]
+    return int(encoding.cells.of_node[node])
+
+
+def best(solver, drawers, cells) -> float:
+    """Best overlap on offer after positive clicks, the front's own region being the first mask."""
+    encoding, labels = drawers
+    truth = labels == DRAWER
+    state, found = PartState(), 0.0
+    for cell in cells:
+        answer = solver.answer(state, cell, True, None)
+        all_ = [overlap(m, encoding, truth) for m in answer.candidates.masks]
+        found = max(all_)
+        state = solver.moved(state, cell, True, answer.candidates.masks[int(np.argmax(all_))])
+    return found
+
+
+def test_a_drawer_is_on_offer_after_its_front_and_its_back(drawers) -> None:
+    encoding, labels = drawers
+    made = (encoding.cells, encoding.hierarchy, encoding.walk, None, None)
+    cells = [cell_at(encoding, labels, s) for s in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))]
+    with_boxes = best(ObjectSolver(*made), drawers, cells)
+    assert with_boxes > 0.75
+    assert with_boxes > best(PartSolver(*made), drawers, cells) + 0.1
+
+
+def test_a_negative_click_cuts_along_a_plane(drawers) -> None:
+    """The carcass with a drawer by mistake: a click on the drawer takes all of that off."""
+    encoding, labels = drawers
+    solver = ObjectSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, None)
+    chosen = np.isin(labels, (1, 2))
+    mask = np.bincount(encoding.cells.of_node, chosen, len(encoding.cells)) > 0.5 * (
+        encoding.cells.size
+    )
+    front = cell_at(encoding, labels, (0.4, -0.02, 0.3))
+    below = int(encoding.cells.of_node[np.nonzero(labels == 1)[0][0]])
+    state = PartState((below,), (), mask)
+    answer = solver.answer(state, front, False, None)
+    assert max(overlap(m, encoding, labels == 1) for m in answer.candidates.masks) > 0.9
+
+
+def test_features_have_their_names_and_are_finite(drawers) -> None:
+    encoding, labels = drawers
+    solver = ObjectSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, None)
+    cell = cell_at(encoding, labels, (0.4, -0.02, 0.3))
+    first = solver.answer(PartState(), cell, True, None)
+    later = solver.answer(PartState((cell,), (), first.best), int(labels.argmin()), False, None)
+    for answer in (first, later):
+        assert answer.features.shape == (len(answer.candidates), len(solver.describe.names))
+        assert np.isfinite(answer.features).all()
+
+
+def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:
+    boxes = Boxes(drawers[0].cells)
+    truth = drawers[1] == DRAWER
+    mask = np.bincount(drawers[0].cells.of_node, truth, len(drawers[0].cells)) > 0
+    low, high = boxes.bounds(mask[None])
+    held = boxes.contents(low, high)[0]
+    size = drawers[0].cells.size
+    # All but the hundredth that is trimmed at each of six ends.
+    assert size[held & mask].sum() > 0.93 * size[mask].sum()
+    assert (high > low).all()
+    side = (high - low + 1)[0] * boxes.step
+    assert sorted(side.round(1)) == [0.2, 0.5, 0.8]
+
+
+def test_behind_a_front_a_box_ends_at_the_back(drawers) -> None:
+    boxes = Boxes(drawers[0].cells)
+    points = drawers[0].cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    front = (points[:, 1] < 0.002) & (abs(points[:, 2] - 0.3) < 0.08)
+    low, high = boxes.behind(*boxes.bounds(front[None]), 4)
+    depth = ((high - low + 1) * boxes.step).min(1)
+    assert len(low) and any(abs(d - 0.47) < 0.03 for d in ((high - low + 1) * boxes.step).ravel())
+    assert (depth > 0.02).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
+def test_main_directions_turn_with_the_object(angles) -> None:
+    turn = Rotation.from_euler("xyz", angles).as_matrix()
+    normal = np.repeat(np.eye(3), (60, 40, 20), axis=0)
+    axes = main_directions(normal @ turn.T, np.ones(len(normal)))
+    assert np.allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+    assert np.allclose(np.sort(np.abs(axes @ turn), axis=1), [[0, 0, 1]] * 3, atol=1e-6)
+
+
+@pytest.mark.parametrize("normal", [np.zeros((0, 3)), np.zeros((5, 3)), np.eye(3)[:1]])
+def test_without_directions_the_axes_of_the_frame_stay(normal) -> None:
+    axes = main_directions(normal, np.ones(len(normal)))
+    assert np.allclose(np.sort(np.abs(axes), axis=1), [[0, 0, 1]] * 3)
