@@ -35,6 +35,26 @@ _STROKE_HINTS = {
 }
 
 
+_FACE_APART = 0.02
+"""Of the object's diagonal: clicks that are nearer mean the same place."""
+
+
+def shares_face(click: Click, earlier: list[Click], apart: float) -> bool:
+    """Whether an earlier click elsewhere on the clicked face says something else of it.
+
+    Args:
+        apart: metres; nearer clicks say it of the same place.
+    """
+    return any(
+        e.element == click.element
+        and (e.part, e.positive) != (click.part, click.positive)
+        and (e.positive or click.positive)
+        and float(np.linalg.norm(np.subtract(e.position, click.position))) > apart
+        for e in earlier
+        if e.element is not None
+    )
+
+
 class Pointing:
     """What a click or a drag in the picture means now.
 
@@ -212,7 +232,21 @@ class Pointing:
             self._merge_at(element)
         else:
             self._need_part()
-            app.do(cmd.AddClick(Click(position, app.part, positive, element)))  # type: ignore[arg-type]
+            click = Click(position, app.part, positive, element)  # type: ignore[arg-type]
+            if obj.asset.element_kind == "face":
+                self._tell_of_shared_face(click, _FACE_APART * obj.asset.diagonal)
+            app.do(cmd.AddClick(click))
+
+    def _tell_of_shared_face(self, click: Click, apart: float) -> None:
+        """A triangle is all one part: who clicks it for two wants it cut."""
+        prompts = self._app.need_object().document.prompts
+        if shares_face(click, [p for p in prompts if isinstance(p, Click)], apart):
+            self._app.notify(
+                "One triangle holds both clicks",
+                "It goes with the last one. To cut it along the border: K for a straight line, "
+                "K twice for a rectangle",
+                "yellow",
+            )
 
     def _need_part(self) -> None:
         app = self._app

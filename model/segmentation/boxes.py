@@ -202,7 +202,7 @@ class ObjectDescriber(MaskDescriber):
         super().__init__(cells, hierarchy)
         self._boxes = boxes
         self._tree = KDTree(cells.center)
-        self._near = np.arange(1, min(_ROUND, len(cells)) + 1)
+        self._near = min(_ROUND, len(cells))
 
     def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
         """(H, F) features, in the order of ``OBJECT_FEATURE_NAMES``."""
@@ -252,6 +252,7 @@ class ObjectDescriber(MaskDescriber):
         if not clicks:
             return np.ones((2, len(masks)), np.float32)
         _, near = self._tree.query(self._cells.center[list(clicks)], k=self._near)
+        near = np.reshape(near, (len(clicks), self._near))
         share = masks[:, near].mean(2, dtype=np.float32)
         return np.stack([share.mean(1), share.min(1)])
 
@@ -315,9 +316,7 @@ class ObjectSolver(PartSolver):
         found = self._holding(inside, outside)
         return self._within(self._planes.like(found, low[0], high[0], _LIKE, _BETWEEN))
 
-    def _holding(
-        self, inside: tuple[int, ...], outside: tuple[int, ...]
-    ) -> npt.NDArray[np.int64]:
+    def _holding(self, inside: tuple[int, ...], outside: tuple[int, ...]) -> npt.NDArray[np.int64]:
         place = self._boxes.place.T
         return self._planes.holding(place[list(inside)], place[list(outside)])
 

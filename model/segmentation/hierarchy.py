@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.cells import Cells, Links, groups, totals
+from model.segmentation.graph import distinct
 
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")
@@ -118,7 +119,7 @@ def build_hierarchy(cells: Cells) -> Hierarchy:
                     break
                 cost = _cost(regions, tree, total)
                 best = regions.links.cheapest(cost, number)
-                pick = np.unique(best[best >= 0])
+                pick = distinct(best[best >= 0])
                 pick = pick[cost[pick] <= threshold]
                 if not len(pick):
                     break

@@ -8,12 +8,13 @@ how much of their sides is lined with surface. A click then looks up those that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import Cells
+from model.segmentation.cells import Cells, totals
 
 Float = npt.NDArray[np.floating]
 Int = npt.NDArray[np.int16]
@@ -165,29 +166,31 @@ def _ordered(slot: Places, a: Places, b: Places) -> tuple[Places, Places]:
     return np.minimum(slot[a], slot[b]), np.maximum(slot[a], slot[b])
 
 
-def _table(index: list[Places], axes: list[_Axis], values: Float) -> npt.NDArray[np.float64]:
+def _table(
+    index: Sequence[Places], axes: Sequence[_Axis], values: Float
+) -> npt.NDArray[np.float64]:
     """Summed-area table over the slots between cuts."""
     shape = [len(a.cut) for a in axes]
     flat = np.ravel_multi_index([i + 1 for i in index], shape)
-    out = np.bincount(flat, values, int(np.prod(shape))).reshape(shape)
+    out = totals(flat, values, int(np.prod(shape))).reshape(shape)
     for k in range(len(axes)):
         out = out.cumsum(k)
     return out
 
 
 def _sides(
-    axis: _Axis, others: list[_Axis], layer: Places, index: list[Places], values: Float
+    axis: _Axis, others: Sequence[_Axis], layer: Places, index: Sequence[Places], values: Float
 ) -> npt.NDArray[np.float64]:
     """(layers, intervals, intervals) sums over rectangles in each layer across ``axis``."""
     shape = [len(axis.cut), *(len(o.cut) for o in others)]
     flat = np.ravel_multi_index([layer, *(i + 1 for i in index)], shape)
-    out = np.bincount(flat, values, int(np.prod(shape))).reshape(shape).cumsum(1).cumsum(2)
+    out = totals(flat, values, int(np.prod(shape))).reshape(shape).cumsum(1).cumsum(2)
     out = out[:, others[0].last] - out[:, others[0].first]
     return out[:, :, others[1].last] - out[:, :, others[1].first]
 
 
 def _axis(cells: Cells, at: Places, facing: npt.NDArray[np.bool_], total: float) -> _Axis:
-    held = np.bincount(at[facing], cells.size[facing], STEPS)
+    held = totals(at[facing], cells.size[facing], STEPS)
     near = held + np.r_[held[1:], 0] + np.r_[0, held[:-1]]
     around = np.convolve(held, np.ones(_WIDE), "same") - near
     stands_out = near / np.sqrt(around / 4 + 0.0005 * total)
@@ -218,7 +221,7 @@ def _gaps(cells: Cells, at: Places, taken: list[int]) -> list[int]:
     links = cells.links
     low, high = _ordered(at, links.a, links.b)
     weight = np.maximum(links.strength - _STRONG * links.count, 0) * (high - low < _LONG)
-    passing = np.bincount(low + 1, weight, STEPS + 2) - np.bincount(high + 1, weight, STEPS + 2)
+    passing = totals(low + 1, weight, STEPS + 2) - totals(high + 1, weight, STEPS + 2)
     cuts = np.cumsum(passing)[:STEPS]
     if not cuts.any():
         return []

@@ -163,6 +163,11 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
         "undo brings the old faces back",
     )
     assert not tab.document.prompts
+    # Three places on a front of two triangles: two of them are on the same one.
+    for part, place in enumerate(("low", "high", "beside"), start=1):
+        tab.key(str(part))
+        tab.prompt(points[place])
+    tab.page.get_by_text("One triangle holds both clicks").first.wait_for()
 
 
 def test_an_obj_with_its_texture_is_uploaded_in_one_go(

@@ -311,7 +311,8 @@ def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
         ("small", range(config.small_seed, config.small_seed + config.small_objects)),
         ("drawers", range(config.drawer_seed, config.drawer_seed + config.drawer_objects)),
     ]
-    return _fitted(_rounds(rounds, config, start), config, folder, PART_SCORERS, OBJECT_FEATURE_NAMES)
+    played = _rounds(rounds, config, start)
+    return _fitted(played, config, folder, PART_SCORERS, OBJECT_FEATURE_NAMES)
 
 
 def train_room_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
