@@ -57,6 +57,8 @@ _REGIONS = 10
 _FRONTS, _PLANES, _BETWEEN = 4, 16, 10
 """Fronts that boxes are put behind, planes that cut, and boxes between planes, at
 most."""
+_WHOLE = 0.8
+"""Share of a shell that is all but whole."""
 _LIKE = 0.5
 """Overlap of the volumes of boxes that are alike."""
 _ROUND = 16
@@ -192,6 +194,28 @@ class Boxes:
         return np.stack(lows), np.stack(highs)
 
 
+def _made(masks: Bool, source: int) -> Candidates:
+    masks = masks[masks.any(1)]
+    zero = np.zeros(len(masks), np.float32)
+    return Candidates(masks, np.full(len(masks), source, np.int8), zero, zero.copy())
+
+
+class _Shells:
+    """The shells of a mesh: what is made of several is cut between them."""
+
+    def __init__(self, shell: npt.NDArray[np.integer], size: npt.NDArray[np.float64]) -> None:
+        _, self._of = np.unique(shell, return_inverse=True)
+        number = int(self._of.max()) + 1
+        at = np.arange(len(self._of))
+        self._held = csr_matrix((size.astype(np.float32), (self._of, at)), (number, len(at)))
+        self._size = np.bincount(self._of, size, number).astype(np.float32)
+
+    def within(self, masks: Bool) -> Bool:
+        """(H, C) the shells that masks hold all but whole: not the carcass beside a drawer."""
+        held = self._held @ masks.T.astype(np.float32)
+        return (held > _WHOLE * self._size[:, None]).T[:, self._of]
+
+
 class ObjectDescriber(MaskDescriber):
     """Adds how well a mask fills its box, and where and how large that is."""
 
@@ -267,8 +291,11 @@ class ObjectSolver(PartSolver):
         walk: Walk,
         first_scorer: Mlp | None,
         later_scorer: Mlp | None,
+        shell: npt.NDArray[np.integer] | None = None,
     ) -> None:
+        """``shell`` (C,): of a mesh that consists of several, the shell of each cell."""
         self._boxes = Boxes(cells)
+        self._shells = None if shell is None else _Shells(shell, cells.size)
         self._planes = self._boxes.between_planes(cells)
         describe = ObjectDescriber(cells, hierarchy, self._boxes)
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
@@ -304,6 +331,9 @@ class ObjectSolver(PartSolver):
         if after.positive:
             made.append(self._between(after.positive, after.negative, _BETWEEN))
             made.append(self._alike(mask, after.positive, after.negative))
+        if self._shells is not None:
+            # First clicks don't get these: the scorer hasn't learned what they mean there.
+            made.append(self._shells.within(np.concatenate(made)))
         return self._with(found, made)
 
     def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
@@ -325,15 +355,7 @@ class ObjectSolver(PartSolver):
         return self._boxes.contents(planes.low[:, found].T, planes.high[:, found].T, 0)
 
     def _with(self, found: Candidates, more: list[Bool]) -> Candidates:
-        masks = np.concatenate(more)
-        masks = masks[masks.any(1)]
-        number = len(masks)
-        if not number:
-            return found
-        zero = np.zeros(number, np.float32)
-        return joined(
-            [found, Candidates(masks, np.full(number, _FROM_BOX, np.int8), zero, zero.copy())]
-        )
+        return joined([found, _made(np.concatenate(more), _FROM_BOX)])
 
     def _some(self, masks: Bool) -> Bool:
         """At most ``_REGIONS`` of the masks, of all sizes."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from model.resources import static_assets
 from model.segmentation.boxes import OBJECT_FEATURE_NAMES, ObjectSolver
 from model.segmentation.encoding import Encoding
@@ -39,5 +42,15 @@ def solver_of(encoding: Encoding, first: Mlp | None, later: Mlp | None) -> PartS
     """The solver for what was encoded, an object or a room."""
     cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
     if room is None:
-        return ObjectSolver(cells, hierarchy, walk, first, later)
+        return ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
     return RoomSolver(cells, hierarchy, walk, room, first, later)
+
+
+def _shells(encoding: Encoding) -> npt.NDArray[np.int32] | None:
+    """(C,) the shell of each cell, where there are several."""
+    shell, cells = encoding.nodes.shell, encoding.cells
+    if not len(shell) or shell.min() == shell.max():
+        return None
+    out = np.zeros(len(cells), np.int32)
+    out[cells.of_node] = shell
+    return out

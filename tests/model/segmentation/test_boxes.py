@@ -14,6 +14,7 @@ from model.geometry.sampling import sample_surface
 from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode
+from model.segmentation.scorers import solver_of
 from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.training.primitives import block
 
@@ -98,6 +99,26 @@ def test_a_negative_click_cuts_along_a_plane(drawers) -> None:
     state = PartState((below,), (), mask)
     answer = solver.answer(state, front, False, None)
     assert max(overlap(m, encoding, labels == 1) for m in answer.candidates.masks) > 0.9
+
+
+def test_on_a_mesh_boxes_give_whole_shells() -> None:
+    """A drawer's front, then its tray: the drawer to the last face, without the carcass."""
+    mesh, part = chest()
+    asset = Asset("chest", mesh=mesh)
+    encoding = encode(asset, shipped_edge_model())
+    labels = part[encoding.nodes.elements.element_of_node]
+    of_node = encoding.cells.of_node
+    solver = solver_of(encoding, None, None)
+    spots = encoding.nodes.points
+    front, back = (
+        int(of_node[np.linalg.norm(spots - at, axis=1).argmin()])
+        for at in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))
+    )
+    panel = (spots[:, 1] < 0.001) & (labels == DRAWER)
+    mask = np.bincount(of_node, panel, len(encoding.cells)) > 0.5 * encoding.cells.size
+    state = PartState((front,), (), mask)
+    answer = solver.answer(state, back, True, None)
+    assert max(overlap(m, encoding, labels == DRAWER) for m in answer.candidates.masks) > 0.99
 
 
 def test_features_have_their_names_and_are_finite(drawers) -> None:
