@@ -34,6 +34,11 @@ from model.segmentation.scorers import shipped_scorers, solver_of
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
 
 _STATES = 256
+_IN_VAIN = 2
+"""Clicks in vain after which, in a room, one beside the part takes a region of its own along."""
+_SPECK = 0.002
+_SPECK_OF_PART = 0.1
+_FAR_LARGER = 0.5
 _ALTERNATIVES = 5
 
 Bool = npt.NDArray[np.bool_]
@@ -69,6 +74,8 @@ class DefaultSession:
         self.asset = asset
         self.encoding = encoding
         self.solver = solver
+        # An object's own hypotheses reach far enough; a room's objects are many regions.
+        self._joins = encoding.room is not None
         mesh = asset.mesh
         self.groups: tuple[Plates, ...] = ()
         self.fittings: Fittings | None = None
@@ -156,6 +163,8 @@ class DefaultSession:
                     blocked |= other.mask  # type: ignore[operator]
             found = self.solver.answer(own, cell, step.positive, blocked)
             mask = self.solver.tidy(found.best, own, cell) & ~blocked
+            if self._joins and step.positive and own.mask is not None and own.stalls >= _IN_VAIN:
+                mask = self._not_in_vain(own, mask, cell, blocked)
             parts[step.part] = self.solver.moved(own, cell, step.positive, mask)
             ranked[step.part] = found
         if step.positive:
@@ -173,6 +182,28 @@ class DefaultSession:
                 else:
                     parts[q] = replace(yielded, mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
+
+    def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
+        """``mask``, widened where yet another positive click beside it brought hardly anything.
+
+        A person who keeps clicking there means more than a speck: the best first answer there that
+        is neither a speck nor far larger than the part joins it.
+        """
+        size = self.encoding.cells.size
+        total = size.sum()
+        assert own.mask is not None
+        least = min(_SPECK * total, _SPECK_OF_PART * size[own.mask].sum())
+        if size[mask & ~own.mask].sum() >= least:
+            return mask
+        most = max(_FAR_LARGER * size[own.mask].sum(), 20 * least)
+        first = self.solver.first_answer(cell)
+        for index in np.argsort(-first.scores, kind="stable"):
+            more = first.candidates.masks[index] & ~blocked
+            if not more[cell] or more[list(own.negative)].any():
+                continue
+            if least <= size[more & ~mask].sum() <= most:
+                return mask | more
+        return mask
 
     def _foreign(self, state: _State, part: int) -> tuple[int, ...]:
         """Cells clicked as something else: negatives of a part that begins."""

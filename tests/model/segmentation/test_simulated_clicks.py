@@ -113,7 +113,7 @@ def test_bench_on_real_objects(shared_data):
 
 
 def test_the_scorers_can_be_trained_again(tmp_path):
-    config = ClickTraining(2, 1, held_out=3, parts=2, first_clicks=2, clicks=3, mesh_share=1.0,
+    config = ClickTraining(2, 1, 1, held_out=3, parts=2, first_clicks=2, clicks=3, mesh_share=1.0,
                            networks=2)  # fmt: skip
     scores = train_scorers(config, tmp_path)
     assert 0 < scores["first_iou"] <= scores["first_best_possible"] <= 1
