@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from model.segmentation.nodes import Nodes
+from model.segmentation.nodes import Nodes, distinct
 from model.segmentation.normals import orient_outwards, plane_normals, smooth_normals
 
 EDGE_NEIGHBORS = 10
@@ -81,12 +81,6 @@ def build_graph(nodes: Nodes) -> Graph:
         bridge = np.concatenate([bridge, np.ones(len(more), bool)])
     length = np.linalg.norm(points[b] - points[a], axis=1).astype(np.float32)
     return Graph(a, b, length, bridge, near, spacing, normals, rough, variation)
-
-
-def distinct(values: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
-    """Sorted distinct values; ``np.unique`` hashes them, which takes ten times as long."""
-    ordered = np.sort(values)
-    return ordered[np.r_[True, ordered[1:] != ordered[:-1]]] if len(ordered) else ordered
 
 
 def _undirected(

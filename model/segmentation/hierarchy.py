@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.cells import Cells, Links, groups, totals
-from model.segmentation.graph import distinct
+from model.segmentation.nodes import distinct
 
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")
