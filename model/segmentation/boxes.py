@@ -194,12 +194,6 @@ class Boxes:
         return np.stack(lows), np.stack(highs)
 
 
-def _made(masks: Bool, source: int) -> Candidates:
-    masks = masks[masks.any(1)]
-    zero = np.zeros(len(masks), np.float32)
-    return Candidates(masks, np.full(len(masks), source, np.int8), zero, zero.copy())
-
-
 class _Shells:
     """The shells of a mesh: what is made of several is cut between them."""
 
@@ -355,15 +349,16 @@ class ObjectSolver(PartSolver):
         return self._boxes.contents(planes.low[:, found].T, planes.high[:, found].T, 0)
 
     def _with(self, found: Candidates, more: list[Bool]) -> Candidates:
-        return joined([found, _made(np.concatenate(more), _FROM_BOX)])
+        masks = np.concatenate(more)
+        masks = masks[masks.any(1)]
+        zero = np.zeros(len(masks), np.float32)
+        made = Candidates(masks, np.full(len(masks), _FROM_BOX, np.int8), zero, zero.copy())
+        return joined([found, made])
 
     def _some(self, masks: Bool) -> Bool:
         """At most ``_REGIONS`` of the masks, of all sizes."""
         size = masks.astype(np.float32) @ self._boxes.size
-        order = np.argsort(size, kind="stable")
-        if len(order) > _REGIONS:
-            order = order[np.linspace(0, len(order) - 1, _REGIONS).astype(int)]
-        return masks[order]
+        return masks[_evenly(np.argsort(size, kind="stable"), _REGIONS)]
 
     def _cut(self, mask: Bool, low: Int, high: Int, after: PartState, cell: int) -> Bool:
         """(H, C) the mask without what lies beyond a plane along a side of a box, or halfway
@@ -383,7 +378,11 @@ class ObjectSolver(PartSolver):
             return np.zeros((0, len(mask)), bool)
         made = np.stack(stays) & mask
         size = made.astype(np.float32) @ self._boxes.size
-        order = np.argsort(-size, kind="stable")
-        if len(order) > _PLANES:
-            order = order[np.linspace(0, len(order) - 1, _PLANES).astype(int)]
-        return made[order]
+        return made[_evenly(np.argsort(-size, kind="stable"), _PLANES)]
+
+
+def _evenly(order: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
+    """At most ``most`` of what is ordered, evenly."""
+    if len(order) <= most:
+        return order
+    return order[np.linspace(0, len(order) - 1, most).astype(int)]
