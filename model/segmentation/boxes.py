@@ -14,6 +14,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
 from model.segmentation.cells import Cells
+from model.segmentation.depths import Depths
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import (
     FEATURE_NAMES,
@@ -24,6 +25,7 @@ from model.segmentation.masks import (
     joined,
 )
 from model.segmentation.mlp import Mlp
+from model.segmentation.parallel import together
 from model.segmentation.plane_boxes import STEPS as _STEPS
 from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
 from model.segmentation.solver import PartSolver, PartState
@@ -33,6 +35,7 @@ BOX_FEATURES = (
     "from_box", "box_filled", "box_volume", "box_short", "box_middle", "box_long", "box_bottom",
     "box_top", "box_reaches", "box_growth", "click_outside_box", "squareness",
     "round_positives", "round_positives_worst", "round_negatives", "round_negatives_worst",
+    "first_deepest", "near_negatives", "between_positives",
 )  # fmt: skip
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES)
 _FROM_BOX = len(SOURCES)
@@ -63,6 +66,8 @@ _LIKE = 0.5
 """Overlap of the volumes of boxes that are alike."""
 _ROUND = 16
 """Cells next to a click that it speaks of."""
+_SHALLOW = 1e-3
+"""Depth that is none, in diagonals."""
 _NEAREST, _ENDS = 4, 2
 """Steps between a front and what a box may end at, and how many ends are tried to each side."""
 
@@ -221,6 +226,7 @@ class ObjectDescriber(MaskDescriber):
         self._boxes = boxes
         self._tree = KDTree(cells.center)
         self._near = min(_ROUND, len(cells))
+        self._depths = Depths(self._x)
 
     def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
         """(H, F) features, in the order of ``OBJECT_FEATURE_NAMES``."""
@@ -228,7 +234,7 @@ class ObjectDescriber(MaskDescriber):
         out[:, self._column["from_box"]] = candidates.source == _FROM_BOX
         return out
 
-    def _own(self, masks: Bool, clicked: Clicked) -> Float:
+    def _own(self, masks: Bool, words: npt.NDArray[np.uint64], clicked: Clicked) -> Float:
         boxes = self._boxes
         m = masks.astype(np.float32)
         size = m @ boxes.size
@@ -257,9 +263,45 @@ class ObjectDescriber(MaskDescriber):
             m @ boxes.square / np.maximum(size, 1e-9),
             *self._round(masks, clicked.positive),
             *self._round(~masks, clicked.negative),
+            self._first_deepest(words, len(masks), clicked),
+            *self._sides(m, size, clicked),
         ]
         extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
-        return np.concatenate([super()._own(masks, clicked), extra], axis=1)
+        return np.concatenate([super()._own(masks, words, clicked), extra], axis=1)
+
+    def _first_deepest(self, words: npt.NDArray[np.uint64], number: int, clicked: Clicked) -> Float:
+        """(H,) log of how deep the first click lies against the deepest spot, -4..1."""
+        first = clicked.positive[0] if clicked.positive else clicked.last
+        own = self._depth(words, number, first)
+        most = self._depths(words, number)
+        ratio = np.log(np.maximum(own, _SHALLOW) / np.maximum(most, _SHALLOW))
+        return np.clip(ratio, -4, 1)
+
+    def _sides(self, m: Float, size: Float, clicked: Clicked) -> tuple[Float, Float]:
+        """(H,) share of each mask that lies nearer to a negative click than to a positive one,
+        and share of what lies between the positive clicks that it holds.
+
+        A negative click deep in a mask seldom means only what is next to it, and clicks all over
+        a part mean what is between them, too.
+        """
+        none, all_ = np.zeros(len(m), np.float32), np.ones(len(m), np.float32)
+        if not clicked.positive or len(clicked.positive) + len(clicked.negative) < 2:
+            return none, all_
+        x, cell_size = self._x, self._boxes.size
+
+        def apart(cells: tuple[int, ...]) -> Float:
+            return np.min([((x - x[c]) ** 2).sum(1) for c in cells], axis=0)
+
+        wrong = np.zeros(len(x), bool)
+        if clicked.negative:
+            wrong = apart(clicked.negative) < apart(clicked.positive)
+        place = self._boxes.place[:, list(clicked.positive)].astype(np.int16)
+        between = ~wrong & self._boxes.contents(place.min(1)[None], place.max(1)[None])[0]
+        beyond = m @ (cell_size * wrong) / np.maximum(size, 1e-9)
+        if len(clicked.positive) < 2:
+            return beyond, all_
+        held = cell_size * between
+        return beyond, m @ held / np.maximum(held.sum(), 1e-9)
 
     def _round(self, masks: Bool, clicks: tuple[int, ...]) -> Float:
         """(2, H) share of the cells next to the clicks that each mask holds, mean and least.
@@ -290,8 +332,10 @@ class ObjectSolver(PartSolver):
         """``shell`` (C,): of a mesh that consists of several, the shell of each cell."""
         self._boxes = Boxes(cells)
         self._shells = None if shell is None else _Shells(shell, cells.size)
-        self._planes = self._boxes.between_planes(cells)
-        describe = ObjectDescriber(cells, hierarchy, self._boxes)
+        boxes = self._boxes
+        self._planes, describe = together(
+            lambda: boxes.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, boxes)
+        )
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
 
     def first_regions(self, cell: int) -> Candidates:
@@ -325,9 +369,6 @@ class ObjectSolver(PartSolver):
         if after.positive:
             made.append(self._between(after.positive, after.negative, _BETWEEN))
             made.append(self._alike(mask, after.positive, after.negative))
-        if self._shells is not None:
-            # First clicks don't get these: the scorer hasn't learned what they mean there.
-            made.append(self._shells.within(np.concatenate(made)))
         return self._with(found, made)
 
     def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
@@ -350,6 +391,8 @@ class ObjectSolver(PartSolver):
 
     def _with(self, found: Candidates, more: list[Bool]) -> Candidates:
         masks = np.concatenate(more)
+        if self._shells is not None:
+            masks = np.concatenate([masks, self._shells.within(masks)])
         masks = masks[masks.any(1)]
         zero = np.zeros(len(masks), np.float32)
         made = Candidates(masks, np.full(len(masks), _FROM_BOX, np.int8), zero, zero.copy())

@@ -161,6 +161,7 @@ class DefaultSession:
             for other in others.values():
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
+            self.encoding.walk.ask(cell)
             found = self.solver.answer(own, cell, step.positive, blocked)
             mask = self.solver.tidy(found.best, own, cell) & ~blocked
             if self._joins and step.positive and own.mask is not None and own.stalls >= _IN_VAIN:

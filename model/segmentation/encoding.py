@@ -15,6 +15,7 @@ from model.segmentation.graph import Graph, build_graph
 from model.segmentation.hierarchy import Hierarchy, build_hierarchy
 from model.segmentation.mlp import Mlp
 from model.segmentation.nodes import Nodes, nodes_of_asset
+from model.segmentation.parallel import together
 from model.segmentation.rooms import Room, fenced, room_of
 from model.segmentation.walk import Walk
 
@@ -51,9 +52,8 @@ def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) ->
     if room is not None:
         cells = fenced(cells, room)
     progress(0.8, "merge trees")
-    hierarchy = build_hierarchy(cells)
-    progress(0.95, "factorising")
-    walk = Walk(cells)
+    # SuperLU frees only what the same thread has asked for: the factors are made on this one.
+    walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
     nodes.elements.prepare()
     progress(1.0, "ready")
     return Encoding(nodes, graph, strength, cells, hierarchy, walk, room)

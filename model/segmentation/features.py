@@ -11,6 +11,7 @@ from scipy.sparse import csr_matrix
 
 from model.segmentation.graph import Graph
 from model.segmentation.nodes import Nodes
+from model.segmentation.parallel import mapped, together
 
 Float = npt.NDArray[np.floating]
 
@@ -71,18 +72,25 @@ def _pair(normals: Float, a: npt.NDArray, b: npt.NDArray, along: Float) -> list[
 
 def edge_features(nodes: Nodes, graph: Graph) -> Float:
     """(M, 31) features of the graph's edges, in the order of ``FEATURE_NAMES``."""
+    smooth = _Diffusion(graph.neighbors[:, :_NEAR])
+    shape, color = together(
+        lambda: _shape_features(nodes, graph, smooth), lambda: _color_features(nodes, graph, smooth)
+    )
+    return np.stack([np.asarray(f, np.float32) for f in shape + color], axis=1)
+
+
+def _shape_features(nodes: Nodes, graph: Graph, smooth: _Diffusion) -> list[Float]:
     a, b, h = graph.a, graph.b, np.float32(graph.spacing)
     points = nodes.points
     near = graph.neighbors[:, :_NEAR]
-    smooth = _Diffusion(near)
     along = (points[b] - points[a]) / np.maximum(graph.length, 1e-12)[:, None]
     normals = graph.normals
     normals_2 = smooth(normals, 4)
     normals_3 = smooth(normals_2, 8)
     rough = np.abs(np.einsum("ij,ij->i", graph.rough_normals[a], graph.rough_normals[b]))
     out: list[Float] = [np.minimum(graph.length / h, 8), np.arccos(np.minimum(rough, 1))]
-    for scale in (normals, normals_2, normals_3):
-        out += _pair(scale, a, b, along)
+    for pair in mapped(lambda n: _pair(n, a, b, along), (normals, normals_2, normals_3)):
+        out += pair
     for scale in (normals_2, normals_3):
         turn = 1 - np.linalg.norm(scale, axis=1)
         out += [np.maximum(turn[a], turn[b]), np.abs(turn[a] - turn[b])]
@@ -103,8 +111,7 @@ def edge_features(nodes: Nodes, graph: Graph) -> Float:
     wide = np.maximum(smooth(reach, 3), 1e-6)
     out += [np.maximum(reach[a] / wide[a], reach[b] / wide[b])]
     out += [np.maximum(graph.variation[a], graph.variation[b])]
-    out += _color_features(nodes, graph, smooth)
-    return np.stack([np.asarray(f, np.float32) for f in out], axis=1)
+    return out
 
 
 def _color_features(nodes: Nodes, graph: Graph, smooth: _Diffusion) -> list[Float]:

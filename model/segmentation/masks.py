@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.blas import ssyrk
 
 from model.segmentation.cells import Cells
 from model.segmentation.hierarchy import Hierarchy
@@ -119,7 +120,7 @@ def _rank(values: Float) -> npt.NDArray[np.int64]:
     return np.argsort(np.argsort(values, kind="stable"), kind="stable")
 
 
-def _words(masks: Bool) -> npt.NDArray[np.uint64]:
+def bits_of(masks: Bool) -> npt.NDArray[np.uint64]:
     """(C, W) the bits of all masks at each cell."""
     number, count = masks.shape
     padded = np.zeros((count, -(-number // 64) * 64), bool)
@@ -224,17 +225,21 @@ class MaskDescriber:
         keys = [row.tobytes() for row in np.packbits(masks, axis=1)]
         new = [i for i, key in enumerate(keys) if key not in self._seen]
         if new:
-            for i, row in zip(new, self._own(masks[new], clicked), strict=True):
+            rows = self._own(masks[new], bits_of(masks[new]), clicked)
+            for i, row in zip(new, rows, strict=True):
                 self._seen[keys[i]] = row
         return np.stack([self._seen[key] for key in keys])
 
-    def _own(self, masks: Bool, clicked: Clicked) -> Float:
-        """(H, K) what each mask shows by itself, in the order of ``own_names``."""
+    def _own(self, masks: Bool, words: npt.NDArray[np.uint64], clicked: Clicked) -> Float:
+        """(H, K) what each mask shows by itself, in the order of ``own_names``.
+
+        Args:
+            words: (C, W) one bit a mask: on which sides of all the masks a cell lies.
+        """
         m = masks.astype(np.float32)
-        # One bit a mask: a word or two say on which sides of all the masks a cell lies.
-        words = _words(masks)
         crossed = words[self._a] ^ words[self._b]
-        border = self._over_links(crossed, len(masks), 7)
+        border = self._over_links(crossed, len(masks))
+        moved = self._moved(crossed, border, clicked)
         sums = m @ self._cell
         inside = np.maximum(sums[:, 17:] - border, 0) / 2
         area = np.maximum(sums[:, 0], 1e-9)
@@ -261,28 +266,41 @@ class MaskDescriber:
             extents[:, 1] / extent, np.linalg.norm(sums[:, 10:13], axis=1) / area, spread,
             depth, depth / scale, off / extent, first_depth / scale,
             mean_border - inside[:, 1] / i0,
-            *self._context(crossed, clicked, m, area),
+            *self._context(moved, clicked, m, area),
             np.full(len(m), self._has_color),
             area / np.maximum(extents.prod(1) ** (2 / 3), 1e-6).clip(1e-6),
-            *self._change(words, masks, clicked, area).T,
+            *self._change(words, moved, masks, clicked, area).T,
             self._repeats(sums[:, [0, 1, 2, 3, 4, 7, 9]]),
         ]  # fmt: skip
         return np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
 
+    def _moved(
+        self, crossed: npt.NDArray[np.uint64], border: Float, clicked: Clicked
+    ) -> Float | None:
+        """(H, 7) as ``border``, for the border of what a mask changes: where either has one."""
+        if clicked.before is None:
+            return None
+        edge = np.nonzero(clicked.before[self._a] ^ clicked.before[self._b])[0]
+        shared = self._over_links(crossed[edge], len(border), edge)
+        return np.maximum(border - 2 * shared + self._link[edge].sum(0), 0)
+
     def _change(
-        self, words: npt.NDArray[np.uint64], masks: Bool, clicked: Clicked, area: Float
+        self,
+        words: npt.NDArray[np.uint64],
+        border: Float | None,
+        masks: Bool,
+        clicked: Clicked,
+        area: Float,
     ) -> Float:
         """(H, 7) what the click flips: people click into the middle of what is wrong."""
         number = len(masks)
-        if clicked.before is None:
-            return np.zeros((number, 7), np.float32)
         before = clicked.before
+        if before is None or border is None:
+            return np.zeros((number, 7), np.float32)
         flipped = masks ^ before
         moved = np.asarray(np.where(before[:, None], ~words, words), np.uint64)
         sums = flipped.astype(np.float32) @ self._cell[:, :13]
         size = np.maximum(sums[:, 0], 1e-9)
-        crossed = moved[self._a] ^ moved[self._b]
-        border = self._over_links(crossed, number, 4)
         b0 = np.maximum(border[:, 0], 1e-9)
         depth = self._depth(moved, number, clicked.last)
         return np.stack(
@@ -298,14 +316,20 @@ class MaskDescriber:
             axis=1,
         ).astype(np.float32)
 
-    def _over_links(self, crossed: npt.NDArray[np.uint64], number: int, columns: int) -> Float:
-        """(H, columns) sums over the links that each mask's border crosses, (M, words)."""
+    def _over_links(
+        self,
+        crossed: npt.NDArray[np.uint64],
+        number: int,
+        links: npt.NDArray[np.int64] | None = None,
+    ) -> Float:
+        """(H, 7) sums over the links that each mask's border crosses, (M, words)."""
         any_ = crossed[:, 0].copy()
         for word in range(1, crossed.shape[1]):
             any_ |= crossed[:, word]
         touched = np.nonzero(any_)[0]
         bits = np.unpackbits(crossed[touched].view(np.uint8), axis=1)[:, :number]
-        return bits.astype(np.float32).T @ self._link[touched, :columns]
+        held = self._link[touched if links is None else links[touched]]
+        return bits.astype(np.float32).T @ held
 
     def _around(self, cell: int) -> tuple[Float, npt.NDArray[np.int64]]:
         """(C,) distances from a cell, diagonal = 1, and the cells by it."""
@@ -342,8 +366,9 @@ class MaskDescriber:
 
     @staticmethod
     def _overlap(m: Float) -> Float:
-        common = m @ m.T
-        size = np.diagonal(common)
+        half = ssyrk(1.0, m.T, trans=1)
+        size = np.diagonal(half)
+        common = half + half.T - np.diag(size)
         return common / np.maximum(size[:, None] + size[None] - common, 1e-9)
 
     @staticmethod
@@ -358,23 +383,18 @@ class MaskDescriber:
         larger = np.where(index < len(order), order[np.minimum(index, len(order) - 1)], area * 20)
         return np.minimum(np.log(larger / area), 3)
 
-    def _context(
-        self, crossed: npt.NDArray[np.uint64], clicked: Clicked, m: Float, area: Float
-    ) -> list[Float]:
+    def _context(self, moved: Float | None, clicked: Clicked, m: Float, area: Float) -> list[Float]:
         number = len(m)
         overlap = np.zeros(number, np.float32)
         growth = np.zeros(number, np.float32)
         changed = np.zeros(number, np.float32)
-        if clicked.before is not None and clicked.before.any():
+        if moved is not None and clicked.before is not None and clicked.before.any():
             before = clicked.before.astype(np.float32)
             common = m @ before
             overlap = common / np.maximum(m.sum(1) + before.sum() - common, 1)
             was = float((self._cell[:, 0] * before).sum())
             growth = np.clip(np.log(area / max(was, 1e-9)), -4, 4)
-            edge = clicked.before[self._a] ^ clicked.before[self._b]
-            moved = np.where(edge[:, None], ~crossed, crossed)
-            counted = self._over_links(moved, number, 2)
-            changed = counted[:, 1] / np.maximum(counted[:, 0], 1)
+            changed = moved[:, 1] / np.maximum(moved[:, 0], 1)
         return [
             np.full(number, min(len(clicked.positive), 10)),
             np.full(number, min(len(clicked.negative), 10)),

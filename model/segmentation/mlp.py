@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.errors import InputFileError
+from model.segmentation.parallel import mapped
 
 FORMAT = 1
 _CHUNK = 65_536
@@ -33,13 +34,16 @@ class Mlp:
     def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """(N,) outputs of (N, D) features."""
         out = np.empty(len(features), np.float32)
-        for begin in range(0, len(features), _CHUNK):
+
+        def answer(begin: int) -> None:
             x = (features[begin : begin + _CHUNK] - self.mean) / self.scale
             x = np.clip(x, -8, 8)
             for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight.T + bias, 0)
             weight, bias = self.layers[-1]
             out[begin : begin + _CHUNK] = (x @ weight.T + bias)[:, 0]
+
+        mapped(answer, range(0, len(features), _CHUNK))
         return out
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
+
+from model.segmentation.parallel import mapped
 
 _CHUNK = 20_000
 
@@ -22,13 +26,16 @@ def plane_normals(
     """
     normals = np.empty((len(points), 3), np.float32)
     variation = np.empty(len(points), np.float32)
-    for begin in range(0, len(points), _CHUNK):
+
+    def fit(begin: int) -> None:
         local = points[neighbors[begin : begin + _CHUNK]]
         local = local - local.mean(1, keepdims=True)
         covariance = np.matmul(local.transpose(0, 2, 1), local).astype(np.float64)
         values, vectors = np.linalg.eigh(covariance)
         normals[begin : begin + _CHUNK] = vectors[:, :, 0]
         variation[begin : begin + _CHUNK] = values[:, 0] / np.maximum(values.sum(1), 1e-30)
+
+    mapped(fit, range(0, len(points), _CHUNK))
     return normals, variation
 
 
@@ -55,7 +62,8 @@ def orient_outwards(
     """
     seen = np.zeros((len(points), 3), np.float32)
     cell = max(2.0 * spacing, 1e-9)
-    for direction in sphere_directions(directions):
+
+    def sees(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         helper = np.array([1.0, 0, 0]) if abs(direction[0]) < 0.8 else np.array([0, 1.0, 0])
         u = np.cross(direction, helper)
         u /= np.linalg.norm(u)
@@ -65,7 +73,10 @@ def orient_outwards(
         key = grid[:, 0] * (grid[:, 1].max() + 1) + grid[:, 1]
         top = np.full(int(key.max()) + 1, -np.inf, np.float32)
         np.maximum.at(top, key, local[:, 2])
-        visible = local[:, 2] > top[key] - 2 * spacing
+        return local[:, 2] > top[key] - 2 * spacing
+
+    tried = sphere_directions(directions)
+    for direction, visible in zip(tried, mapped(sees, tried), strict=True):
         seen[visible] += direction.astype(np.float32)
     flip = np.einsum("ij,ij->i", normals, seen) < 0
     out = normals.copy()
@@ -79,12 +90,16 @@ def smooth_normals(
     """Bilateral smoothing: neighbours count as much as they already agree."""
     out = normals
     for _ in range(passes):
-        mixed = np.empty_like(out)
-        for begin in range(0, len(out), _CHUNK):
-            here = out[begin : begin + _CHUNK]
-            around = out[neighbors[begin : begin + _CHUNK]]
-            dot = np.einsum("nki,ni->nk", around, here)
-            weight = np.exp((dot - 1) / np.float32(0.35**2)) * (dot > 0)
-            mixed[begin : begin + _CHUNK] = np.einsum("nk,nki->ni", weight, around) + here
+        mixed = np.concatenate(mapped(partial(_agreed, out, neighbors), range(0, len(out), _CHUNK)))
         out = mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-9)
     return out
+
+
+def _agreed(
+    normals: npt.NDArray[np.float32], neighbors: npt.NDArray[np.integer], begin: int
+) -> npt.NDArray[np.float32]:
+    here = normals[begin : begin + _CHUNK]
+    around = normals[neighbors[begin : begin + _CHUNK]]
+    dot = np.einsum("nki,ni->nk", around, here)
+    weight = np.exp((dot - 1) / np.float32(0.35**2)) * (dot > 0)
+    return np.einsum("nk,nki->ni", weight, around) + here

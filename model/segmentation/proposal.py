@@ -28,8 +28,7 @@ def propose(session: DefaultSession, seeds: int = 160, least: float = 0.55) -> P
     ranked: list[tuple[float, Bool]] = []
     for cell in _spread(cells.center, seeds):
         answer = session.solver.first_answer(int(cell))
-        likely = answer.scores - session.solver.leaning(answer.features)
-        score = 1 / (1 + np.exp(-likely))
+        score = 1 / (1 + np.exp(-answer.scores))
         for index in np.argsort(-score)[:4]:
             ranked.append((float(score[index]), answer.candidates.masks[index]))
     ranked.sort(key=lambda pair: -pair[0])

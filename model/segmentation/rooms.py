@@ -136,7 +136,7 @@ class RoomDescriber(MaskDescriber):
         self._room = room
         self._size = cells.size.astype(np.float32)
 
-    def _own(self, masks: Bool, clicked: Clicked) -> Float:
+    def _own(self, masks: Bool, words: npt.NDArray[np.uint64], clicked: Clicked) -> Float:
         room = self._room
         m = masks.astype(np.float32)
         size = m @ self._size
@@ -164,7 +164,7 @@ class RoomDescriber(MaskDescriber):
             np.full(len(masks), np.clip(outside, -1, 2)),
         ]
         extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
-        return np.concatenate([super()._own(masks, clicked), extra], axis=1)
+        return np.concatenate([super()._own(masks, words, clicked), extra], axis=1)
 
 
 def bounds_of(masks: Bool, position: npt.NDArray[np.float32]) -> tuple[Float, Float]:
@@ -214,10 +214,6 @@ class RoomSolver(PartSolver):
         chain = super().first_regions(cell)
         masks = self._some(chain.masks)
         return joined([chain, *self._boxed(*self._deeper(*bounds_of(masks, self._room.position)))])
-
-    def leaning(self, features: Float) -> Float:
-        """None: objects of a room are told apart by what they are, not by ornament."""
-        return np.zeros(len(features), np.float32)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool

@@ -34,10 +34,6 @@ _LOSS_PENALTY = 3.0
 _USUAL_OVERLAP = 0.8
 _OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
-_SIZE_RANK = FEATURE_NAMES.index("size_rank")
-_LEANING = 2.0
-"""What the largest mask is ahead of the smallest at a first click."""
-
 _STALL_SHARE = 0.03
 """Of the mask: a click that changes less was in vain."""
 _STALL_PENALTY = 4.0
@@ -248,15 +244,7 @@ class PartSolver:
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
-        return Ranked(found, features, scores + self.leaning(features))
-
-    def leaning(self, features: Float) -> Float:
-        """(H,) what a first click's scores hold beyond the scorer's: a leaning to larger masks.
-
-        Real objects have more relief and ornament within their parts than the made ones that
-        the scorers learn from, which therefore take details for parts.
-        """
-        return _LEANING * features[:, _SIZE_RANK]
+        return Ranked(found, features, scores)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool

@@ -8,6 +8,7 @@ adds one column of G, undo drops it. The leak sets how far a click reaches.
 from __future__ import annotations
 
 from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
@@ -45,20 +46,35 @@ class Walk:
         ]
         self._count = len(cells)
         self._a, self._b, self._weight, self._size = links.a, links.b, weight, cells.size
-        self._columns: OrderedDict[tuple[int, int], Float] = OrderedDict()
+        self._columns: OrderedDict[tuple[int, int], Future[Float]] = OrderedDict()
+        self._ahead: ThreadPoolExecutor | None = None
 
     def column(self, cell: int, reach: int) -> Float:
         """(C,) the Green's function of a cell; ``reach`` indexes ``LEAKS``."""
-        key = (cell, reach)
-        found = self._columns.get(key)
+        found = self._columns.get((cell, reach))
         if found is None:
-            unit = np.zeros(self._count)
-            unit[cell] = 1
-            found = self._factors[reach].solve(unit).astype(np.float32)
-            self._columns[key] = found
-            if len(self._columns) > _COLUMNS:
-                self._columns.popitem(last=False)
-        return found
+            found = Future()
+            found.set_result(self._solved(cell, reach))
+            self._keep(cell, reach, found)
+        return found.result()
+
+    def ask(self, cell: int) -> None:
+        """Begin to solve for a cell on another thread; :meth:`column` waits where it must."""
+        if self._ahead is None:
+            self._ahead = ThreadPoolExecutor(1, thread_name_prefix="walk")
+        for reach in range(len(LEAKS)):
+            if (cell, reach) not in self._columns:
+                self._keep(cell, reach, self._ahead.submit(self._solved, cell, reach))
+
+    def _solved(self, cell: int, reach: int) -> Float:
+        unit = np.zeros(self._count)
+        unit[cell] = 1
+        return self._factors[reach].solve(unit).astype(np.float32)
+
+    def _keep(self, cell: int, reach: int, column: Future[Float]) -> None:
+        self._columns[cell, reach] = column
+        if len(self._columns) > _COLUMNS:
+            self._columns.popitem(last=False)
 
     def sweep(self, field: Float, most: int = 5) -> npt.NDArray[np.bool_]:
         """Level sets of a field through whose border the walk leaks least, at several sizes.

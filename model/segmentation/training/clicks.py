@@ -22,7 +22,7 @@ from model.segmentation.scorers import (
     shipped_scorers,
     solver_of,
 )
-from model.segmentation.simulate import deepest, next_click
+from model.segmentation.simulate import central, deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.fit import averaged, fit_ranker
 from model.segmentation.training.rooms import NOTHING, bared, scanned_room
@@ -49,7 +49,8 @@ class ClickTraining:
             and with drawers, played by what came of the rounds before.
         held_out: every n-th object of all rounds measures in a fit of its own.
         parts: asked for in each object, spread over the logarithm of their sizes.
-        first_clicks: first clicks of each part, one of them on its deepest point.
+        first_clicks: first clicks of each part: on its deepest point, on the deepest of a few
+            random ones, and random ones.
         clicks: length of a simulated session.
         explore: probability of following a hypothesis that is not the best one, by kind of round.
         mesh_share: of the objects that are met as meshes, the others as clouds.
@@ -200,7 +201,8 @@ def play(
     for part in asked_by_size(rng, scene.labels, most, least):
         truth = scene.labels == part
         inside = np.nonzero(truth)[0]
-        starts = [deepest(points, truth), *rng.choice(inside, config.first_clicks - 1)]
+        starts = [deepest(points, truth), central(points, truth, rng)]
+        starts += rng.choice(inside, config.first_clicks - 2).tolist()
         answers = []
         for start in starts:
             ranked = solver.answer(PartState(), int(of_node[start]), True, None)

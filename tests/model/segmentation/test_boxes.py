@@ -14,6 +14,7 @@ from model.geometry.sampling import sample_surface
 from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode
+from model.segmentation.masks import Candidates, Clicked
 from model.segmentation.scorers import solver_of
 from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.training.primitives import block
@@ -130,6 +131,49 @@ def test_features_have_their_names_and_are_finite(drawers) -> None:
     for answer in (first, later):
         assert answer.features.shape == (len(answer.candidates), len(solver.describe.names))
         assert np.isfinite(answer.features).all()
+
+
+def feature(solver: ObjectSolver, masks, clicked: Clicked, name: str) -> list[float]:
+    found = solver.describe(Candidates.of(list(masks), "keep"), clicked)
+    return found[:, solver.describe.names.index(name)].tolist()
+
+
+def test_features_say_on_which_side_of_the_clicks_a_mask_lies(drawers) -> None:
+    """Halves of the chest, told by a click in the middle of each."""
+    cells, hierarchy, walk = drawers[0].cells, drawers[0].hierarchy, drawers[0].walk
+    solver = ObjectSolver(cells, hierarchy, walk, None, None)
+    at = cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    across = at[:, 0]
+    left, right = (int(np.linalg.norm(at - [x, 0.25, 0.3], axis=1).argmin()) for x in (0.2, 0.6))
+    masks = np.stack([across < 0.4, across > 0.4, across < 9])
+    clicked = Clicked((left,), (right,), right, False, masks[2])
+    near = feature(solver, masks, clicked, "near_negatives")
+    size = cells.size
+    beyond = float(size[across > 0.4].sum() / size.sum())
+    assert near[0] < 0.2 and near[1] > 0.8 and near[2] == pytest.approx(beyond, abs=0.15)
+
+    both = Clicked((left, right), (), right, True, masks[0])
+    held = feature(solver, masks, both, "between_positives")
+    assert held[2] == 1 and held[0] + held[1] == pytest.approx(1, abs=0.05)
+    assert feature(solver, masks, both, "near_negatives") == [0, 0, 0]
+    alone = Clicked((left,), (), left, True)
+    assert feature(solver, masks, alone, "between_positives") == [1, 1, 1]
+
+
+def test_a_first_click_in_the_middle_is_deep_in_what_it_means(drawers) -> None:
+    cells, hierarchy, walk = drawers[0].cells, drawers[0].hierarchy, drawers[0].walk
+    solver = ObjectSolver(cells, hierarchy, walk, None, None)
+    at = cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    half = at[:, 0] < 0.4
+    middle, edge = (
+        int(np.where(half, np.linalg.norm(at - [x, 0.25, 0.3], axis=1), 9).argmin())
+        for x in (0.05, 0.38)
+    )
+    (deep,), (shallow,) = (
+        feature(solver, half[None], Clicked((c,), (), c, True), "first_deepest")
+        for c in (middle, edge)
+    )
+    assert -0.5 < deep <= 1 and shallow < deep - 1
 
 
 def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:
