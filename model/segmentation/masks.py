@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.blas import ssyrk
+from scipy.linalg import get_blas_funcs
 
 from model.segmentation.cells import Cells
 from model.segmentation.hierarchy import Hierarchy
@@ -45,6 +45,9 @@ _AMONG = (
 )  # fmt: skip
 """What depends on where a mask came from and on the other masks."""
 
+
+_gram = get_blas_funcs(("syrk",), dtype=np.float32)[0]
+"""All inner products of columns, the upper half of them: half the work of a product."""
 
 _KEPT = 64
 """Clicked cells whose distances to all others are kept."""
@@ -366,7 +369,7 @@ class MaskDescriber:
 
     @staticmethod
     def _overlap(m: Float) -> Float:
-        half = ssyrk(1.0, m.T, trans=1)
+        half = _gram(1.0, m.T, trans=1)
         size = np.diagonal(half)
         common = half + half.T - np.diag(size)
         return common / np.maximum(size[:, None] + size[None] - common, 1e-9)
