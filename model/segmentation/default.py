@@ -353,7 +353,7 @@ class DefaultSegmenter:
     name = "default"
 
     def encode(self, asset: Asset, progress: Progress = no_progress) -> DefaultSession:
-        """Encode ``asset``: about 2 s at 100k points, 4 s at a million."""
+        """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
         scorers = shipped_scorers(rooms=encoding.room is not None)
         return DefaultSession(asset, encoding, solver_of(encoding, *scorers))
