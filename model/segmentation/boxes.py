@@ -39,6 +39,10 @@ BOX_FEATURES = (
 )  # fmt: skip
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES)
 _FROM_BOX = len(SOURCES)
+_LOG_SIZE, _FIRST_DEPTH = (
+    [n for n in FEATURE_NAMES if n not in MaskDescriber.among].index(n)
+    for n in ("log_size", "first_depth_relative")
+)
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
@@ -236,6 +240,7 @@ class ObjectDescriber(MaskDescriber):
 
     def _own(self, masks: Bool, words: npt.NDArray[np.uint64], clicked: Clicked) -> Float:
         boxes = self._boxes
+        base = super()._own(masks, words, clicked)
         m = masks.astype(np.float32)
         size = m @ boxes.size
         low, high = boxes.bounds(masks)
@@ -263,17 +268,22 @@ class ObjectDescriber(MaskDescriber):
             m @ boxes.square / np.maximum(size, 1e-9),
             *self._round(masks, clicked.positive),
             *self._round(~masks, clicked.negative),
-            self._first_deepest(words, len(masks), clicked),
+            self._first_deepest(words, base),
             *self._sides(m, size, clicked),
         ]
         extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
-        return np.concatenate([super()._own(masks, words, clicked), extra], axis=1)
+        return np.concatenate([base, extra], axis=1)
 
-    def _first_deepest(self, words: npt.NDArray[np.uint64], number: int, clicked: Clicked) -> Float:
-        """(H,) log of how deep the first click lies against the deepest spot, -4..1."""
-        first = clicked.positive[0] if clicked.positive else clicked.last
-        own = self._depth(words, number, first)
-        most = self._depths(words, number)
+    def _first_deepest(self, words: npt.NDArray[np.uint64], base: Float) -> Float:
+        """(H,) log of how deep the first click lies against the deepest spot, -4..1.
+
+        Args:
+            base: (H, K) what :class:`MaskDescriber` finds; its depths are relative to the root of
+                the masks' sizes.
+        """
+        log_size, relative = base[:, _LOG_SIZE], base[:, _FIRST_DEPTH]
+        own = relative * np.exp(log_size / 2)
+        most = self._depths(words, len(base))
         ratio = np.log(np.maximum(own, _SHALLOW) / np.maximum(most, _SHALLOW))
         return np.clip(ratio, -4, 1)
 
@@ -287,12 +297,12 @@ class ObjectDescriber(MaskDescriber):
         none, all_ = np.zeros(len(m), np.float32), np.ones(len(m), np.float32)
         if not clicked.positive or len(clicked.positive) + len(clicked.negative) < 2:
             return none, all_
-        x, cell_size = self._x, self._boxes.size
+        cell_size = self._boxes.size
 
         def apart(cells: tuple[int, ...]) -> Float:
-            return np.min([((x - x[c]) ** 2).sum(1) for c in cells], axis=0)
+            return np.min([self._around(c)[0] for c in cells], axis=0)
 
-        wrong = np.zeros(len(x), bool)
+        wrong = np.zeros(len(cell_size), bool)
         if clicked.negative:
             wrong = apart(clicked.negative) < apart(clicked.positive)
         place = self._boxes.place[:, list(clicked.positive)].astype(np.int16)

@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from model.segmentation.nodes import voxel_keys
+
 Float = npt.NDArray[np.floating]
 Int = npt.NDArray[np.integer]
 
@@ -23,7 +25,7 @@ class Depths:
 
     A ball lies in a mask where all the smaller ones that make it up do, so all masks are tested
     at once, a bit each. The two series of balls differ by the root of two; on real objects the
-    true depth is 0.5 to 1.5 times what is found, which is enough to tell an edge from a middle.
+    true depth is mostly 0.6 to 1.2 times what is found, enough to tell an edge from a middle.
     """
 
     def __init__(self, x: Float) -> None:
@@ -69,8 +71,5 @@ class Depths:
 
 def _thinned(x: Float, side: float) -> Float:
     """One point of each voxel."""
-    place = np.floor((x - x.min(0)) / side).astype(np.int64)
-    count = place.max(0) + 1
-    key = (place[:, 0] * count[1] + place[:, 1]) * count[2] + place[:, 2]
-    _, first = np.unique(key, return_index=True)
+    _, first = np.unique(voxel_keys(x, x.min(0), side), return_index=True)
     return x[np.sort(first)]

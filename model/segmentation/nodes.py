@@ -136,9 +136,10 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
     return _cloud_nodes(asset.cloud, target)
 
 
-def _voxel_keys(
+def voxel_keys(
     points: npt.NDArray[np.float32], low: npt.NDArray[np.float32], size: float
 ) -> npt.NDArray[np.int64]:
+    """(N,) the voxel of edge ``size`` that holds each point; ``low`` (3,) is their corner."""
     cell = np.floor((points - low) / np.float32(size)).astype(np.int64)
     return (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
 
@@ -149,7 +150,7 @@ def _voxel_size(points: npt.NDArray[np.float32], target: int) -> float:
     extent = float((points.max(0) - low).max())
     size = max(extent, 1e-9) / 200
     for _ in range(6):
-        key = _voxel_keys(points, low, size)
+        key = voxel_keys(points, low, size)
         # Counting one voxel in eight (by hash) tells the number well enough.
         few = key[(key * np.int64(0x9E3779B97F4A7C1) >> 40) & 7 == 0]
         ratio = np.sqrt(max(8 * len(distinct(few)), 1) / target)
@@ -170,7 +171,7 @@ def _cloud_nodes(cloud: PointCloud, target: int) -> Nodes:
     points = cloud.points
     low = points.min(0)
     size = _voxel_size(points, target)
-    key = _voxel_keys(points, low, size)
+    key = voxel_keys(points, low, size)
     order = np.argsort(key, kind="stable")
     first = np.nonzero(np.r_[True, np.diff(key[order]) != 0])[0]
     group = np.zeros(count, np.int32)

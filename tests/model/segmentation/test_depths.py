@@ -22,7 +22,7 @@ def plane() -> np.ndarray:
 def test_largest_ball_of_a_disc_is_nearly_the_disc(plane: np.ndarray, radius: float) -> None:
     disc = np.linalg.norm(plane[:, :2] - 0.5, axis=1) < radius
     (found,) = Depths(plane)(bits_of(disc[None]), 1)
-    assert 0.5 * radius <= found <= 1.6 * radius
+    assert 0.5 * radius <= found <= 1.3 * radius
 
 
 def test_many_masks_at_once_are_as_each_alone(plane: np.ndarray) -> None:
@@ -40,7 +40,7 @@ def test_a_long_strip_is_shallow_and_nothing_holds_no_ball(plane: np.ndarray) ->
     strip = np.abs(plane[:, 1] - 0.5) < 0.05
     masks = np.stack([strip, np.zeros(len(plane), bool), np.ones(len(plane), bool)])
     thin, none, whole = Depths(plane)(bits_of(masks), 3)
-    assert 0.02 <= thin <= 0.1
+    assert 0.02 <= thin <= 0.07
     assert none == 0
     assert whole > 0.2
 
