@@ -141,8 +141,7 @@ def _link_means(graph: Graph, features: Float, strength: Float, cells: Cells) ->
     b = cells.of_node[graph.b].astype(np.int64)
     crossing = np.nonzero(a != b)[0]
     a, b = a[crossing], b[crossing]
-    # Links of few nodes are their edges as they come: in no order, a bridge perhaps twice.
-    known, back = np.unique(links.a.astype(np.int64) * number + links.b, return_inverse=True)
+    known = links.a.astype(np.int64) * number + links.b
     link = np.searchsorted(known, np.minimum(a, b) * number + np.maximum(a, b))
     order = np.argsort(link, kind="stable").astype(np.int32)
     rows = crossing[order].astype(np.int32)
@@ -151,7 +150,7 @@ def _link_means(graph: Graph, features: Float, strength: Float, cells: Cells) ->
     means = csr_matrix((share, rows, start), shape=(len(known), len(features)))
     held = strength[rows]
     extremes = [f.reduceat(held, start[:-1]) for f in (np.maximum, np.minimum)]
-    return np.column_stack([means @ features, means @ strength, *extremes])[back]
+    return np.column_stack([means @ features, means @ strength, *extremes])
 
 
 def _patches(cells: Cells) -> tuple[Int, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -41,10 +40,10 @@ SMALL = LinkTraining(
 )
 
 
-@lru_cache(maxsize=2)
-def made(points: int):
+@pytest.fixture(scope="module")
+def example():
     """Nodes, graph, features, strengths and cells of a made object, and its nodes' parts."""
-    data = scan(build(123_456, ("StorageFurniture",)), points, "outside", 0.0005, 5)
+    data = scan(build(123_456, ("StorageFurniture",)), 20_000, "outside", 0.0005, 5)
     nodes = nodes_of_asset(Asset("object", cloud=data.cloud))
     graph = build_graph(nodes)
     features = edge_features(nodes, graph)
@@ -52,11 +51,6 @@ def made(points: int):
     cells = build_cells(nodes, graph, strength, edge_weight(strength, graph))
     labels = data.labels[nodes.elements.element_of_node]
     return nodes, graph, features, strength, cells, labels
-
-
-@pytest.fixture(scope="module")
-def example():
-    return made(20_000)
 
 
 @pytest.fixture(scope="module")
@@ -87,22 +81,19 @@ def test_it_does_not_matter_which_end_of_a_link_is_first(seen) -> None:
     np.testing.assert_allclose(model(turned), model(seen), atol=1e-4)
 
 
-@pytest.mark.parametrize("points", [20_000, 3_000])
-def test_links_tell_what_their_node_edges_show(points: int) -> None:
-    """3000 points are fewer than the cells wanted: every node is a cell, in pieces with bridges."""
-    _, graph, features, strength, cells, _ = made(points)
-    seen = link_inputs(*made(points)[:5])
+def test_links_tell_what_their_node_edges_show(example, seen) -> None:
+    _, graph, features, strength, cells, _ = example
+    link = int(cells.links.count.argmax())
+    ends = {int(cells.links.a[link]), int(cells.links.b[link])}
     of = cells.of_node
-    ends = np.sort(np.stack([of[graph.a], of[graph.b]], axis=1), axis=1)
-    chosen = {int(cells.links.count.argmax()), 0, len(cells.links.a) // 2, len(cells.links.a) - 1}
-    for link in chosen:
-        held = np.nonzero((ends == (cells.links.a[link], cells.links.b[link])).all(1))[0]
-        row = dict(zip(LINK_FEATURES, seen.link[link], strict=True))
-        np.testing.assert_allclose(seen.link[link, : features.shape[1]], features[held].mean(0),
-                                   atol=1e-4)  # fmt: skip
-        assert row["strength_max"] == strength[held].max()
-        assert row["strength_min"] == strength[held].min()
-    assert (points == 20_000) == (len(cells) < len(of))
+    held = [i for i, (a, b) in enumerate(zip(of[graph.a], of[graph.b], strict=True))
+            if {int(a), int(b)} == ends]  # fmt: skip
+    row = dict(zip(LINK_FEATURES, seen.link[link], strict=True))
+    assert len(held) == cells.links.count[link]
+    np.testing.assert_allclose(seen.link[link, : features.shape[1]], features[held].mean(0),
+                               atol=1e-4)  # fmt: skip
+    assert row["strength_max"] == strength[held].max()
+    assert row["strength_min"] == strength[held].min()
 
 
 def test_patches_nest_and_grow_coarser_even_where_all_links_are_alike() -> None:
