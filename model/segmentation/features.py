@@ -72,8 +72,6 @@ def _pair(normals: Float, a: npt.NDArray, b: npt.NDArray, along: Float) -> list[
 
 def edge_features(nodes: Nodes, graph: Graph) -> Float:
     """(M, 31) features of the graph's edges, in the order of ``FEATURE_NAMES``."""
-    if not len(graph.a):
-        return np.zeros((0, len(FEATURE_NAMES)), np.float32)
     smooth = _Diffusion(graph.neighbors[:, :_NEAR])
     shape, color = together(
         lambda: _shape_features(nodes, graph, smooth), lambda: _color_features(nodes, graph, smooth)

@@ -66,9 +66,9 @@ class LinkInputs:
 
     a: Int
     b: Int
-    cell: Float
-    link: Float
-    along: Float
+    cell: npt.NDArray[np.float32]
+    link: npt.NDArray[np.float32]
+    along: npt.NDArray[np.float32]
     patches: tuple[Int, ...]
 
 
@@ -189,7 +189,7 @@ class LinkModel:
         """Rounds of messages."""
         return sum(name.startswith("from_") for name in self.layers)
 
-    def __call__(self, x: LinkInputs) -> Float:
+    def __call__(self, x: LinkInputs) -> npt.NDArray[np.float32]:
         """(M,) logits: how much each link looks like a border."""
         number, count = len(x.cell), len(x.a)
         if not count:
@@ -232,12 +232,12 @@ class LinkModel:
     def _scaled(self, name: str, x: Float) -> Float:
         return np.clip((x - self.mean[name]) / self.scale[name], -LIMIT, LIMIT)
 
-    def _linear(self, name: str, x: Float) -> Float:
+    def _linear(self, name: str, x: Float) -> npt.NDArray[np.float32]:
         weight, bias = self.layers[name]
         return x @ weight.T + bias
 
 
-def _relu(x: Float) -> Float:
+def _relu(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return np.maximum(x, 0, out=x)
 
 
@@ -252,7 +252,7 @@ class _Pool:
             (share, (patch, np.arange(len(patch)))), shape=(number, len(patch))
         )
 
-    def __call__(self, values: Float) -> Float:
+    def __call__(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         return (self._means @ values)[self._patch]
 
 
