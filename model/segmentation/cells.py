@@ -128,9 +128,18 @@ def build_cells(
         mean = links.strength / links.count
         joint = size[links.a] + size[links.b]
         cost = mean + 0.05 * joint + 0.1 * far
-        cost += _jitter(number, len(cost))
+        # Equal costs would make every cell choose its lowest neighbour and nobody a pair.
+        cost += 0.05 * np.random.default_rng(number).random(len(cost))
         cost[(joint > _MAX_NODES) | (mean > 3.0)] = np.inf
-        group, left = _pairs(links, cost, number)
+        best = links.cheapest(cost, number)
+        rows = np.nonzero(best >= 0)[0]
+        rows = rows[np.isfinite(cost[best[rows]])]
+        mate = np.where(links.a[best[rows]] == rows, links.b[best[rows]], links.a[best[rows]])
+        mutual = best[mate] == best[rows]
+        rows, mate = rows[mutual], mate[mutual]
+        if not len(rows):
+            break
+        left, group = groups(number, rows, mate)
         if left > 0.99 * number:
             break
         size = np.bincount(group, size, left)
@@ -139,51 +148,6 @@ def build_cells(
         far = np.zeros(len(links.a))
         number = left
     return _describe(nodes, graph, of_node.astype(np.int32), links, number)
-
-
-def _jitter(seed: int, count: int) -> npt.NDArray[np.float64]:
-    """Small costs: equal ones would make every cell choose its lowest neighbour, nobody a pair."""
-    return 0.05 * np.random.default_rng(seed).random(count)
-
-
-def _pairs(
-    links: Links, cost: npt.NDArray[np.float64], number: int
-) -> tuple[npt.NDArray[np.int32], int]:
-    """(number,) groups of two where each is the other's cheapest, of one elsewhere; how many."""
-    best = links.cheapest(cost, number)
-    rows = np.nonzero(best >= 0)[0]
-    rows = rows[np.isfinite(cost[best[rows]])]
-    mate = np.where(links.a[best[rows]] == rows, links.b[best[rows]], links.a[best[rows]])
-    mutual = best[mate] == best[rows]
-    left, group = groups(number, rows[mutual], mate[mutual])
-    return group, left
-
-
-def paired(
-    links: Links, size: npt.NDArray[np.float64], target: int, weight: float
-) -> tuple[npt.NDArray[np.int32], Links, npt.NDArray[np.float64]]:
-    """Clusters paired on along their weakest links until about ``target`` are left.
-
-    Args:
-        weight: of how large a pair is against the mean one, in units of strength.
-
-    Returns:
-        (C,) the new cluster of each old one, the links between them, and their sizes.
-    """
-    number = len(size)
-    of_old = np.arange(number, dtype=np.int32)
-    while number > target and len(links.a):
-        joint = size[links.a] + size[links.b]
-        cost = links.strength / links.count + weight * joint / joint.mean()
-        cost += _jitter(number, len(cost))
-        group, left = _pairs(links, cost, number)
-        if left > 0.99 * number:
-            break
-        size = np.bincount(group, size, left)
-        of_old = group[of_old]
-        links = links.contract(group, left)
-        number = left
-    return of_old, links, size
 
 
 def _describe(

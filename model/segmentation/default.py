@@ -19,7 +19,8 @@ from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
-from model.segmentation.encoding import Encoding, encode, shipped_border_models
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import Encoding, encode
 from model.segmentation.plates import (
     Fittings,
     Plates,
@@ -353,6 +354,6 @@ class DefaultSegmenter:
 
     def encode(self, asset: Asset, progress: Progress = no_progress) -> DefaultSession:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
-        encoding = encode(asset, shipped_border_models(), progress)
+        encoding = encode(asset, shipped_edge_model(), progress)
         scorers = shipped_scorers(rooms=encoding.room is not None)
         return DefaultSession(asset, encoding, solver_of(encoding, *scorers))

@@ -42,22 +42,11 @@ def hand_set_strength(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float
     return np.clip(crease + color, 0, MAX_STRENGTH).astype(np.float32)
 
 
-def edge_strength(
-    nodes: Nodes,
-    graph: Graph,
-    model: Mlp | None,
-    features: npt.NDArray[np.float32] | None = None,
-) -> npt.NDArray[np.float32]:
-    """(M,) strength of each edge; by ``model``, or the hand-set rule where it is None.
-
-    Args:
-        features: (M, D) from :func:`~model.segmentation.features.edge_features`, where they are
-            there already.
-    """
+def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[np.float32]:
+    """(M,) strength of each edge; by ``model``, or the hand-set rule where it is None."""
     if not len(graph.a):
         return np.zeros(0, np.float32)
-    if features is None:
-        features = edge_features(nodes, graph)
+    features = edge_features(nodes, graph)
     if model is None:
         strength = hand_set_strength(features)
     else:

@@ -10,11 +10,9 @@ import numpy.typing as npt
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.cells import Cells, build_cells
-from model.segmentation.edge_strength import edge_strength, edge_weight, shipped_edge_model
-from model.segmentation.features import edge_features
+from model.segmentation.edge_strength import edge_strength, edge_weight
 from model.segmentation.graph import Graph, build_graph
 from model.segmentation.hierarchy import Hierarchy, build_hierarchy
-from model.segmentation.link_strength import LinkModel, link_inputs, refined, shipped_link_model
 from model.segmentation.mlp import Mlp
 from model.segmentation.nodes import Nodes, nodes_of_asset
 from model.segmentation.parallel import together
@@ -40,43 +38,19 @@ class Encoding:
     room: Room | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class BorderModels:
-    """What says where borders are; None for the hand-set rule, and for no second opinion.
-
-    Attributes:
-        edges: of single edges of the node graph.
-        links: of links between cells, with what lies around them; for objects alone.
-    """
-
-    edges: Mlp | None = None
-    links: LinkModel | None = None
-
-
-def shipped_border_models() -> BorderModels:
-    """The trained models that ship with the project, where they are there."""
-    return BorderModels(shipped_edge_model(), shipped_link_model())
-
-
-def encode(asset: Asset, models: BorderModels, progress: Progress = no_progress) -> Encoding:
-    """Over-segment ``asset``."""
+def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:
+    """Over-segment ``asset``; ``edges`` is the edge model, None for the hand-set rule."""
     progress(0.0, "sampling the surface")
     nodes = nodes_of_asset(asset)
     progress(0.15, "neighbours and normals")
     graph = build_graph(nodes)
     progress(0.45, "creases and colours")
-    features = edge_features(nodes, graph)
-    strength = edge_strength(nodes, graph, models.edges, features)
-    progress(0.65, "cells")
+    strength = edge_strength(nodes, graph, edges)
+    progress(0.7, "cells")
     cells = build_cells(nodes, graph, strength, edge_weight(strength, graph))
     room = room_of(asset, nodes, cells)
     if room is not None:
         cells = fenced(cells, room)
-    elif models.links is not None:
-        progress(0.7, "borders")
-        seen = link_inputs(nodes, graph, features, strength, cells)
-        cells = refined(cells, models.links(seen))
-    del features
     progress(0.8, "merge trees")
     # SuperLU frees only what the same thread has asked for: the factors are made on this one.
     walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))

@@ -9,27 +9,24 @@ from pathlib import Path
 from model.resources import static_assets
 from model.segmentation.training.clicks import ClickTraining, train_room_scorers, train_scorers
 from model.segmentation.training.edges import EdgeTraining, train_edges
-from model.segmentation.training.links import LinkTraining, train_links
 
 
 @dataclass(frozen=True)
 class Training:
-    """All trainings, each with what came of those before; about two hours on two cores.
+    """All trainings; about an hour on two cores.
 
     Attributes:
-        out: folder for ``edges.npz``, ``links.npz``, ``first_click.npz``, ``later_click.npz`` and,
-            of rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_links, skip_parts, skip_rooms: keep the networks that are there.
-        edges, links, clicks: their settings.
+        out: folder for ``edges.npz``, ``first_click.npz``, ``later_click.npz`` and, of rooms,
+            ``room_first_click.npz`` and ``room_later_click.npz``.
+        skip_edges, skip_parts, skip_rooms: keep the networks that are there.
+        edges, clicks: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
     skip_edges: bool = False
-    skip_links: bool = False
     skip_parts: bool = False
     skip_rooms: bool = False
     edges: EdgeTraining = field(default_factory=EdgeTraining)
-    links: LinkTraining = field(default_factory=LinkTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
 
 
@@ -41,8 +38,6 @@ def main() -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     if not config.skip_edges:
         print(json.dumps(train_edges(config.edges, config.out / "edges.npz"), indent=1))
-    if not config.skip_links:
-        print(json.dumps(train_links(config.links, config.out / "links.npz"), indent=1))
     if not config.skip_parts:
         print(json.dumps(train_scorers(config.clicks, config.out), indent=1))
     if not config.skip_rooms:

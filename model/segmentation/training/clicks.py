@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from model.geometry.asset import Asset
 from model.segmentation.boxes import OBJECT_FEATURE_NAMES
-from model.segmentation.encoding import Encoding, encode, shipped_border_models
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import Encoding, encode
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES
 from model.segmentation.scorers import (
@@ -147,30 +148,24 @@ class _Scene:
     labels: npt.NDArray[np.int16]
 
 
-def random_asset(
-    seed: int, kind: Round, mesh_share: float, rng: np.random.Generator
-) -> tuple[Asset, npt.NDArray[np.int16]]:
-    """An object, sampled or as a mesh, and the true part of each of its elements."""
-    families = _FAMILIES.get(kind)
-    if rng.random() < mesh_share:
-        shape = build(seed, families)
-        return Asset("object", mesh=shape.mesh), shape.part
-    counts = _POINTS.get(kind, (30_000, 40_000, 100_000))
-    data = random_scan(seed, counts[seed % len(counts)], families)
-    return Asset("object", cloud=data.cloud), data.labels
-
-
 def _scene(seed: int, config: ClickTraining, kind: Round, rng: np.random.Generator) -> _Scene:
     if kind == "rooms":
         room = scanned_room(seed)
         if rng.random() < config.bare_rooms:
             room = bared(room)
-        encoding = encode(Asset("room", cloud=room.cloud), shipped_border_models())
+        encoding = encode(Asset("room", cloud=room.cloud), shipped_edge_model())
         # What is nothing's own is never asked for, as strays are not.
         labels = np.where(room.labels == NOTHING, np.int16(-1), room.labels)
         return _Scene(encoding, labels[encoding.nodes.elements.element_of_node])
-    asset, labels = random_asset(seed, kind, config.mesh_share, rng)
-    encoding = encode(asset, shipped_border_models())
+    families = _FAMILIES.get(kind)
+    if rng.random() < config.mesh_share:
+        shape = build(seed, families)
+        labels, asset = shape.part, Asset("object", mesh=shape.mesh)
+    else:
+        counts = _POINTS.get(kind, (30_000, 40_000, 100_000))
+        data = random_scan(seed, counts[seed % len(counts)], families)
+        labels, asset = data.labels, Asset("object", cloud=data.cloud)
+    encoding = encode(asset, shipped_edge_model())
     return _Scene(encoding, labels[encoding.nodes.elements.element_of_node])
 
 

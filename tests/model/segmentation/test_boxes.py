@@ -12,7 +12,8 @@ from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.sampling import sample_surface
 from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
-from model.segmentation.encoding import encode, shipped_border_models
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import encode
 from model.segmentation.masks import Candidates, Clicked
 from model.segmentation.scorers import solver_of
 from model.segmentation.solver import PartSolver, PartState
@@ -47,7 +48,7 @@ def drawers():
     mesh, part = chest()
     turned = Mesh(mesh.vertices @ Rotation.from_euler("z", 0.4).as_matrix().T, mesh.faces)
     cloud, face = sample_surface(turned, 40_000, np.random.default_rng(0))
-    encoding = encode(Asset("chest", cloud=cloud), shipped_border_models())
+    encoding = encode(Asset("chest", cloud=cloud), shipped_edge_model())
     return encoding, part[np.asarray(face)]
 
 
@@ -105,7 +106,7 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
     """A drawer's front, then its tray: the drawer to the last face, without the carcass."""
     mesh, part = chest()
     asset = Asset("chest", mesh=mesh)
-    encoding = encode(asset, shipped_border_models())
+    encoding = encode(asset, shipped_edge_model())
     labels = part[encoding.nodes.elements.element_of_node]
     of_node = encoding.cells.of_node
     solver = solver_of(encoding, None, None)
