@@ -40,6 +40,7 @@ _SPECK = 0.002
 _SPECK_OF_PART = 0.1
 _FAR_LARGER = 0.5
 _ALTERNATIVES = 5
+_CHOSEN_SHARE = 0.1
 
 Bool = npt.NDArray[np.bool_]
 
@@ -236,6 +237,13 @@ class DefaultSession:
             own = parts.get(step.part, PartState(negative=self._foreign(state, step.part)))
             before = own.mask if own.mask is not None else np.zeros(len(cells), bool)
             parts[step.part] = replace(own, mask=before | inside)
+        own, now = state.parts.get(step.part), parts.get(step.part)
+        if own is not None and own.positive and own.mask is not None and now is not None:
+            # After clicks, a region that makes most of the mask is what the person settled for.
+            assert now.mask is not None
+            changed = cells.size[now.mask ^ own.mask].sum()
+            if changed > _CHOSEN_SHARE * cells.size[now.mask].sum():
+                parts[step.part] = replace(now, drawn=own.drawn + 1)
         return replace(state, parts=parts)
 
     # Labels --------------------------------------------------------------------------

@@ -34,6 +34,11 @@ _LOSS_PENALTY = 3.0
 _USUAL_OVERLAP = 0.8
 _OVERLAP_BEFORE = FEATURE_NAMES.index("overlap_before")
 
+_REGION_SAYS = 4
+"""Clicks that say as much as a mask that the person chose or drew."""
+_CHOSEN = 5.0
+"""How much more such a mask is worth keeping than one that clicks brought."""
+
 _STALL_SHARE = 0.03
 """Of the mask: a click that changes less was in vain."""
 _STALL_PENALTY = 4.0
@@ -51,12 +56,14 @@ class PartState:
         positive, negative: clicked cells in order.
         mask: (C,) its cells.
         stalls: how many clicks in a row have hardly changed the mask.
+        drawn: how often the person has chosen or drawn another mask than the clicks brought.
     """
 
     positive: tuple[int, ...] = ()
     negative: tuple[int, ...] = ()
     mask: Bool | None = None
     stalls: int = 0
+    drawn: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,12 +218,13 @@ class PartSolver:
         own = float(size[state.mask].sum())
         changed = (masks ^ state.mask).astype(np.float32) @ size.astype(np.float32)
         # Nobody clicks early to change a cell or two; later that may be all that is wrong.
-        said = len(state.positive) + len(state.negative)
+        said = len(state.positive) + len(state.negative) + _REGION_SAYS * state.drawn
         early = np.exp(-(said - 1) / 2)
         idle = changed <= min(_IDLE_CELLS * size.mean(), _IDLE_SHARE * own)
         # And nobody clicks late to throw away most of what is there, unless nothing else helps.
         against = _IDLE_PENALTY * early * idle
-        against += _LOSS_PENALTY * (1 - early) * lost / (1 + state.stalls)
+        loss = _LOSS_PENALTY * (_CHOSEN if state.drawn else 1)
+        against += loss * (1 - early) * lost / (1 + state.stalls)
         apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
         other = state.mask != state.mask[cell]
         near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())

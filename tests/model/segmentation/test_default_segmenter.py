@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -9,12 +11,14 @@ from model.datasets.procedural.examples import joined
 from model.datasets.procedural.generate import make
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
+from model.geometry.readers import read_asset
+from model.resources import static_assets
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.repeats import Repeats
-from model.segmentation.simulate import deepest, iou, next_click, next_part_click
+from model.segmentation.simulate import central, deepest, iou, next_click, next_part_click
 from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.training.primitives import block
 
@@ -267,3 +271,37 @@ def test_a_click_far_from_a_small_mask_means_more_than_a_speck(session, stubborn
     answer = solver.answer(PartState((first,), before, knob), door, True, None)
     gained = encoding.cells.size[answer.best & ~knob].sum()
     assert gained > 3 * encoding.cells.size[door], gained
+
+
+def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
+    """Tab, then a click on what is still wrong, must not bring back what Tab had left behind."""
+    scan = static_assets() / "examples" / "oven_scan.ply"
+    runs = json.loads((scan.parent / "truth" / "oven_scan.json").read_text())["runs"]
+    labels = np.concatenate([np.full(number, part) for part, number in runs])
+    asset = read_asset(scan)
+    points, session = asset.element_centers, DefaultSegmenter().encode(asset)
+    door, known, rng = labels == 1, labels >= 0, np.random.default_rng(0)
+
+    def click(index: int, positive: bool = True) -> Click:
+        x, y, z = points[index].tolist()
+        return Click((x, y, z), 1, positive, int(index))
+
+    after, refused = [], 0
+    for _ in range(11):
+        items: list[Click | Region] = [click(central(points, door, rng))]
+        first = session.segment(Prompts(tuple(items))).labels == 1
+        others = session.candidates(Prompts(tuple(items)), 1)
+        best = max(others, key=lambda m: iou(m & known, door))
+        before = iou(best & known, door)
+        if before < iou(first & known, door) + 0.05:
+            continue
+        items += [Region(1, np.nonzero(first & ~best)[0], False),
+                  Region(1, np.nonzero(best & ~first)[0])]  # fmt: skip
+        found = next_click(points, door, best & known)
+        assert found is not None
+        items.append(click(*found))
+        refused += not found[1]
+        mask = session.segment(Prompts(tuple(items))).labels == 1
+        after.append(iou(mask & known, door) - before)
+    assert refused >= 3
+    assert min(after) > -0.02, after
