@@ -223,8 +223,9 @@ class PartSolver:
         idle = changed <= min(_IDLE_CELLS * size.mean(), _IDLE_SHARE * own)
         # And nobody clicks late to throw away most of what is there, unless nothing else helps.
         against = _IDLE_PENALTY * early * idle
-        loss = _LOSS_PENALTY * (_CHOSEN if state.drawn else 1)
-        against += loss * (1 - early) * lost / (1 + state.stalls)
+        # But what was chosen or drawn is not thrown away because a click brought little.
+        loss = _LOSS_PENALTY * (_CHOSEN if state.drawn else 1 / (1 + state.stalls))
+        against += loss * (1 - early) * lost
         apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
         other = state.mask != state.mask[cell]
         near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
