@@ -41,6 +41,7 @@ _SPECK_OF_PART = 0.1
 _FAR_LARGER = 0.5
 _ALTERNATIVES = 5
 _CHOSEN_SHARE = 0.1
+"""Of the mask: a region that changes more was chosen or drawn to replace what clicks brought."""
 
 Bool = npt.NDArray[np.bool_]
 
@@ -239,7 +240,7 @@ class DefaultSession:
             parts[step.part] = replace(own, mask=before | inside)
         own, now = state.parts.get(step.part), parts.get(step.part)
         if own is not None and own.positive and own.mask is not None and now is not None:
-            # After clicks, a region that makes most of the mask is what the person settled for.
+            # After clicks, a region that changes this much is what the person settled for.
             assert now.mask is not None
             changed = cells.size[now.mask ^ own.mask].sum()
             if changed > _CHOSEN_SHARE * cells.size[now.mask].sum():
