@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
+from model.segmentation.alternatives import offered
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.plates import (
@@ -39,7 +40,6 @@ _IN_VAIN = 2
 _SPECK = 0.002
 _SPECK_OF_PART = 0.1
 _FAR_LARGER = 0.5
-_ALTERNATIVES = 5
 _CHOSEN_SHARE = 0.1
 """Of the mask: a region that changes more was chosen or drawn to replace what clicks brought."""
 
@@ -97,7 +97,7 @@ class DefaultSession:
         return PartSegmentation(labels, "default", time.perf_counter() - begin)
 
     def candidates(self, prompts: Prompts, part: int) -> list[Bool]:
-        """Up to five other masks for the latest click of ``part``, best first."""
+        """Up to five other masks for the latest click of ``part``, most useful first."""
         steps = resolve(self.asset, self.encoding.nodes, prompts)
         state = self._state(steps)
         if part not in state.ranked or part not in state.parts:
@@ -105,21 +105,16 @@ class DefaultSession:
         current = state.parts[part].mask
         assert current is not None
         ranked = state.ranked[part]
-        shown = [current]
+        masks, size = ranked.candidates.masks, self.encoding.cells.size
         out: list[Bool] = []
-        for index in np.argsort(-ranked.scores, kind="stable"):
-            mask = ranked.candidates.masks[index]
-            if max(_overlap(mask, other, self.encoding.cells.size) for other in shown) > 0.9:
-                continue
-            shown.append(mask)
+        for index in offered(masks, ranked.scores, current, size):
+            mask = masks[index]
             changed = {**state.parts, part: replace(state.parts[part], mask=mask)}
             for other, its in state.parts.items():
                 if other != part and its.mask is not None:
                     changed[other] = replace(its, mask=its.mask & ~mask)
             labels = self._labels(steps, replace(state, parts=changed))
             out.append(labels == part)
-            if len(out) == _ALTERNATIVES:
-                break
         return out
 
     def preview(self, cell: int) -> Bool:
@@ -350,10 +345,6 @@ def _digest(step: Step) -> bytes:
     if isinstance(step, ClickStep):
         return repr((step.part, step.positive, step.element, step.node)).encode()
     return repr((step.part, step.positive)).encode() + step.elements.tobytes()
-
-
-def _overlap(a: Bool, b: Bool, size: npt.NDArray[np.float64]) -> float:
-    return float(size[a & b].sum() / max(size[a | b].sum(), 1e-9))
 
 
 class DefaultSegmenter:

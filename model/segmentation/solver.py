@@ -39,6 +39,11 @@ _REGION_SAYS = 4
 _CHOSEN = 5.0
 """How much more such a mask is worth keeping than one that clicks brought."""
 
+_SIZE_PENALTY = 4.0
+"""For a mask e times as large as one that was too large, or that much smaller."""
+_SIZE_MOST = 1.0
+_SIZE_ROOM = 1.25
+
 _STALL_SHARE = 0.03
 """Of the mask: a click that changes less was in vain."""
 _STALL_PENALTY = 4.0
@@ -57,6 +62,8 @@ class PartState:
         mask: (C,) its cells.
         stalls: how many clicks in a row have hardly changed the mask.
         drawn: how often the person has chosen or drawn another mask than the clicks brought.
+        least, most: nodes of the largest mask from which something was missing, and of the smallest
+            one that held too much.
     """
 
     positive: tuple[int, ...] = ()
@@ -64,6 +71,8 @@ class PartState:
     mask: Bool | None = None
     stalls: int = 0
     drawn: int = 0
+    least: float = 0.0
+    most: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +204,9 @@ class PartSolver:
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
         lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
-        return Ranked(both, features, scores - self._unlikely(state, cell, both.masks, lost))
+        return Ranked(
+            both, features, scores - self._unlikely(state, cell, positive, both.masks, lost)
+        )
 
     def moved(self, state: PartState, cell: int, positive: bool, mask: Bool) -> PartState:
         """``state`` after a click that made the part ``mask``."""
@@ -204,13 +215,30 @@ class PartSolver:
             size = self.cells.size
             little = size[mask ^ state.mask].sum() < _STALL_SHARE * size[state.mask].sum()
             stalls = state.stalls + 1 if little else 0
-        return replace(with_click(state, cell, positive), mask=mask, stalls=stalls)
+        least, most = self._bounds(state, positive)
+        return replace(
+            with_click(state, cell, positive), mask=mask, stalls=stalls, least=least, most=most
+        )
 
-    def _unlikely(self, state: PartState, cell: int, masks: Bool, lost: Float) -> Float:
+    def _bounds(self, state: PartState, positive: bool) -> tuple[float, float]:
+        """``least`` and ``most`` after a click: people mend the larger error first."""
+        if state.mask is None or not state.mask.any():
+            return state.least, state.most
+        own = float(self.cells.size[state.mask].sum())
+        least, most = (max(state.least, own), state.most) if positive else (state.least, min(state.most, own))
+        if least * _SIZE_ROOM > most:
+            # Not so this time: what was said last counts.
+            return (own, np.inf) if positive else (0.0, own)
+        return least, most
+
+    def _unlikely(
+        self, state: PartState, cell: int, positive: bool, masks: Bool, lost: Float
+    ) -> Float:
         """(H,) what speaks against each mask whatever it looks like: nobody clicks for that.
 
         Args:
             state: before the click on ``cell``.
+            positive: whether the part should hold ``cell``.
             lost: (H,) 0..1 how much of the mask before is gone.
         """
         assert state.mask is not None
@@ -226,6 +254,10 @@ class PartSolver:
         # But what was chosen or drawn is not thrown away because a click brought little.
         loss = _LOSS_PENALTY * (_CHOSEN if state.drawn else 1 / (1 + state.stalls))
         against += loss * (1 - early) * lost
+        least, most = self._bounds(state, positive)
+        log_now = np.log(np.maximum(masks.astype(np.float32) @ size.astype(np.float32), 1))
+        over, under = log_now - np.log(max(most, 1)), np.log(max(least, 1)) - log_now
+        against += _SIZE_PENALTY * np.clip(np.maximum(over, under), 0, _SIZE_MOST)
         apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
         other = state.mask != state.mask[cell]
         near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
