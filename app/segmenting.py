@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from app.display_tasks import OpenedAsset
 from app.segmenting_tasks import StoredRegion
 from model.segmentation.prompts import MAX_PARTS, Click
 from sessions import commands as cmd
-from sessions.document import Document
+from sessions.document import Document, RegionRef
 from sessions.state import needed_jobs
 from sessions.tool_commands import ToolRegion
 
@@ -22,6 +22,30 @@ if TYPE_CHECKING:
     from app.open_object import OpenObject
 
 TOOL_SECONDS = 120.0
+_NEXT_MASK = "next mask"
+_LITTLE = 0.03
+"""Of the part: a click that changes less was in vain."""
+
+
+@dataclass(frozen=True)
+class MaskShown:
+    """Which of the masks for a click is shown.
+
+    Attributes:
+        prompts: with which it is.
+        part: whose it is.
+        number: 0 is the answer to the clicks.
+        total: masks that there are.
+    """
+
+    prompts: tuple[Click | RegionRef, ...]
+    part: int
+    number: int
+    total: int
+
+    def fits(self, doc: Document, part: int) -> bool:
+        """Whether this still stands: nothing else has been said since."""
+        return part == self.part and doc.prompts == self.prompts
 
 
 class Segmenting:
@@ -29,10 +53,14 @@ class Segmenting:
 
     Attributes:
         labels: (D,) part of each displayed element; None where nothing is segmented.
+        in_vain: how many clicks in a row have hardly changed the part that they were for.
     """
 
     def __init__(self, obj: OpenObject) -> None:
         self.labels: npt.NDArray[np.int16] | None = None
+        self.in_vain = 0
+        self._answered: tuple[Click | RegionRef, ...] = ()
+        self._mask_shown: MaskShown | None = None
         self._obj = obj
         self._labels_ref: str | None = None
         self._lock = threading.Lock()
@@ -104,6 +132,7 @@ class Segmenting:
         obj.start("labels", job, lambda labels: self._show(ref, labels))
 
     def _keep(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
+        self._count_vain(answer)
         self._show(answer.labels, answer.display_labels)
         self._obj.do(
             cmd.RecordSegmentation(
@@ -111,6 +140,31 @@ class Segmenting:
             ),
             "segmenter",
         )
+
+    def _count_vain(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
+        """Notice whether the last click brought anything."""
+        doc, before, said = self._obj.document, self.labels, self._answered
+        if answer.prompts_key != doc.key:
+            return  # there is more to answer
+        self._answered = doc.prompts
+        last = doc.prompts[-1] if doc.prompts else None
+        now = answer.display_labels
+        if (
+            not isinstance(last, Click)
+            or doc.prompts[:-1] != said
+            or before is None
+            or self._agreed(before, last)
+        ):
+            self.in_vain = 0
+            return
+        part = max(int((before == last.part).sum()), int((now == last.part).sum()))
+        little = len(before) == len(now) and (before != now).sum() < _LITTLE * part
+        self.in_vain = self.in_vain + 1 if little else 0
+
+    def _agreed(self, labels: npt.NDArray[np.int16], click: Click) -> bool:
+        """Whether a click said what was shown already."""
+        shown = np.flatnonzero(self._obj.need_asset().element == click.element)
+        return len(shown) > 0 and bool((labels[shown[0]] == click.part) == click.positive)
 
     def _show(self, ref: str, labels: npt.NDArray[np.int16]) -> None:
         with self._lock:
@@ -124,8 +178,10 @@ class Segmenting:
         """
         obj = self._obj
         asset, doc = obj.need_asset(), obj.document
-        replaces = _last_of(doc, request.tool, request.part) if request.tool == "next mask" else 0
+        replaces = _last_of(doc, request.part) if request.tool == _NEXT_MASK else 0
         kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
+        if request.tool == _NEXT_MASK:
+            request = replace(request, turn=self._turn(doc, request))
         used = {p.id for p in doc.parts}
         request = replace(request, free_part=_free(used))
         offers = obj.bench.segmentation.submit(
@@ -140,7 +196,9 @@ class Segmenting:
         if isinstance(offers, tool_tasks.FaceCutOffer):
             self._cut_faces(offers, request.tool, who)
             return 1
-        if not offers and not replaces:
+        if isinstance(offers, tool_tasks.MaskOffer):
+            return self._show_mask(offers, replaces, request.part, who)
+        if not offers:
             return 0
         named = request.tool in ("same shape", "mirror")
         name = doc.part_names.get(request.part) if named else None
@@ -152,8 +210,29 @@ class Segmenting:
                 used.add(part)
             regions.append(ToolRegion(part, offer.elements, offer.positive, offer.count, name))
         gone = (request.other,) if request.tool == "merge" and request.other else ()
-        obj.do(cmd.ApplyTool(request.tool, tuple(regions), replaces, gone), who)
+        obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, gone), who)
         return len(offers)
+
+    def _turn(self, doc: Document, request: tool_tasks.ToolRequest) -> int:
+        """The number of the mask that is ``turn`` on from the one shown."""
+        shown = self.mask_shown(doc, request.part)
+        return (shown.number if shown is not None else 0) + request.turn
+
+    def mask_shown(self, doc: Document, part: int) -> MaskShown | None:
+        """Which of the masks for the last click ``part`` shows; None where nobody asked for one."""
+        shown = self._mask_shown
+        return shown if shown is not None and shown.fits(doc, part) else None
+
+    def _show_mask(self, offer: tool_tasks.MaskOffer, replaces: int, part: int, who: str) -> int:
+        obj = self._obj
+        if offer.regions or replaces:
+            regions = tuple(
+                ToolRegion(r.part, r.elements, r.positive, r.count) for r in offer.regions
+            )
+            obj.do(cmd.ApplyTool(_NEXT_MASK, regions, replaces), who)
+        if offer.total > 1:
+            self._mask_shown = MaskShown(obj.document.prompts, part, offer.number, offer.total)
+        return offer.total - 1
 
     def _cut_faces(self, offer: tool_tasks.FaceCutOffer, tool: str, who: str) -> None:
         """Split faces; the parts are known already, so the segmenter is not asked."""
@@ -170,11 +249,11 @@ def _free(used: set[int]) -> int:
     return next(i for i in range(1, MAX_PARTS) if i not in used)
 
 
-def _last_of(doc: Document, tool: str, part: int) -> int:
-    """How many prompts at the end ``tool`` gave to ``part``, so that it can say something else."""
+def _last_of(doc: Document, part: int) -> int:
+    """How many prompts at the end are another mask of ``part``, so that it can be one more."""
     count = 0
     for prompt in reversed(doc.prompts):
-        if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (tool, part):
+        if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (_NEXT_MASK, part):
             break
         count += 1
     return count

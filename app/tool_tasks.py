@@ -60,13 +60,33 @@ class FaceCutOffer:
 
 
 @dataclass(frozen=True)
+class MaskOffer:
+    """Another mask for the last click.
+
+    Attributes:
+        regions: what it adds to the answer and takes from it; none for the answer itself.
+        number: which one it is, 0 for the answer.
+        total: masks that there are, with the answer.
+    """
+
+    regions: list[RegionOffer]
+    number: int
+    total: int
+
+
+Offer = list[RegionOffer] | FaceCutOffer | MaskOffer
+"""What came of a tool."""
+
+
+@dataclass(frozen=True)
 class ToolRequest:
     """What a person asks of a tool.
 
     Attributes:
         tool: a key of :data:`TOOLS`.
         part: the chosen part.
-        turn: how often "next mask" was asked before.
+        turn: which mask "next mask" shows, round and round; 0 is the answer to the clicks. As a
+            person asks: how many on from the one that is shown.
         other: the part to merge into the chosen one.
         places: clicked places for a cut, metres, with the element of the first one.
         element: see ``places``.
@@ -134,7 +154,7 @@ def use_tool(
     segmenter: str,
     items: tuple[Click | StoredRegion, ...],
     request: ToolRequest,
-) -> list[RegionOffer] | FaceCutOffer:
+) -> Offer:
     """What a segmentation tool makes of the parts.
 
     Raises:
@@ -158,14 +178,16 @@ def _propose(work: _Work) -> list[RegionOffer]:
     return out
 
 
-def _next_mask(work: _Work) -> list[RegionOffer]:
+def _next_mask(work: _Work) -> MaskOffer:
     part = work.request.part
     others = work.session.candidates(work.prompts, part)
-    turn = work.request.turn % (len(others) + 1)
-    if turn == len(others):
-        return []  # all were shown: back to the first
-    mask, chosen = work.labels == part, others[turn]
-    return work.offer(mask & ~chosen, part, False) + work.offer(chosen & ~mask, part)
+    total = len(others) + 1
+    number = work.request.turn % total
+    if not number:
+        return MaskOffer([], 0, total)
+    mask, chosen = work.labels == part, others[number - 1]
+    regions = work.offer(mask & ~chosen, part, False) + work.offer(chosen & ~mask, part)
+    return MaskOffer(regions, number, total)
 
 
 def _connected(work: _Work) -> list[RegionOffer]:
@@ -306,7 +328,7 @@ def _leftovers(work: _Work) -> list[RegionOffer]:
     return out
 
 
-TOOLS: dict[str, Callable[[_Work], list[RegionOffer] | FaceCutOffer]] = {
+TOOLS: dict[str, Callable[[_Work], Offer]] = {
     "propose": _propose,
     "next mask": _next_mask,
     "connected": _connected,

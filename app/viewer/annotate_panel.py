@@ -39,8 +39,8 @@ TOOL_ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     (
         "Mask",
         ("Next", "Connected"),
-        "Next (Tab): another mask for the last click. Connected (O): all that hangs together "
-        "with it",
+        "Next (Tab, Shift+Tab back): another mask for the last click. Connected (O): all that "
+        "hangs together with it",
     ),
     ("Size", ("Grow", "Shrink"), "Grow (U) and shrink (J) by one neighbour; never over a gap"),
     (
@@ -58,13 +58,14 @@ TOOL_ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
 )
 """Label, buttons and tooltip of each row of tools."""
 
-_TOOL_OF = {"Next": "next mask", "All parts": "propose"}
+_TOOL_OF = {"All parts": "propose"}
 _NEW_PARTS = ("same shape", "mirror", "propose", "split")
 _NOTHING = {
     "split": "The part is one piece",
     "same shape": "Nothing else looks like this part",
     "leftovers": "There are no crumbs",
     "mirror": "Nothing lies on the other side",
+    "next mask": "There is no other mask: click on the part first",
     "merge": "That is the chosen part itself: choose the part to keep, then click the other",
 }
 
@@ -75,8 +76,6 @@ class AnnotatePanel:
     def __init__(self, app: ClientApp) -> None:
         self._app = app
         self._drawn: Any = None
-        self._turn = 0
-        self._turned: tuple[int, int] | None = None
         gui = app.client.gui
         self._hint = gui.add_markdown("")
         self._category = gui.add_dropdown(
@@ -204,11 +203,14 @@ class AnnotatePanel:
             case "Line":
                 app.pointing.arm("cut")
                 return
-        tool = _TOOL_OF.get(label, label.lower())
-        last = (app.need_object().record.id, app.part)
-        self._turn = self._turn + 1 if tool == "next mask" and self._turned == last else 0
-        self._turned = last if tool == "next mask" else None
-        self.use(ToolRequest(tool, app.part, self._turn), label)
+        if label == "Next":
+            self.next_mask(1)
+        else:
+            self.use(ToolRequest(_TOOL_OF.get(label, label.lower()), app.part), label)
+
+    def next_mask(self, step: int) -> None:
+        """Another mask for the last click: the next one, or with -1 the one before."""
+        self.use(ToolRequest("next mask", self._app.part, step), "Next mask")
 
     def use(self, request: ToolRequest, label: str) -> None:
         """Let a tool work, and say what came of it."""
@@ -283,7 +285,10 @@ class AnnotatePanel:
                 "Press **2**, **3**, … for the next part; Shift+click says *not this*."
             )
         else:
-            text = "Unclaimed surface is the base. Tint wrong? Click there, or Shift+click."
+            text = (
+                "Tint wrong? **Tab** shows other masks; or click what is missing, Shift+click what "
+                "is too much. Unclaimed surface is the base."
+            )
         put(self._hint, "content", text)
 
     def _draw_parts(self, doc: Document, counts: dict[int, int]) -> None:

@@ -109,11 +109,16 @@ class Commands:
         """The next mask for the part, the next joint, or the next one to look at (Tab)."""
         app = self._app
         if app.stage == "Annotate":
-            app.annotate_panel.use_tool("Next")
+            app.annotate_panel.next_mask(1)
         elif app.stage == "Review":
             app.review_panel.gate.show_next()
         else:
             self.next_joint()
+
+    def choice_before(self) -> None:
+        """The mask before this one (Shift+Tab)."""
+        if self._app.stage == "Annotate":
+            self._app.annotate_panel.next_mask(-1)
 
     def next_joint(self) -> None:
         """The next moving joint of the tree."""

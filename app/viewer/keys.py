@@ -12,7 +12,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Click", "this belongs to the chosen part"),
     ("Shift + click", "this does not belong to it"),
     ("1 … 9, 0", "choose the part; 0 is the base"),
-    ("Tab", "next mask, or next joint"),
+    ("Tab, Shift+Tab", "next mask and back; next joint"),
     ("Alt + drag", "box (Shift: takes away)"),
     ("L + drag", "lasso (Shift: takes away)"),
     ("I + drag", "brush, [ ] its size; Shift as well"),
@@ -72,6 +72,7 @@ def add_keys(app: ClientApp) -> None:
     add("Play all joints", "space", app.commands.play)
     add("Reset the pose", "R", app.motion.reset)
     add("Next joint or mask", "tab", app.commands.next_choice)
+    add("Mask before this one", "tab", app.commands.choice_before, "shift")
     add("Next joint type", "T", app.joints_panel.editor.next_type)
     add("Flip the axis", "F", app.joints_panel.editor.flip)
     add("Axis handles", "G", app.motion.toggle_gizmo)

@@ -35,6 +35,8 @@ _STROKE_HINTS = {
 }
 
 
+_IN_VAIN = 2
+"""Clicks that brought hardly anything, after which other tools are pointed to."""
 _FACE_APART = 0.02
 """Of the object's diagonal: clicks that are nearer mean the same place."""
 
@@ -151,7 +153,19 @@ class Pointing:
             if not self._places:
                 return "Cut a rectangle: click one corner of a door or drawer · Esc ends"
             return "Cut a rectangle: click the opposite corner (Shift: don't snap) · Esc ends"
-        return _STROKE_HINTS.get(self.tool, "")
+        return _STROKE_HINTS.get(self.tool) or self._mask_hint()
+
+    def _mask_hint(self) -> str:
+        """Which of the masks for the last click is shown, or what helps where clicks don't."""
+        app = self._app
+        obj = app.need_object()
+        shown = obj.segmenting.mask_shown(obj.document, app.part)
+        if shown is not None:
+            return f"Mask {shown.number + 1} of {shown.total} · Tab: the next one · Shift+Tab: back"
+        last = obj.document.prompts[-1] if obj.document.prompts else None
+        if obj.segmenting.in_vain >= _IN_VAIN and isinstance(last, Click):
+            return "Clicks change little here · Tab: another mask · L: draw it · K: cut it off"
+        return ""
 
     # --- tools
 

@@ -42,7 +42,8 @@ _CHOSEN = 5.0
 _SIZE_PENALTY = 4.0
 """For a mask e times as large as one that was too large, or that much smaller."""
 _SIZE_MOST = 1.0
-_SIZE_ROOM = 1.25
+_ROOM = 1.25
+"""How far apart these two sizes are where they tell anything."""
 
 _STALL_SHARE = 0.03
 """Of the mask: a click that changes less was in vain."""
@@ -221,13 +222,14 @@ class PartSolver:
         )
 
     def _bounds(self, state: PartState, positive: bool) -> tuple[float, float]:
-        """``least`` and ``most`` after a click: people mend the larger error first."""
+        """``least`` and ``most`` after a click: most people mend the larger error first."""
         if state.mask is None or not state.mask.any():
             return state.least, state.most
         own = float(self.cells.size[state.mask].sum())
-        least, most = (max(state.least, own), state.most) if positive else (state.least, min(state.most, own))
-        if least * _SIZE_ROOM > most:
-            # Not so this time: what was said last counts.
+        least = max(state.least, own) if positive else state.least
+        most = state.most if positive else min(state.most, own)
+        if _ROOM * least > most:
+            # This one mends what comes next: only the last click counts.
             return (own, np.inf) if positive else (0.0, own)
         return least, most
 

@@ -342,6 +342,19 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     second = store.get_array(tab.document.segmentation.labels)
     assert (first != second).any()
     assert second[tab.document.prompts[0].element] == 1
+    hint = tab.page.locator("#artiworld-hint")
+    wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "the page says which mask it is")
+    tab.page.keyboard.press("Shift+Tab")
+    wait_until(lambda: hint.inner_text().startswith("Mask 1 of "), "Shift+Tab goes back")
+    tab.settled()
+    np.testing.assert_array_equal(store.get_array(tab.document.segmentation.labels), first)
+    tab.page.keyboard.press("Tab")
+    wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "and Tab on again")
+    # Clicks in vain: they say what the mask shows already.
+    tab.prompt(points["door"])
+    wait_until(lambda: not hint.is_visible(), "a click ends it")
+    tab.page.keyboard.press("Tab")
+    wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "the next click has masks anew")
     while tab.app.object.state.can_undo and len(tab.document.prompts) > 1:
         tab.app.commands.undo()
     tab.settled()

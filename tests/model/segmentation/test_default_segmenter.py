@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -305,3 +306,32 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
         after.append(iou(mask & known, door) - before)
     assert refused >= 3
     assert min(after) > -0.02, after
+
+
+def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabinet) -> None:
+    solver, encoding = session.solver, session.encoding
+    size = encoding.cells.size
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    door = int(encoding.cells.of_node[deepest(points, truth)])
+    wide = solver.chain(door).masks
+    mask = wide[np.argsort(wide @ size)[len(wide) // 2]]
+    own = float(size[mask].sum())
+    cell = int(np.nonzero(~mask)[0][0])
+    state = solver.moved(PartState(), door, True, mask)
+    assert state.least == 0 and np.isinf(state.most)
+
+    def scores(known: PartState) -> dict[bytes, float]:
+        answer = solver.answer(known, cell, True, None)
+        pairs = zip(answer.candidates.masks, answer.scores, strict=True)
+        return {m.tobytes(): float(s) for m, s in pairs}
+
+    free, bound = scores(state), scores(replace(state, most=2 * own))
+    fell = {key for key in free if free[key] > bound[key] + 1e-4}
+    large = {key for key in free if size[np.frombuffer(key, bool)].sum() > 2 * own}
+    assert large and fell == large
+    # A click that says the mask is too small after one that called nearly the same too large:
+    # whoever clicks so mends what comes next, and only the last click counts.
+    odd = replace(state, most=1.1 * own)
+    assert scores(odd) == free
+    after = solver.moved(odd, cell, True, mask)
+    assert after.least == own and np.isinf(after.most)

@@ -1,0 +1,77 @@
+"""The app notices clicks that bring hardly anything, and says which masks there are."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.segmenting import MaskShown, Segmenting
+from app.segmenting_tasks import SegmentationAnswer
+from model.segmentation.prompts import Click
+from sessions.document import Document, RegionRef
+
+ELEMENTS = 1000
+
+
+@pytest.fixture
+def obj() -> Any:
+    """An open object as :class:`Segmenting` sees it; every second element is displayed."""
+    asset = SimpleNamespace(element=np.arange(0, ELEMENTS, 2, dtype=np.int32))
+    done: list[Any] = []
+    return SimpleNamespace(
+        document=Document(), need_asset=lambda: asset, do=lambda c, who: done.append(c)
+    )
+
+
+def click(element: int, positive: bool = True) -> Click:
+    return Click((0.0, 0.0, 0.0), 1, positive, element)
+
+
+def answered(desk: Segmenting, obj: Any, prompts: tuple[Any, ...], held: int) -> None:
+    """The segmenter answers ``prompts``: the first ``held`` displayed elements are part 1."""
+    obj.document = Document(prompts=prompts)
+    labels = np.zeros(ELEMENTS // 2, np.int16)
+    labels[:held] = 1
+    desk._keep(SegmentationAnswer(obj.document.key, "a" * 64, labels, {1: held}, "default", 0.0))
+
+
+def test_clicks_that_bring_little_are_counted(obj: Any) -> None:
+    desk = Segmenting(obj)
+    first, second, third, fourth = click(0), click(900), click(910), click(920)
+    answered(desk, obj, (first,), 200)
+    assert desk.in_vain == 0
+    answered(desk, obj, (first, second), 202)
+    answered(desk, obj, (first, second, third), 204)
+    assert desk.in_vain == 2
+    answered(desk, obj, (first, second, third, fourth), 300)
+    assert desk.in_vain == 0
+
+
+def test_a_click_that_confirms_was_not_in_vain(obj: Any) -> None:
+    desk = Segmenting(obj)
+    answered(desk, obj, (click(0),), 200)
+    answered(desk, obj, (click(0), click(20)), 200)
+    answered(desk, obj, (click(0), click(20), click(900, positive=False)), 200)
+    assert desk.in_vain == 0
+
+
+def test_undo_and_drawn_regions_are_no_clicks_in_vain(obj: Any) -> None:
+    desk = Segmenting(obj)
+    answered(desk, obj, (click(0),), 200)
+    answered(desk, obj, (click(0), click(900)), 201)
+    assert desk.in_vain == 1
+    answered(desk, obj, (click(0),), 200)
+    assert desk.in_vain == 0
+    answered(desk, obj, (click(0), RegionRef(1, "b" * 64, True, 3, "lasso")), 201)
+    assert desk.in_vain == 0
+
+
+def test_the_mask_shown_is_told_until_something_else_is_said() -> None:
+    prompts = (click(0), RegionRef(1, "b" * 64, True, 3, "next mask"))
+    shown = MaskShown(prompts, 1, 1, 4)
+    assert shown.fits(Document(prompts=prompts), 1)
+    assert not shown.fits(Document(prompts=prompts), 2)
+    assert not shown.fits(Document(prompts=(*prompts, click(3))), 1)
