@@ -15,6 +15,21 @@ _ALIKE = 0.9
 """Masks that overlap by more look the same."""
 
 
+def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
+    """How much every two masks have in common, and their IoU.
+
+    Args:
+        masks: (H, C). size: (C,) how much each cell counts.
+
+    Returns:
+        (H, H) each; the diagonal of the first is how large the masks are.
+    """
+    weighted = masks * np.sqrt(size).astype(np.float32)
+    common = weighted @ weighted.T
+    area = np.diagonal(common)
+    return common, common / np.maximum(area[:, None] + area[None] - common, 1e-9)
+
+
 def offered(
     masks: Bool, scores: Float, shown: Bool, size: Float, most: int = ALTERNATIVES
 ) -> list[int]:
@@ -33,10 +48,7 @@ def offered(
     Returns:
         Rows of ``masks``, the most useful first.
     """
-    weighted = np.concatenate([shown[None], masks]) * np.sqrt(size).astype(np.float32)
-    common = weighted @ weighted.T
-    area = np.diagonal(common)
-    overlap = common / np.maximum(area[:, None] + area[None] - common, 1e-9)
+    _, overlap = overlaps(np.concatenate([shown[None], masks]), size)
     likely = np.exp((scores - scores.max()) / _TEMPERATURE)
     likely /= likely.sum()
     covered, overlap = overlap[0, 1:], overlap[1:, 1:]

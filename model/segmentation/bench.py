@@ -21,7 +21,9 @@ from model.segmentation.bench_data import (
     procedural_objects,
     room_objects,
 )
+from model.segmentation.default import DefaultSession
 from model.segmentation.prompts import Click, Prompts
+from model.segmentation.proposal import propose
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
 from model.segmentation.simulate import deepest, next_click, next_part_click
@@ -73,7 +75,9 @@ class BenchRow:
     """Figures of one segmenter on one data set.
 
     ``curves`` holds the IoU after each click, ``offered`` that of the first click's answer and of
-    the other masks which the segmenter offers for it (Tab), in their order.
+    the other masks which the segmenter offers for it (Tab), in their order. ``proposed`` holds
+    the best IoU of each part with a part of the proposal or its base, ``guesses`` for each object
+    how many parts are proposed and how many of them overlap with a true one by over a half.
     """
 
     segmenter: str
@@ -81,6 +85,8 @@ class BenchRow:
     objects: int = 0
     curves: list[list[float]] = field(default_factory=list)
     offered: list[list[float]] = field(default_factory=list)
+    proposed: list[float] = field(default_factory=list)
+    guesses: list[tuple[int, int]] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     competing: list[list[float]] = field(default_factory=list)
     encode_seconds: list[float] = field(default_factory=list)
@@ -107,6 +113,11 @@ class BenchRow:
         for number in range(3):
             done = [c[number] for c in self.competing]
             out[f"all@{number + 1}"] = float(np.mean(done)) if done else float("nan")
+        if self.guesses:
+            number, right = np.sum(self.guesses, axis=0)
+            out["proposed IoU"] = float(np.mean(self.proposed))
+            out["proposed parts"] = float(number / len(self.guesses))
+            out["proposed right %"] = 100 * float(right / max(number, 1))
         out["encode s"] = _quantile(self.encode_seconds, 0.5)
         out["click p50 ms"] = 1000 * _quantile(self.click_seconds, 0.5)
         out["click p95 ms"] = 1000 * _quantile(self.click_seconds, 0.95)
@@ -142,9 +153,10 @@ class BenchReport:
         for row in self.rows:
             table.add_column(f"{row.segmenter}\n{row.dataset}", justify="right")
         summaries = [r.summary() for r in self.rows]
-        for name in summaries[0] if summaries else ():
-            digits = 3 if name.startswith(("IoU", "all@")) else 1
-            table.add_row(name, *(f"{s[name]:.{digits}f}" for s in summaries))
+        for name in dict.fromkeys(n for s in summaries for n in s):
+            digits = 3 if "IoU" in name or name.startswith("all@") else 1
+            cells = (f"{s[name]:.{digits}f}" if name in s else "" for s in summaries)
+            table.add_row(name, *cells)
         Console().print(table)
 
 
@@ -165,6 +177,8 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
                 _one_against_the_rest(session, item, config, row, number)
                 if config.competing and item.whole:
                     _all_competing(session, item, row)
+                if isinstance(session, DefaultSession) and item.whole:
+                    _proposal(session, item, row)
             row.peak_megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             rows.append(row)
     report = BenchReport(config, rows)
@@ -275,6 +289,18 @@ def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRo
         if number % len(parts) == 0:
             result.append(float(np.mean([pointer.iou(labels == p, full == p) for p in parts])))
     row.competing.append(result)
+
+
+def _proposal(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:
+    """What *All parts* says before any click."""
+    pointer, labels = _Pointer(item), propose(session).labels
+    said = [labels == p for p in np.unique(labels)]
+    for part in item.parts:
+        row.proposed.append(max(pointer.iou(m, item.labels == part) for m in said))
+    links = [item.labels == p for p in np.unique(item.labels[item.labels >= 0])]
+    guesses = [labels == p for p in np.unique(labels[labels > 0])]
+    right = sum(max(pointer.iou(m, link) for link in links) > 0.5 for m in guesses)
+    row.guesses.append((len(guesses), right))
 
 
 def _timed(

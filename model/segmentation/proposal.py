@@ -5,53 +5,106 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.segmentation.alternatives import overlaps
 from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import first_elements
 from model.segmentation.prompts import BASE, PartSegmentation
 
 Bool = npt.NDArray[np.bool_]
+Float = npt.NDArray[np.floating]
+
+_ANSWERS = 8
+"""Masks that each asked cell may mean."""
+_TEMPERATURE = 2.0
+_LEAST = 0.3
+"""Expected overlap below which a mask is nobody's part."""
+_PRICE = 0.0045
+"""Share of the asked cells that a part has to be worth, so that not every detail is one."""
+_SMALLER = 0.7
+"""A part on another one is at most as large as this share of it."""
+_BODY = 0.6
+"""Share of the object above which the largest part is the base."""
 
 
-def propose(session: DefaultSession, seeds: int = 160, least: float = 0.55) -> PartSegmentation:
+def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
     """A first guess of all parts, to start from.
 
-    Masks that a first click on one of many spread cells would take, best first; a small part may
-    sit on a large one, other overlaps are refused. What none of them takes is the base, and so
+    Each of many spread cells says what a first click on it might mean, and how likely. Parts are
+    chosen one by one so that the masks which the cells end up in have the highest expected overlap
+    with what those cells would say: a mask counts where most of its own cells agree on it. Small
+    parts may sit on large ones; other overlaps are refused. What no mask takes is the base, and so
     is the largest where it covers most of the object.
 
     Args:
         seeds: cells asked.
-        least: score (0..1, the expected IoU squared) that a part needs.
     """
     cells = session.encoding.cells
-    ranked: list[tuple[float, Bool]] = []
-    for cell in _spread(cells.center, seeds):
-        answer = session.solver.first_answer(int(cell))
-        score = 1 / (1 + np.exp(-answer.scores))
-        for index in np.argsort(-score)[:4]:
-            ranked.append((float(score[index]), answer.candidates.masks[index]))
-    ranked.sort(key=lambda pair: -pair[0])
-    chosen: list[Bool] = []
-    for score, mask in ranked:
-        size = float(cells.size[mask].sum())
-        shared = [float(cells.size[mask & other].sum()) for other in chosen]
-        # Apart from all others, or a small part that sits on one of them: a knob on a panel.
-        fits = all(
-            common < 0.1 * size
-            or (common > 0.9 * size and size < 0.25 * float(cells.size[other].sum()))
-            for common, other in zip(shared, chosen, strict=True)
-        )
-        if score >= least and fits:
-            chosen.append(mask)
-    of_cell = np.zeros(len(cells), np.int16)
+    asked = _spread(cells.center, seeds)
+    masks, likely = _answers(session, asked)
+    common, overlap = overlaps(masks, cells.size)
+    chosen = [masks[i] for i in _tiling(masks[:, asked].T * (likely @ overlap), common)]
     chosen.sort(key=lambda m: -float(cells.size[m].sum()))
-    if chosen and cells.size[chosen[0]].sum() > 0.4 * cells.size.sum():
+    if chosen and cells.size[chosen[0]].sum() > _BODY * cells.size.sum():
         chosen = chosen[1:]
+    of_cell = np.zeros(len(cells), np.int16)
     for part, mask in enumerate(chosen, start=BASE + 1):
         of_cell[mask] = part
     labels = session.encoding.nodes.elements.to_elements(of_cell[cells.of_node])
     return PartSegmentation(labels, "default")
+
+
+def _answers(session: DefaultSession, asked: npt.NDArray[np.int64]) -> tuple[Bool, Float]:
+    """(M, C) the likeliest masks of all asked cells, and (A, M) how likely each is for a cell."""
+    number: dict[bytes, int] = {}
+    masks: list[Bool] = []
+    said: list[tuple[int, int, float]] = []
+    for row, cell in enumerate(asked.tolist()):
+        answer = session.solver.first_answer(cell)
+        best = np.argsort(-answer.scores, kind="stable")[:_ANSWERS]
+        power = np.exp((answer.scores[best] - answer.scores[best[0]]) / _TEMPERATURE)
+        for index, share in zip(best, power / power.sum(), strict=True):
+            mask = answer.candidates.masks[index]
+            key = np.packbits(mask).tobytes()
+            if key not in number:
+                number[key] = len(masks)
+                masks.append(mask)
+            said.append((row, number[key], float(share)))
+    likely = np.zeros((len(asked), len(masks)), np.float32)
+    for row, mask_number, share in said:
+        likely[row, mask_number] = share
+    return np.stack(masks), likely
+
+
+def _tiling(agreed: Float, common: Float) -> list[int]:
+    """Masks whose cells agree on them, greedily.
+
+    Args:
+        agreed: (A, M) expected overlap of a mask with what an asked cell means, 0 outside it.
+        common: (M, M) how much every two masks have in common.
+    """
+    inside = agreed > 0
+    quality = agreed.sum(0) / np.maximum(inside.sum(0), 1)
+    area = np.diagonal(common)
+    free = quality > _LEAST
+    now = np.zeros(len(agreed))
+    chosen: list[int] = []
+    while free.any():
+        # Cells change over to the new mask, be it better for them or worse.
+        gain = np.where(inside, agreed - now[:, None], 0).mean(0) - _PRICE
+        gain = np.where(free, gain * quality**3, -1.0)
+        best = int(gain.argmax())
+        if gain[best] <= 0:
+            break
+        chosen.append(best)
+        now = np.where(inside[:, best], agreed[:, best], now)
+        shared, own = common[best], area[best]
+        apart = shared < 0.1 * np.minimum(own, area)
+        on_it = (shared > 0.9 * area) & (area < _SMALLER * own)
+        under_it = (shared > 0.9 * own) & (own < _SMALLER * area)
+        free &= apart | on_it | under_it
+        free[best] = False
+    return chosen
 
 
 def _spread(points: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.int64]:

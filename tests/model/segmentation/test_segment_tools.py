@@ -180,7 +180,7 @@ def test_same_shape_finds_the_other_buttons(keypad):
 
 def test_propose_finds_parts_without_any_click(keypad):
     session, label = keypad
-    answer = propose(session, least=0.3)
+    answer = propose(session)
     assert answer.labels.shape == label.shape and answer.labels.min() >= 0
     found = [
         max(iou(answer.labels == p, label == b) for p in answer.parts) > 0.7 for b in range(1, 8)

@@ -104,6 +104,19 @@ def test_bench_on_procedural_objects(tmp_path):
     assert json.loads((tmp_path / "r.json").read_text())["rows"][0]["summary"]["parts"] == 4
 
 
+def test_bench_says_what_is_offered_without_and_after_one_click():
+    report = run(BenchConfig(sets=("procedural",), limit=1, points=6000, parts=2, cap=2))
+    summary, row = report.rows[0].summary(), report.rows[0]
+    assert len(row.offered) == 2 and all(
+        o[0] == c[0] for o, c in zip(row.offered, row.curves, strict=True)
+    )
+    assert summary["IoU@1"] <= summary["IoU@1 best of 2"] <= summary["IoU@1 best of 6"] <= 1
+    assert len(row.proposed) == 2 and 0 <= summary["proposed IoU"] <= 1
+    number, right = row.guesses[0]
+    assert 0 <= right <= number
+    report.print_table()
+
+
 def test_bench_on_real_objects(shared_data):
     report = run(
         BenchConfig(
