@@ -246,7 +246,9 @@ class PartSolver:
         assert state.mask is not None
         size = self.cells.size
         own = float(size[state.mask].sum())
-        changed = (masks ^ state.mask).astype(np.float32) @ size.astype(np.float32)
+        sides = np.stack([size, size * state.mask], axis=1).astype(np.float32)
+        now, kept = (masks.astype(np.float32) @ sides).T
+        changed = now + own - 2 * kept
         # Nobody clicks early to change a cell or two; later that may be all that is wrong.
         said = len(state.positive) + len(state.negative) + _REGION_SAYS * state.drawn
         early = np.exp(-(said - 1) / 2)
@@ -257,7 +259,7 @@ class PartSolver:
         loss = _LOSS_PENALTY * (_CHOSEN if state.drawn else 1 / (1 + state.stalls))
         against += loss * (1 - early) * lost
         least, most = self._bounds(state, positive)
-        log_now = np.log(np.maximum(masks.astype(np.float32) @ size.astype(np.float32), 1))
+        log_now = np.log(np.maximum(now, 1))
         over, under = log_now - np.log(max(most, 1)), np.log(max(least, 1)) - log_now
         against += _SIZE_PENALTY * np.clip(np.maximum(over, under), 0, _SIZE_MOST)
         apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
