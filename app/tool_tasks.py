@@ -32,6 +32,10 @@ _LEAST_PIECE = 0.01
 """Share of a part that a piece needs to become a part of its own."""
 
 
+_SWALLOWED = 0.25
+"""Of a part: what looks like another part and is less of it has been taken along by mistake."""
+
+
 @dataclass(frozen=True)
 class RegionOffer:
     """Elements that a tool gives to a part, or takes from it. ``NEW_PART`` asks for a new part."""
@@ -205,9 +209,14 @@ def _same_shape(work: _Work) -> list[RegionOffer]:
     from model.segmentation.similar import same_shape
 
     out: list[RegionOffer] = []
+    labels, part = work.labels, work.request.part
+    ids = labels - labels.min()
+    held = np.bincount(ids)
     for mask in same_shape(work.encoded, work.mask):
-        # What other parts have already stays theirs: asking twice finds nothing twice.
-        free = mask & (work.labels == BASE)
+        # What other parts have already stays theirs, so that asking twice finds nothing twice; but
+        # a small piece of a large part, a knob that a panel took along, is found.
+        swallowed = np.bincount(ids[mask], minlength=len(held)) < _SWALLOWED * held
+        free = mask & ((labels == BASE) | (swallowed[ids] & (labels != part)))
         if free.sum() > 0.5 * mask.sum():
             out += work.offer(free, NEW_PART)
     return out

@@ -106,6 +106,36 @@ def test_merge_split_mirror_and_leftovers(chest):
     assert any(p == 1 and np.isin(np.flatnonzero(crumb), e).all() for p, _, e in found)
 
 
+def test_the_same_shape_is_found_where_a_large_part_took_it_along(chest):
+    opened, _ = chest
+    points = points_of(opened)
+    knobs = points[:, 1] < -0.212
+    left, right = knobs & (points[:, 0] < 0), knobs & (points[:, 0] > 0)
+    body = (points[:, 2] < 0.31) & ~left
+    items = [region(chest, body, 2), region(chest, left, 1)]
+    ((part, positive, elements),) = run(chest, items, ToolRequest("same shape", 1))
+    assert (part, positive) == (NEW_PART, True)
+    assert np.isin(np.flatnonzero(right), elements).mean() > 0.8
+    # A knob that is a part of its own already stays one.
+    items = [region(chest, right, 2), region(chest, left, 1)]
+    assert run(chest, items, ToolRequest("same shape", 1)) == []
+
+
+def test_masks_go_round_and_begin_with_the_answer(chest):
+    opened, workspace = chest
+    click = click_at(opened, LID, 1)
+
+    def shown(turn: int):
+        request = ToolRequest("next mask", 1, turn)
+        return use_tool(opened.folder, workspace, "default", (click,), request)
+
+    answer = shown(0)
+    assert answer.number == 0 and not answer.regions and answer.total > 2
+    second, last = shown(1), shown(-1)
+    assert second.regions and (second.number, last.number) == (1, answer.total - 1)
+    assert shown(answer.total) == answer and shown(answer.total + 1) == second
+
+
 def test_the_preview_is_what_the_click_does(chest):
     opened, workspace = chest
     click = click_at(opened, LID, 1)
