@@ -181,7 +181,7 @@ class Segmenting:
         replaces = _last_of(doc, request.part) if request.tool == _NEXT_MASK else 0
         kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
         if request.tool == _NEXT_MASK:
-            request = replace(request, turn=self._turn(doc, request))
+            request = replace(request, turn=self._turn(doc, request, replaces))
         used = {p.id for p in doc.parts}
         request = replace(request, free_part=_free(used))
         offers = obj.bench.segmentation.submit(
@@ -213,10 +213,13 @@ class Segmenting:
         obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, gone), who)
         return len(offers)
 
-    def _turn(self, doc: Document, request: tool_tasks.ToolRequest) -> int:
+    def _turn(self, doc: Document, request: tool_tasks.ToolRequest, replaces: int) -> int:
         """The number of the mask that is ``turn`` on from the one shown."""
         shown = self.mask_shown(doc, request.part)
-        return (shown.number if shown is not None else 0) + request.turn
+        if shown is not None:
+            return shown.number + request.turn
+        # Another mask that was chosen before the server began anew: most likely the first.
+        return (1 if replaces else 0) + request.turn
 
     def mask_shown(self, doc: Document, part: int) -> MaskShown | None:
         """Which of the masks for the last click ``part`` shows; None where nobody asked for one."""

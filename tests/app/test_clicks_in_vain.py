@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 
 from app.segmenting import MaskShown, Segmenting
 from app.segmenting_tasks import SegmentationAnswer
+from app.tool_tasks import MaskOffer, ToolRequest
 from model.segmentation.prompts import Click
 from sessions.document import Document, RegionRef
 
 ELEMENTS = 1000
+OTHER = RegionRef(1, "b" * 64, True, 3, "next mask")
 
 
 @pytest.fixture
@@ -69,8 +72,30 @@ def test_undo_and_drawn_regions_are_no_clicks_in_vain(obj: Any) -> None:
     assert desk.in_vain == 0
 
 
+@pytest.mark.parametrize(
+    ("after", "turn", "wanted"), [((), 1, 1), ((), -1, -1), ((OTHER,), 1, 2), ((OTHER,), -1, 0)]
+)
+def test_a_new_server_goes_on_from_the_mask_that_is_there(
+    obj: Any, after: tuple[RegionRef, ...], turn: int, wanted: int
+) -> None:
+    obj.document, obj.asset = Document(prompts=(click(0), *after)), SimpleNamespace(folder=Path())
+    obj.need_asset = lambda: obj.asset
+    asked: list[ToolRequest] = []
+
+    def submit(*args: Any, **_: Any) -> Any:
+        asked.append(args[-1])
+        return SimpleNamespace(result=lambda seconds: MaskOffer([], 0, 4))
+
+    obj.bench = SimpleNamespace(
+        workspace=Path(), config=SimpleNamespace(segmenter="default"),
+        segmentation=SimpleNamespace(submit=submit),
+    )  # fmt: skip
+    assert Segmenting(obj).use_tool(ToolRequest("next mask", 1, turn), "who") == 3
+    assert asked[0].turn == wanted
+
+
 def test_the_mask_shown_is_told_until_something_else_is_said() -> None:
-    prompts = (click(0), RegionRef(1, "b" * 64, True, 3, "next mask"))
+    prompts = (click(0), OTHER)
     shown = MaskShown(prompts, 1, 1, 4)
     assert shown.fits(Document(prompts=prompts), 1)
     assert not shown.fits(Document(prompts=prompts), 2)
