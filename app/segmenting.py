@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from app.open_object import OpenObject
 
 TOOL_SECONDS = 120.0
-_NEXT_MASK = "next mask"
 _LITTLE = 0.03
 """Of the part: a click that changes less was in vain."""
 
@@ -178,9 +177,9 @@ class Segmenting:
         """
         obj = self._obj
         asset, doc = obj.need_asset(), obj.document
-        replaces = _last_of(doc, request.part) if request.tool == _NEXT_MASK else 0
+        replaces = _last_of(doc, request.part) if request.tool == tool_tasks.NEXT_MASK else 0
         kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
-        if request.tool == _NEXT_MASK:
+        if request.tool == tool_tasks.NEXT_MASK:
             request = replace(request, turn=self._turn(doc, request, replaces))
         used = {p.id for p in doc.parts}
         request = replace(request, free_part=_free(used))
@@ -232,7 +231,7 @@ class Segmenting:
             regions = tuple(
                 ToolRegion(r.part, r.elements, r.positive, r.count) for r in offer.regions
             )
-            obj.do(cmd.ApplyTool(_NEXT_MASK, regions, replaces), who)
+            obj.do(cmd.ApplyTool(tool_tasks.NEXT_MASK, regions, replaces), who)
         if offer.total > 1:
             self._mask_shown = MaskShown(obj.document.prompts, part, offer.number, offer.total)
         return offer.total - 1
@@ -256,7 +255,7 @@ def _last_of(doc: Document, part: int) -> int:
     """How many prompts at the end are another mask of ``part``, so that it can be one more."""
     count = 0
     for prompt in reversed(doc.prompts):
-        if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (_NEXT_MASK, part):
+        if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (tool_tasks.NEXT_MASK, part):
             break
         count += 1
     return count

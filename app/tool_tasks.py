@@ -28,6 +28,7 @@ Point = tuple[float, float, float]
 NEW_PART = -1
 SAMPLE_POINTS = 150_000
 HOVER_POINTS = 8_000
+NEXT_MASK = "next mask"
 _LEAST_PIECE = 0.01
 """Share of a part that a piece needs to become a part of its own."""
 
@@ -339,7 +340,7 @@ def _leftovers(work: _Work) -> list[RegionOffer]:
 
 TOOLS: dict[str, Callable[[_Work], Offer]] = {
     "propose": _propose,
-    "next mask": _next_mask,
+    NEXT_MASK: _next_mask,
     "connected": _connected,
     "same shape": _same_shape,
     "mirror": _mirror,

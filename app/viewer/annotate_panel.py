@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from app.open_object import OpenObject
-from app.tool_tasks import ToolRequest
+from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
 from app.viewer.widgets import put
 from model.segmentation.crop import ROOM_METRES
@@ -65,7 +65,7 @@ _NOTHING = {
     "same shape": "Nothing else looks like this part",
     "leftovers": "There are no crumbs",
     "mirror": "Nothing lies on the other side",
-    "next mask": "There is no other mask: click on the part first",
+    NEXT_MASK: "There is no other mask: click on the part first",
     "merge": "That is the chosen part itself: choose the part to keep, then click the other",
 }
 
@@ -210,7 +210,7 @@ class AnnotatePanel:
 
     def next_mask(self, step: int) -> None:
         """Another mask for the last click: the next one, or with -1 the one before."""
-        self.use(ToolRequest("next mask", self._app.part, step), "Next mask")
+        self.use(ToolRequest(NEXT_MASK, self._app.part, step), "Next mask")
 
     def use(self, request: ToolRequest, label: str) -> None:
         """Let a tool work, and say what came of it."""
