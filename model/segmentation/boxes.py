@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
+from model.segmentation.box_scores import Believed, BoxBeliefs, shipped_box_model
 from model.segmentation.cells import Cells
 from model.segmentation.depths import Depths
 from model.segmentation.hierarchy import Hierarchy
@@ -61,7 +62,7 @@ _COVER = 0.2
 """Share of a front's own surface that has to face it for a box to end there."""
 _REGIONS = 10
 """Of the nested regions round a click, how many boxes are put round."""
-_FRONTS, _PLANES, _BETWEEN = 4, 16, 10
+_FRONTS, _PLANES, _BETWEEN = 4, 16, 12
 """Fronts that boxes are put behind, planes that cut, and boxes between planes, at
 most."""
 _WHOLE = 0.8
@@ -342,10 +343,11 @@ class ObjectSolver(PartSolver):
         """``shell`` (C,): of a mesh that consists of several, the shell of each cell."""
         self._boxes = Boxes(cells)
         self._shells = None if shell is None else _Shells(shell, cells.size)
-        boxes = self._boxes
-        self._planes, describe = together(
-            lambda: boxes.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, boxes)
+        grid = self._boxes
+        planes, describe = together(
+            lambda: grid.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, grid)
         )
+        self._beliefs = BoxBeliefs(planes, grid.place, grid.facing, grid.step, shipped_box_model())
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
 
     def first_regions(self, cell: int) -> Candidates:
@@ -370,11 +372,11 @@ class ObjectSolver(PartSolver):
             round_all = boxes.contents(*boxes.bounds(wider)) | wider
             deep = boxes.contents(*boxes.behind(low, high, _FRONTS)) | mask
             own = (boxes.contents(low, high) | mask)[::2]
-            beside = self._between((cell,), after.negative, _BETWEEN // 2) | mask
+            beside = self._tight(cell, after.negative, _BETWEEN // 2) | mask
             made = [round_all, deep, own, beside]
         else:
             without = mask & ~boxes.contents(low, high)
-            outside = mask & ~self._between((cell,), after.positive, _BETWEEN)
+            outside = mask & ~self._tight(cell, after.positive, _BETWEEN)
             made = [without, outside, self._cut(mask, low, high, after, cell)]
         if after.positive:
             made.append(self._between(after.positive, after.negative, _BETWEEN))
@@ -382,22 +384,23 @@ class ObjectSolver(PartSolver):
         return self._with(found, made)
 
     def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
-        """(H, C) boxes between planes that hold some cells and not others, of all sizes."""
-        return self._within(self._planes.of_all_sizes(self._holding(inside, outside), most))
+        """(H, C) the likeliest boxes between planes that hold some cells and not others."""
+        believed = self._beliefs(inside, outside)
+        return self._within(believed, believed.apart(most))
+
+    def _tight(self, cell: int, outside: tuple[int, ...], most: int) -> Bool:
+        """(H, C) boxes between planes that hold a cell and not others, the least leaking ones."""
+        believed = self._beliefs.tight(cell, outside)
+        return self._within(believed, believed.apart(most))
 
     def _alike(self, mask: Bool, inside: tuple[int, ...], outside: tuple[int, ...]) -> Bool:
         """(H, C) boxes between planes that hold some cells and not others, like the mask's."""
         low, high = self._boxes.bounds(mask[None])
-        found = self._holding(inside, outside)
-        return self._within(self._planes.like(found, low[0], high[0], _LIKE, _BETWEEN))
+        believed = self._beliefs(inside, outside)
+        return self._within(believed, believed.like(low, high, _LIKE)[:_BETWEEN])
 
-    def _holding(self, inside: tuple[int, ...], outside: tuple[int, ...]) -> npt.NDArray[np.int64]:
-        place = self._boxes.place.T
-        return self._planes.holding(place[list(inside)], place[list(outside)])
-
-    def _within(self, found: npt.NDArray[np.int64]) -> Bool:
-        planes = self._planes
-        return self._boxes.contents(planes.low[:, found].T, planes.high[:, found].T, 0)
+    def _within(self, believed: Believed, index: npt.NDArray[np.int64]) -> Bool:
+        return self._boxes.contents(believed.low[:, index].T, believed.high[:, index].T, 0)
 
     def _with(self, found: Candidates, more: list[Bool]) -> Candidates:
         masks = np.concatenate(more)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.cells import Cells, build_cells
-from model.segmentation.edge_strength import edge_strength, edge_weight
+from model.segmentation.edge_strength import edge_strength, edge_weight, shipped_edge_model
 from model.segmentation.graph import Graph, build_graph
 from model.segmentation.hierarchy import Hierarchy, build_hierarchy
 from model.segmentation.mlp import Mlp
@@ -36,6 +36,14 @@ class Encoding:
     hierarchy: Hierarchy
     walk: Walk
     room: Room | None = None
+
+
+def encode_cells(asset: Asset) -> tuple[Nodes, Graph, Cells]:
+    """The cells of ``asset`` alone, without what answers clicks on them."""
+    nodes = nodes_of_asset(asset)
+    graph = build_graph(nodes)
+    strength = edge_strength(nodes, graph, shipped_edge_model())
+    return nodes, graph, build_cells(nodes, graph, strength, edge_weight(strength, graph))
 
 
 def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:

@@ -8,8 +8,9 @@ how much of their sides is lined with surface. A click then looks up those that 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,8 +41,11 @@ _SMALLEST, _LARGEST = 0.002, 0.95
 _SHEET = 1.35
 """Nodes by area, with the spacing told by cells, where a side of a box is lined with surface."""
 _KEPT = 60_000
-_SIZES = 0.3
-"""Boxes of nearly the same size (logarithm) compete, the best is offered."""
+
+
+SIDE_FEATURES = ("walked", "crossed", "strength", "lined")
+"""Of each side of a box, by its area: what the random walk leaks through it and the links across
+it; their mean strength; how much of it is lined with surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,46 +56,43 @@ class PlaneBoxes:
         low, high: (3, B) first and last step of each along each direction.
         leak: (B,) what the random walk leaks through the sides, by the root of what a box holds,
             less where surface lines its sides; ascending.
-        size_class: (B,) logarithm of what it holds, in classes.
+        share: (B,) float32 of the surface that a box holds.
+        inner: (B,) float32 mean strength of the links of what it holds.
+        sides: (B, 3, 2, 4) float32 ``SIDE_FEATURES`` of the low and the high side along each
+            direction.
+        surface: (B,) float32 nodes that would line all sides.
     """
 
     low: Int
     high: Int
     leak: Float
-    size_class: Int
+    share: Float
+    inner: Float
+    sides: Float
+    surface: Float
 
-    def holding(
-        self, inside: npt.NDArray[np.integer], outside: npt.NDArray[np.integer]
-    ) -> npt.NDArray[np.int64]:
-        """Those that hold some places and not others, the least leak first.
+    def holding(self, spot: Places) -> npt.NDArray[np.int64]:
+        """Those that hold a place, three steps; the least leak first."""
+        at = spot.astype(np.int16)[:, None]
+        return np.nonzero(((self.low <= at) & (self.high >= at)).all(0))[0]
 
-        Args:
-            inside, outside: (K, 3) steps.
-        """
-        ok = np.ones(len(self.leak), bool)
-        for places, wanted in ((inside, True), (outside, False)):
-            for spot in places.astype(np.int16):
-                held = (self.low[0] <= spot[0]) & (self.high[0] >= spot[0])
-                for axis in (1, 2):
-                    held &= self.low[axis] <= spot[axis]
-                    held &= self.high[axis] >= spot[axis]
-                ok &= held == wanted
-        return np.nonzero(ok)[0]
-
-    def of_all_sizes(self, found: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
-        """The best of each size among those ``found``, the least leak first."""
-        _, first = np.unique(self.size_class[found], return_index=True)
-        return found[np.sort(first)[:most]]
-
-    def like(
-        self, found: npt.NDArray[np.int64], low: Int, high: Int, least: float, most: int
-    ) -> npt.NDArray[np.int64]:
-        """The best among those ``found`` whose volume overlaps (IoU) with a box (3,) enough."""
-        first, last = self.low[:, found], self.high[:, found]
-        common = np.minimum(last, high[:, None]) - np.maximum(first, low[:, None]) + 1.0
-        common = np.maximum(common, 0).prod(0)
-        volume = (last - first + 1.0).prod(0) + (high - low + 1.0).prod()
-        return found[np.nonzero(common >= least * (volume - common))[0][:most]]
+    def sums(self, place: npt.NDArray[np.uint8], values: npt.NDArray) -> npt.NDArray[np.float64]:
+        """(B,) sums of (C,) ``values`` at (3, C) steps over what each box holds."""
+        cuts = [np.unique(np.r_[0, self.low[k], self.high[k] + 1, STEPS]) for k in range(3)]
+        slot: list[Places] = [
+            np.asarray(np.searchsorted(c, p, side="right"))
+            for c, p in zip(cuts, place, strict=True)
+        ]
+        shape = [len(c) for c in cuts]
+        flat = np.ravel_multi_index(slot, shape)
+        table = totals(flat, values, int(np.prod(shape))).reshape(shape)
+        for k in range(3):
+            table = table.cumsum(k)
+        ends = [
+            (np.searchsorted(c, low), np.searchsorted(c, high + 1))
+            for c, low, high in zip(cuts, self.low, self.high, strict=True)
+        ]
+        return _corners(table, ends)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +127,7 @@ def plane_boxes(
         held = np.moveaxis(axes[k].between(np.moveaxis(held, k, 0)), 0, k)
     leak, lined = np.zeros_like(held), np.zeros_like(held)
     links = cells.links
+    tables: list[list[npt.NDArray[np.float64]]] = []
     for k in range(3):
         others = [axes[o] for o in range(3) if o != k]
         low, high = _ordered(axes[k].slot, links.a, links.b)
@@ -133,7 +135,10 @@ def plane_boxes(
         link = np.repeat(np.arange(len(times)), times)
         cut = low[link] + 1 + np.arange(len(link)) - np.repeat(np.cumsum(times) - times, times)
         side = [o.slot[links.a[link]] for o in others]
-        through = _sides(axes[k], others, cut, side, links.conductance[link])
+        through, crossed, strong = (
+            _sides(axes[k], others, cut, side, v[link])
+            for v in (links.conductance, links.count, links.strength)
+        )
         leak += np.moveaxis(through[axes[k].first] + through[axes[k].last], 0, k)
         on = facing[k]
         faces = _sides(axes[k], others, axes[k].slot[on], [o.slot[on] for o in others],
@@ -145,6 +150,7 @@ def plane_boxes(
         full = _SHEET * wide[:, None] * high_[None] / spacing**2
         for slots in (axes[k].first, axes[k].last - 1):
             lined += np.moveaxis(np.minimum(faces[slots] / full[None], 1), 0, k)
+        tables.append([through, crossed, strong, faces, full])
     share = held / total
     leak = (leak + 1e-6) / np.sqrt(np.maximum(np.minimum(held, total - held), 1)) / (0.5 + lined)
     usable = np.nonzero(((share > _SMALLEST) & (share < _LARGEST)).ravel())[0]
@@ -157,9 +163,55 @@ def plane_boxes(
     index = np.unravel_index(usable, held.shape)
     first = np.stack([a.cut[a.first[i]] for a, i in zip(axes, index, strict=True)])
     last = np.stack([a.cut[a.last[i]] - 1 for a, i in zip(axes, index, strict=True)])
-    size_class = np.floor(np.log(share.ravel()[usable]) / _SIZES)
-    return PlaneBoxes(first.astype(np.int16), last.astype(np.int16), leak.astype(np.float32),
-                      size_class.astype(np.int16))  # fmt: skip
+    sides, surface = _described(axes, index, tables)
+    strength, count = (
+        totals(links.a, v, len(cells)) + totals(links.b, v, len(cells))
+        for v in (links.strength, links.count)
+    )
+    made = PlaneBoxes(
+        first.astype(np.int16), last.astype(np.int16), leak.astype(np.float32),
+        share.ravel()[usable].astype(np.float32), leak, sides, surface
+    )  # fmt: skip
+    inner = made.sums(place, strength) / np.maximum(made.sums(place, count), 1e-9)
+    return replace(made, inner=inner.astype(np.float32))
+
+
+def _described(
+    axes: Sequence[_Axis],
+    index: Sequence[npt.NDArray[np.int64]],
+    tables: Sequence[Sequence[npt.NDArray[np.float64]]],
+) -> tuple[Float, Float]:
+    """``sides`` and ``surface`` of the boxes with these intervals along each direction."""
+    sides = np.zeros((len(index[0]), 3, 2, len(SIDE_FEATURES)), np.float32)
+    surface = np.zeros(len(index[0]), np.float32)
+    for k, (through, crossed, strong, faces, full) in enumerate(tables):
+        one, other = (index[o] for o in range(3) if o != k)
+        area = np.maximum(full[one, other], 1)
+        surface += 2 * area
+        ends = (axes[k].first[index[k]], axes[k].last[index[k]])
+        for side, (cut, slot) in enumerate(((ends[0], ends[0]), (ends[1], ends[1] - 1))):
+            count = crossed[cut, one, other]
+            sides[:, k, side] = np.stack(
+                [
+                    np.minimum(through[cut, one, other] / area, 8),
+                    np.minimum(count / area, 8),
+                    strong[cut, one, other] / np.maximum(count, 1),
+                    np.minimum(faces[slot, one, other] / area, 1),
+                ],
+                axis=1,
+            )
+    return sides, surface
+
+
+def _corners(
+    table: npt.NDArray[np.float64], ends: Sequence[tuple[Places, Places]]
+) -> npt.NDArray[np.float64]:
+    """(B,) sums over boxes between two entries of a summed-area table along each axis."""
+    out = np.zeros(len(ends[0][0]))
+    for corner in itertools.product((0, 1), repeat=3):
+        sign = (-1) ** (3 - sum(corner))
+        out += sign * table[tuple(e[c] for e, c in zip(ends, corner, strict=True))]
+    return out
 
 
 def _ordered(slot: Places, a: Places, b: Places) -> tuple[Places, Places]:

@@ -7,26 +7,29 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from model.resources import static_assets
+from model.segmentation.training.boxes import BoxTraining, train_boxes
 from model.segmentation.training.clicks import ClickTraining, train_room_scorers, train_scorers
 from model.segmentation.training.edges import EdgeTraining, train_edges
 
 
 @dataclass(frozen=True)
 class Training:
-    """All trainings; about an hour on two cores.
+    """All trainings; about two hours on two cores.
 
     Attributes:
-        out: folder for ``edges.npz``, ``first_click.npz``, ``later_click.npz`` and, of rooms,
-            ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_parts, skip_rooms: keep the networks that are there.
-        edges, clicks: their settings.
+        out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz`` and,
+            of rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
+        skip_edges, skip_boxes, skip_parts, skip_rooms: keep the networks that are there.
+        edges, boxes, clicks: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
     skip_edges: bool = False
+    skip_boxes: bool = False
     skip_parts: bool = False
     skip_rooms: bool = False
     edges: EdgeTraining = field(default_factory=EdgeTraining)
+    boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
 
 
@@ -38,6 +41,8 @@ def main() -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     if not config.skip_edges:
         print(json.dumps(train_edges(config.edges, config.out / "edges.npz"), indent=1))
+    if not config.skip_boxes:
+        print(json.dumps(train_boxes(config.boxes, config.out / "boxes.npz"), indent=1))
     if not config.skip_parts:
         print(json.dumps(train_scorers(config.clicks, config.out), indent=1))
     if not config.skip_rooms:

@@ -26,6 +26,7 @@ from model.segmentation.training.primitives import Builder
 
 Mode = Literal["surface", "outside", "one-sided"]
 ASSEMBLIES = (*furniture.FAMILIES, *gadgets.FAMILIES)
+_ASSEMBLY = {family.__name__: family for family in ASSEMBLIES}
 FAMILIES = tuple(name for name in family_names() if name not in HELD_OUT)
 SMALL_PARTED = ("Keyboard", "Remote", "Phone", "Switch", "Microwave", "WashingMachine",
                 "CoffeeMachine", "Camera", "Printer", "Dispenser", "Lamp", "Safe")  # fmt: skip
@@ -33,6 +34,9 @@ SMALL_PARTED = ("Keyboard", "Remote", "Phone", "Switch", "Microwave", "WashingMa
 DRAWERED = ("StorageFurniture", "StorageFurniture", "StorageFurniture", "Table", "Cart",
             "Refrigerator", "Dishwasher", "Printer", "TrashCan", "Composite")  # fmt: skip
 """Families with drawers, racks and trays within a body."""
+SQUARE = (*4 * ("StorageFurniture",), *2 * ("Table",), *2 * ("cabinet",), "table", "appliance",
+          "Cart", "Refrigerator", "Dishwasher", "Printer", "TrashCan", "Composite")  # fmt: skip
+"""Families and assemblies whose parts fill boxes."""
 
 _FAMILY_SHARE = 0.6
 _COMPOSITE_SHARE = 0.12
@@ -62,11 +66,12 @@ def build(seed: int, families: tuple[str, ...] | None = None) -> Shape:
     """A random object of a random kind, or of ``families``, stretched and turned a little."""
     rng = np.random.default_rng(seed)
     if families is not None:
-        shape = family_shape(str(rng.choice(families)), seed)
+        name = str(rng.choice(families))
     elif rng.random() < _FAMILY_SHARE:
-        shape = family_shape(_family(rng), seed)
+        name = _family(rng)
     else:
-        shape = _assembly(rng)
+        name = ASSEMBLIES[rng.integers(len(ASSEMBLIES))].__name__
+    shape = _assembly(name, rng) if name in _ASSEMBLY else family_shape(name, seed)
     stretch = np.exp(rng.normal(0, 0.12, 3))
     angle = rng.choice([0.0, rng.uniform(0, 2 * np.pi)])
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
@@ -87,10 +92,9 @@ def family_shape(name: str, seed: int) -> Shape:
     return Shape(mesh, part.astype(np.int16), name, made)
 
 
-def _assembly(rng: np.random.Generator) -> Shape:
-    family = ASSEMBLIES[rng.integers(len(ASSEMBLIES))]
+def _assembly(name: str, rng: np.random.Generator) -> Shape:
     builder = Builder(rng)
-    family(builder)
+    _ASSEMBLY[name](builder)
     triangles = np.concatenate([s[0] for s in builder.solids])
     counts = [len(s[0]) for s in builder.solids]
     part = np.repeat([s[1] for s in builder.solids], counts).astype(np.int16)
@@ -104,7 +108,7 @@ def _assembly(rng: np.random.Generator) -> Shape:
         np.repeat(np.arange(len(counts), dtype=np.int32), counts),
         materials,
     )
-    return Shape(mesh, part, family.__name__)
+    return Shape(mesh, part, name)
 
 
 def visible_from(

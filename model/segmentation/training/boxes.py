@@ -1,0 +1,134 @@
+"""The network that ranks boxes between planes: which overlap most with the part that was meant?"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometry.asset import Asset
+from model.segmentation.box_scores import BOX_SCORE_FEATURES, BoxDescriber
+from model.segmentation.boxes import Boxes
+from model.segmentation.encoding import encode_cells
+from model.segmentation.mlp import Mlp, save_mlp
+from model.segmentation.simulate import central, deepest
+from model.segmentation.training.clicks import asked_by_size
+from model.segmentation.training.fit import averaged, fit_ranker
+from model.segmentation.training.scans import SQUARE, build, random_scan
+
+Float = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class BoxTraining:
+    """What is needed to train the shipped network again.
+
+    Attributes:
+        objects: half of them of all families, half of those whose parts fill boxes.
+        held_out: every n-th measures in a fit of its own.
+        parts: asked for in each object, spread over the logarithm of their sizes.
+        boxes: of each click that are learned from: the best ones, those that leak least, others.
+        mesh_share: of the objects that are met as meshes.
+        networks: that are fitted and averaged; a click pays for each of them.
+        first_seed: of the objects.
+        workers: processes.
+    """
+
+    objects: int = 600
+    held_out: int = 10
+    parts: int = 6
+    boxes: tuple[int, int, int] = (12, 12, 40)
+    mesh_share: float = 0.2
+    networks: int = 1
+    first_seed: int = 100_000
+    workers: int = 1
+
+
+Row = tuple[Float, Float, Float]
+"""Features (K, F) and IoU (K,) of the boxes of a click, and the best IoU of all that hold it."""
+
+
+def rows_of(seed: int, config: BoxTraining) -> list[Row]:
+    """Boxes round some clicks on each part of one object."""
+    rng = np.random.default_rng([seed, 5])
+    families = SQUARE if seed % 2 else None
+    if rng.random() < config.mesh_share:
+        shape = build(seed, families)
+        truth, asset = shape.part, Asset("object", mesh=shape.mesh)
+    else:
+        data = random_scan(seed, (40_000, 100_000)[seed // 2 % 2], families)
+        truth, asset = data.labels, Asset("object", cloud=data.cloud)
+    nodes, _, cells = encode_cells(asset)
+    labels, points = truth[nodes.elements.element_of_node], nodes.points
+    grid = Boxes(cells)
+    boxes = grid.between_planes(cells)
+    describe = BoxDescriber(boxes, grid.step)
+    held = boxes.sums(grid.place, cells.size)
+    out: list[Row] = []
+    for part in asked_by_size(rng, labels, config.parts, 30):
+        mine = labels == part
+        own = np.bincount(cells.of_node, mine, len(cells))
+        common = boxes.sums(grid.place, own)
+        overlap = common / np.maximum(held + own.sum() - common, 1e-9)
+        starts = [deepest(points, mine), central(points, mine, rng), central(points, mine, rng, 1)]
+        for start in starts:
+            cell = int(cells.of_node[start])
+            spot = grid.place[:, cell]
+            found = boxes.holding(spot)
+            if len(found) < 4 or overlap[found].max() < 0.3:
+                continue
+            best, tight, more = config.boxes
+            value = overlap[found]
+            pick = np.unique(np.r_[np.argsort(-value)[:best], np.arange(min(tight, len(found))),
+                                   rng.permutation(len(found))[:more]])  # fmt: skip
+            chosen = found[pick]
+            features = describe(chosen, spot, grid.facing[:, cell])
+            out.append((features, overlap[chosen].astype(np.float32), value.max()))
+    return out
+
+
+def collect(config: BoxTraining) -> list[list[Row]]:
+    """Rows of each object; they do not depend on ``workers``."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    seeds = range(config.first_seed, config.first_seed + config.objects)
+    if config.workers <= 1:
+        return [rows_of(seed, config) for seed in seeds]
+    with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(rows_of, seeds, [config] * len(seeds), chunksize=4))
+
+
+def fit_boxes(rows: list[Row], networks: int) -> Mlp:
+    """The mean of ``networks`` networks that rank the boxes of a click by IoU."""
+    features, overlap = (np.concatenate([r[k] for r in rows]) for k in (0, 1))
+    click = np.repeat(np.arange(len(rows)), [len(r[1]) for r in rows])
+    weight = np.ones(len(rows), np.float32)
+    return averaged(
+        [
+            fit_ranker(BOX_SCORE_FEATURES, features, overlap, click, weight,
+                       hidden=(64, 32), epochs=30, seed=seed)
+            for seed in range(networks)
+        ]
+    )  # fmt: skip
+
+
+def train_boxes(config: BoxTraining, out: Path) -> dict[str, float]:
+    """Train, measure on held-out objects, write ``out``; returns the scores."""
+    played = collect(config)
+    test = [r for i, rows in enumerate(played) if not i % config.held_out for r in rows]
+    rest = [r for i, rows in enumerate(played) if i % config.held_out for r in rows]
+    model = fit_boxes(rest, config.networks)
+    chosen = [float(overlap[model(features).argmax()]) for features, overlap, _ in test]
+    tightest = [float(overlap[0]) for _, overlap, _ in test]
+    scores = {
+        "iou": float(np.mean(chosen)),
+        "least_leaking_iou": float(np.mean(tightest)),
+        "best_possible": float(np.mean([r[2] for r in test])),
+        "clicks": float(len(rest) + len(test)),
+    }
+    save_mlp(fit_boxes(rest + test, config.networks), out,
+             {"training": asdict(config), "scores": scores})  # fmt: skip
+    return scores
