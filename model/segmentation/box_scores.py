@@ -32,6 +32,9 @@ _KEPT = 16
 """Clicked cells whose boxes are kept."""
 _LOOKED_AT, _ALIKE = 400, 0.65
 """Likeliest boxes among which others are looked for, and the overlap of those that are alike."""
+_SIZES = 0.3
+"""Boxes of nearly the same size (logarithm) compete where one of each size is wanted."""
+
 Float = npt.NDArray[np.floating]
 Int = npt.NDArray[np.int16]
 
@@ -107,12 +110,13 @@ class Believed:
     """Boxes that hold all clicks of a part and none against it, the likeliest first.
 
     Attributes:
-        low, high: (3, K) steps. score: (K,) log-odds.
+        low, high: (3, K) steps. score: (K,) log-odds. share: (K,) of the surface that they hold.
     """
 
     low: Int
     high: Int
     score: Float
+    share: Float
 
     def apart(self, most: int) -> npt.NDArray[np.int64]:
         """The likeliest that are not much like a likelier one."""
@@ -125,6 +129,11 @@ class Believed:
             free &= volume_overlap(low[best][None], high[best][None], low, high)[0] < _ALIKE
             free[best] = False
         return np.array(out, np.int64)
+
+    def of_all_sizes(self, most: int) -> npt.NDArray[np.int64]:
+        """The likeliest of each size, the likeliest first."""
+        _, first = np.unique(np.floor(np.log(self.share) / _SIZES), return_index=True)
+        return np.sort(first)[:most]
 
     def like(self, low: Int, high: Int, least: float) -> npt.NDArray[np.int64]:
         """Those whose volume overlaps with a box (1, 3) by ``least``, the likeliest first."""
@@ -191,7 +200,8 @@ class BoxBeliefs:
         return np.nonzero(ok)[0]
 
     def _believed(self, found: npt.NDArray[np.int64], score: Float) -> Believed:
-        return Believed(self._boxes.low[:, found], self._boxes.high[:, found], score)
+        boxes = self._boxes
+        return Believed(boxes.low[:, found], boxes.high[:, found], score, boxes.share[found])
 
 
 def volume_overlap(low: Int, high: Int, other_low: Int, other_high: Int) -> Float:

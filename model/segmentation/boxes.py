@@ -62,9 +62,9 @@ _COVER = 0.2
 """Share of a front's own surface that has to face it for a box to end there."""
 _REGIONS = 10
 """Of the nested regions round a click, how many boxes are put round."""
-_FRONTS, _PLANES, _BETWEEN = 4, 16, 12
-"""Fronts that boxes are put behind, planes that cut, and boxes between planes, at
-most."""
+_FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
+"""Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh with
+several shells), at most."""
 _WHOLE = 0.8
 """Share of a shell that is all but whole."""
 _LIKE = 0.5
@@ -347,7 +347,10 @@ class ObjectSolver(PartSolver):
         planes, describe = together(
             lambda: grid.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, grid)
         )
-        self._beliefs = BoxBeliefs(planes, grid.place, grid.facing, grid.step, shipped_box_model())
+        # Shells tell the parts of a mesh better: there the network made later clicks worse.
+        model = shipped_box_model() if self._shells is None else None
+        self._most = _BETWEEN if self._shells is None else _OF_SIZES
+        self._beliefs = BoxBeliefs(planes, grid.place, grid.facing, grid.step, model)
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
 
     def first_regions(self, cell: int) -> Candidates:
@@ -357,7 +360,7 @@ class ObjectSolver(PartSolver):
         low, high = boxes.bounds(regions)
         deep = boxes.contents(*boxes.behind(low, high, _FRONTS))
         round_all = boxes.contents(low, high) | regions
-        return self._with(chain, [round_all, deep, self._between((cell,), (), _BETWEEN)])
+        return self._with(chain, [round_all, deep, self._between((cell,), (), self._most)])
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool
@@ -372,32 +375,35 @@ class ObjectSolver(PartSolver):
             round_all = boxes.contents(*boxes.bounds(wider)) | wider
             deep = boxes.contents(*boxes.behind(low, high, _FRONTS)) | mask
             own = (boxes.contents(low, high) | mask)[::2]
-            beside = self._tight(cell, after.negative, _BETWEEN // 2) | mask
+            beside = self._tight(cell, after.negative, self._most // 2) | mask
             made = [round_all, deep, own, beside]
         else:
             without = mask & ~boxes.contents(low, high)
-            outside = mask & ~self._tight(cell, after.positive, _BETWEEN)
+            outside = mask & ~self._tight(cell, after.positive, self._most)
             made = [without, outside, self._cut(mask, low, high, after, cell)]
         if after.positive:
-            made.append(self._between(after.positive, after.negative, _BETWEEN))
+            made.append(self._between(after.positive, after.negative, self._most))
             made.append(self._alike(mask, after.positive, after.negative))
         return self._with(found, made)
 
     def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
         """(H, C) the likeliest boxes between planes that hold some cells and not others."""
         believed = self._beliefs(inside, outside)
-        return self._within(believed, believed.apart(most))
+        return self._within(believed, self._few(believed, most))
 
     def _tight(self, cell: int, outside: tuple[int, ...], most: int) -> Bool:
         """(H, C) boxes between planes that hold a cell and not others, the least leaking ones."""
         believed = self._beliefs.tight(cell, outside)
-        return self._within(believed, believed.apart(most))
+        return self._within(believed, self._few(believed, most))
+
+    def _few(self, believed: Believed, most: int) -> npt.NDArray[np.int64]:
+        return believed.apart(most) if self._shells is None else believed.of_all_sizes(most)
 
     def _alike(self, mask: Bool, inside: tuple[int, ...], outside: tuple[int, ...]) -> Bool:
         """(H, C) boxes between planes that hold some cells and not others, like the mask's."""
         low, high = self._boxes.bounds(mask[None])
         believed = self._beliefs(inside, outside)
-        return self._within(believed, believed.like(low, high, _LIKE)[:_BETWEEN])
+        return self._within(believed, believed.like(low, high, _LIKE)[: self._most])
 
     def _within(self, believed: Believed, index: npt.NDArray[np.int64]) -> Bool:
         return self._boxes.contents(believed.low[:, index].T, believed.high[:, index].T, 0)

@@ -103,6 +103,8 @@ def test_clicks_leave_boxes_that_hold_them_the_likeliest_first(cabinet) -> None:
     low, high = before.low[:, apart].T, before.high[:, apart].T
     overlap = volume_overlap(low, high, low, high) - np.eye(len(apart))
     assert overlap.max() < 0.66
+    sizes = before.of_all_sizes(6)
+    assert len(set(np.floor(np.log(before.share[sizes]) / 0.3).tolist())) == len(sizes)
 
 
 def test_overlap_of_volumes() -> None:
@@ -115,9 +117,14 @@ def test_overlap_of_volumes() -> None:
 
 
 def test_without_boxes_none_are_offered() -> None:
-    none = Believed(np.zeros((3, 0), np.int16), np.zeros((3, 0), np.int16), np.zeros(0, np.float32))
+    zero = np.zeros(0, np.float32)
+    none = Believed(np.zeros((3, 0), np.int16), np.zeros((3, 0), np.int16), zero, zero)
     box = np.zeros((1, 3), np.int16)
-    assert not len(none.apart(3)) and not len(none.like(box, box, 0.5))
+    assert (
+        not len(none.apart(3))
+        and not len(none.of_all_sizes(3))
+        and not len(none.like(box, box, 0.5))
+    )
 
 
 def test_an_object_without_planes_has_no_boxes_and_is_answered() -> None:
