@@ -154,7 +154,8 @@ class BoxBeliefs:
     ) -> None:
         """``place``, ``facing`` (3, C) and ``step`` (3,): see ``Boxes``."""
         self._boxes, self._place, self._facing = boxes, place, facing
-        self._describe = BoxDescriber(boxes, step)
+        # Without a network nothing needs to be described.
+        self._describe = None if model is None else BoxDescriber(boxes, step)
         self._model = model
         self._of: OrderedDict[int, tuple[npt.NDArray[np.int64], Float]] = OrderedDict()
 
@@ -162,7 +163,7 @@ class BoxBeliefs:
         """Boxes that hold a cell, the likeliest first, and their scores."""
         if cell not in self._of:
             found = self._boxes.holding(self._place[:, cell])
-            if self._model is None:
+            if self._model is None or self._describe is None:
                 score = -np.log(self._boxes.leak[found] + 1e-6)
             else:
                 faces = self._facing[:, cell]

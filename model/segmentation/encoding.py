@@ -10,7 +10,7 @@ import numpy.typing as npt
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.cells import Cells, build_cells
-from model.segmentation.edge_strength import edge_strength, edge_weight, shipped_edge_model
+from model.segmentation.edge_strength import edge_strength, edge_weight
 from model.segmentation.graph import Graph, build_graph
 from model.segmentation.hierarchy import Hierarchy, build_hierarchy
 from model.segmentation.mlp import Mlp
@@ -38,16 +38,10 @@ class Encoding:
     room: Room | None = None
 
 
-def encode_cells(asset: Asset) -> tuple[Nodes, Graph, Cells]:
-    """The cells of ``asset`` alone, without what answers clicks on them."""
-    nodes = nodes_of_asset(asset)
-    graph = build_graph(nodes)
-    strength = edge_strength(nodes, graph, shipped_edge_model())
-    return nodes, graph, build_cells(nodes, graph, strength, edge_weight(strength, graph))
-
-
-def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:
-    """Over-segment ``asset``; ``edges`` is the edge model, None for the hand-set rule."""
+def encode_cells(
+    asset: Asset, edges: Mlp | None, progress: Progress = no_progress
+) -> tuple[Nodes, Graph, npt.NDArray[np.float32], Cells]:
+    """Nodes, graph, strengths and cells of ``asset``, without what answers clicks on them."""
     progress(0.0, "sampling the surface")
     nodes = nodes_of_asset(asset)
     progress(0.15, "neighbours and normals")
@@ -55,7 +49,12 @@ def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) ->
     progress(0.45, "creases and colours")
     strength = edge_strength(nodes, graph, edges)
     progress(0.7, "cells")
-    cells = build_cells(nodes, graph, strength, edge_weight(strength, graph))
+    return nodes, graph, strength, build_cells(nodes, graph, strength, edge_weight(strength, graph))
+
+
+def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:
+    """Over-segment ``asset``; ``edges`` is the edge model, None for the hand-set rule."""
+    nodes, graph, strength, cells = encode_cells(asset, edges, progress)
     room = room_of(asset, nodes, cells)
     if room is not None:
         cells = fenced(cells, room)

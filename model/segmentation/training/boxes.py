@@ -11,6 +11,7 @@ import numpy.typing as npt
 from model.geometry.asset import Asset
 from model.segmentation.box_scores import BOX_SCORE_FEATURES, BoxDescriber
 from model.segmentation.boxes import Boxes
+from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode_cells
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.simulate import central, deepest
@@ -60,7 +61,7 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
     else:
         data = random_scan(seed, (40_000, 100_000)[seed // 2 % 2], families)
         truth, asset = data.labels, Asset("object", cloud=data.cloud)
-    nodes, _, cells = encode_cells(asset)
+    nodes, _, _, cells = encode_cells(asset, shipped_edge_model())
     labels, points = truth[nodes.elements.element_of_node], nodes.points
     grid = Boxes(cells)
     boxes = grid.between_planes(cells)

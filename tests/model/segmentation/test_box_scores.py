@@ -15,6 +15,7 @@ from model.segmentation.box_scores import (
     volume_overlap,
 )
 from model.segmentation.boxes import Boxes
+from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode_cells
 from model.segmentation.mlp import load_mlp
 from model.segmentation.plane_boxes import SIDE_FEATURES, PlaneBoxes
@@ -25,7 +26,7 @@ from tests.model.segmentation.conftest import cabinet_cloud
 @pytest.fixture(scope="module")
 def cabinet():
     data = cabinet_cloud()
-    nodes, _, cells = encode_cells(data.asset)
+    nodes, _, _, cells = encode_cells(data.asset, shipped_edge_model())
     grid = Boxes(cells)
     return nodes, cells, grid, grid.between_planes(cells), data.labels
 
