@@ -63,8 +63,8 @@ _COVER = 0.2
 _REGIONS = 10
 """Of the nested regions round a click, how many boxes are put round."""
 _FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
-"""Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh with
-several shells), at most."""
+"""Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh), at
+most."""
 _WHOLE = 0.8
 """Share of a shell that is all but whole."""
 _LIKE = 0.5
@@ -340,16 +340,18 @@ class ObjectSolver(PartSolver):
         later_scorer: Mlp | None,
         shell: npt.NDArray[np.integer] | None = None,
     ) -> None:
-        """``shell`` (C,): of a mesh that consists of several, the shell of each cell."""
+        """``shell`` (C,): of a mesh, the shell of each cell."""
         self._boxes = Boxes(cells)
-        self._shells = None if shell is None else _Shells(shell, cells.size)
+        self._mesh = shell is not None
+        several = shell is not None and len(np.unique(shell)) > 1
+        self._shells = _Shells(shell, cells.size) if shell is not None and several else None
         grid = self._boxes
         planes, describe = together(
             lambda: grid.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, grid)
         )
-        # Shells tell the parts of a mesh better: there the network made later clicks worse.
-        model = shipped_box_model() if self._shells is None else None
-        self._most = _BETWEEN if self._shells is None else _OF_SIZES
+        # Faces tell the parts of a mesh better: there the network made later clicks worse.
+        model = None if self._mesh else shipped_box_model()
+        self._most = _OF_SIZES if self._mesh else _BETWEEN
         self._beliefs = BoxBeliefs(planes, grid.place, grid.facing, grid.step, model)
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
 
@@ -397,7 +399,7 @@ class ObjectSolver(PartSolver):
         return self._within(believed, self._few(believed, most))
 
     def _few(self, believed: Believed, most: int) -> npt.NDArray[np.int64]:
-        return believed.apart(most) if self._shells is None else believed.of_all_sizes(most)
+        return believed.of_all_sizes(most) if self._mesh else believed.apart(most)
 
     def _alike(self, mask: Bool, inside: tuple[int, ...], outside: tuple[int, ...]) -> Bool:
         """(H, C) boxes between planes that hold some cells and not others, like the mask's."""

@@ -102,6 +102,7 @@ class Nodes:
         shell: (N,) int32 connected shell of the mesh; zeros for a cloud.
         material: (N,) int32 material of the face; zeros for a cloud.
         elements: the way back.
+        of_mesh: whether they were sampled from a mesh's faces.
     """
 
     points: npt.NDArray[np.float32]
@@ -110,6 +111,7 @@ class Nodes:
     shell: npt.NDArray[np.int32]
     material: npt.NDArray[np.int32]
     elements: ElementMap
+    of_mesh: bool = False
 
     def __len__(self) -> int:
         return len(self.points)
@@ -231,9 +233,8 @@ def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
     count = np.bincount(face, minlength=len(mesh.faces))
     several = np.nonzero(count[face] > 1)[0].astype(np.int32)
     elements = ElementMap(node_of, face[several], several, len(points))
-    return Nodes(
-        points, normals, colors, shells[face].astype(np.int32), mesh.face_material[face], elements
-    )
+    shell, material = shells[face].astype(np.int32), mesh.face_material[face]
+    return Nodes(points, normals, colors, shell, material, elements, of_mesh=True)
 
 
 def _nearest_colors(

@@ -47,10 +47,10 @@ def solver_of(encoding: Encoding, first: Mlp | None, later: Mlp | None) -> PartS
 
 
 def _shells(encoding: Encoding) -> npt.NDArray[np.int32] | None:
-    """(C,) the shell of each cell, where there are several."""
-    shell, cells = encoding.nodes.shell, encoding.cells
-    if not len(shell) or shell.min() == shell.max():
+    """(C,) the shell of each cell of a mesh."""
+    nodes, cells = encoding.nodes, encoding.cells
+    if not nodes.of_mesh:
         return None
     out = np.zeros(len(cells), np.int32)
-    out[cells.of_node] = shell
+    out[cells.of_node] = nodes.shell
     return out

@@ -122,6 +122,21 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
     assert max(overlap(m, encoding, labels == DRAWER) for m in answer.candidates.masks) > 0.99
 
 
+def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
+    """On meshes, of one shell too, it made later clicks worse."""
+    asked: list[None] = []
+    monkeypatch.setattr("model.segmentation.boxes.shipped_box_model", lambda: asked.append(None))
+    ends = ((0.0, 0.0, 0.0), (0.4, 0.5, 0.6))
+    triangles = block(*ends)
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    one = Mesh(triangles.reshape(-1, 3), faces)
+    cloud, _ = sample_surface(one, 3000, np.random.default_rng(0))
+    solver_of(encode(Asset("block", mesh=one), None), None, None)
+    assert not asked
+    solver_of(encode(Asset("block", cloud=cloud), None), None, None)
+    assert asked
+
+
 def test_features_have_their_names_and_are_finite(drawers) -> None:
     encoding, labels = drawers
     solver = ObjectSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, None)
