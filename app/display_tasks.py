@@ -25,6 +25,7 @@ class OpenedAsset:
         display_vertices, display_faces: what the browser draws of a mesh, else None.
         display_points, display_colors: what the browser draws of a cloud, else None.
         element: (D,) source element of each displayed face or point.
+        area: (D,) float32, m², of each displayed face; None for a cloud.
         glb: the displayed mesh with its materials, z up, else None.
         part_names: names by part id where the source was already cut into parts.
     """
@@ -39,6 +40,7 @@ class OpenedAsset:
     element_count: int
     bounds: npt.NDArray[np.float64]
     element: npt.NDArray[np.int32]
+    area: npt.NDArray[np.float32] | None = None
     display_vertices: npt.NDArray[np.float32] | None = None
     display_faces: npt.NDArray[np.int32] | None = None
     display_points: npt.NDArray[np.float32] | None = None
@@ -96,6 +98,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         element_count=asset.element_count,
         bounds=np.asarray(asset.bounds),
         element=np.asarray(shown.element, np.int32),
+        area=None if mesh is None else mesh.face_areas.astype(np.float32),
         display_vertices=None if mesh is None else mesh.vertices.astype(np.float32),
         display_faces=None if mesh is None else np.asarray(mesh.faces),
         display_points=None if cloud is None else np.asarray(cloud.points),

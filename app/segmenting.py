@@ -52,11 +52,13 @@ class Segmenting:
 
     Attributes:
         labels: (D,) part of each displayed element; None where nothing is segmented.
+        shares: part → its share of the displayed surface, 0..1: area, or points of a cloud.
         in_vain: how many clicks in a row have hardly changed the part that they were for.
     """
 
     def __init__(self, obj: OpenObject) -> None:
         self.labels: npt.NDArray[np.int16] | None = None
+        self.shares: dict[int, float] = {}
         self.in_vain = 0
         self._answered: tuple[Click | RegionRef, ...] = ()
         self._mask_shown: MaskShown | None = None
@@ -67,7 +69,7 @@ class Segmenting:
     def forget(self) -> None:
         """The object is read anew: what was shown is of other elements."""
         with self._lock:
-            self.labels, self._labels_ref = None, None
+            self.labels, self._labels_ref, self.shares = None, None, {}
 
     def prepare(self) -> None:
         """Encode the asset for the segmenter before the first click needs it."""
@@ -123,7 +125,7 @@ class Segmenting:
             if ref == self._labels_ref and (ref is None) == (self.labels is None):
                 return
             if ref is None:
-                self.labels, self._labels_ref = None, None
+                self.labels, self._labels_ref, self.shares = None, None, {}
                 return
         job = obj.bench.segmentation.submit(
             segmenting_tasks.display_labels, obj.bench.workspace, ref, asset.element, priority=9
@@ -166,8 +168,9 @@ class Segmenting:
         return len(shown) > 0 and bool((labels[shown[0]] == click.part) == click.positive)
 
     def _show(self, ref: str, labels: npt.NDArray[np.int16]) -> None:
+        shares = _shares(labels, self._obj.need_asset().area)
         with self._lock:
-            self._labels_ref, self.labels = ref, labels
+            self._labels_ref, self.labels, self.shares = ref, labels, shares
 
     def use_tool(self, request: tool_tasks.ToolRequest, who: str) -> int:
         """Let a segmentation tool work; the number of regions that came of it.
@@ -245,6 +248,17 @@ class Segmenting:
             cmd.RecordSegmentation(obj.document.key, offer.labels, "cut", 0.0, offer.counts),
             "segmenter",
         )
+
+
+def _shares(
+    labels: npt.NDArray[np.int16], area: npt.NDArray[np.float32] | None
+) -> dict[int, float]:
+    """Each part's share of the surface; what is unassigned (-1) has one, too."""
+    # An answer that was under way while faces were cut is of other ones.
+    weight = area if area is not None and len(area) == len(labels) else None
+    held = np.bincount(labels.astype(np.int64) + 1, weight)
+    total = max(float(held.sum()), 1e-12)
+    return {int(i) - 1: float(held[i] / total) for i in np.flatnonzero(held)}
 
 
 def _free(used: set[int]) -> int:

@@ -247,14 +247,14 @@ class AnnotatePanel:
         """Bring the panel up to date."""
         put(self._here, "visible", obj.backend_away)
         app, doc = self._app, obj.document
-        counts = {} if doc.segmentation is None else dict(doc.segmentation.counts)
+        shares = obj.segmenting.shares
         now = (
             obj.record.id,
             doc.parts,
             doc.prompts,
             doc.category,
             doc.left_out,
-            tuple(counts.items()),
+            tuple(shares.items()),
             app.part,
             app.hidden,
             id(obj.asset),
@@ -263,7 +263,7 @@ class AnnotatePanel:
             return
         self._drawn = now
         self._draw_hint(obj, doc)
-        self._draw_parts(doc, counts)
+        self._draw_parts(doc, shares)
         self._draw_names(doc)
         self._draw_prompts(doc)
 
@@ -291,12 +291,11 @@ class AnnotatePanel:
             )
         put(self._hint, "content", text)
 
-    def _draw_parts(self, doc: Document, counts: dict[int, int]) -> None:
+    def _draw_parts(self, doc: Document, shares: dict[int, float]) -> None:
         app = self._app
         ids = sorted({0, app.part, *(p.id for p in doc.parts)})[:PARTS_SHOWN]
         for part in [p for p in self._buttons if p not in ids]:
             self._buttons.pop(part).remove()
-        total = max(sum(counts.values()), 1)
         gui = app.client.gui
         for part in ids:
             if part not in self._buttons:
@@ -306,7 +305,7 @@ class AnnotatePanel:
                 self._buttons[part] = button
             button = self._buttons[part]
             name = _part_name(doc, part) or ("base" if part == 0 else "part")
-            share = f" · {100 * counts[part] / total:.1f} %" if counts.get(part) else ""
+            share = f" · {_percent(shares[part])}" if part in shares else ""
             mark = "▸ " if part == app.part else ""
             hidden = " (hidden)" if part in app.hidden else ""
             put(button, "label", f"{mark}{part} · {name[:24]}{share}{hidden}")
@@ -337,6 +336,11 @@ class AnnotatePanel:
                 )
             button.on_click(lambda _, index=index: app.act(lambda: app.do(cmd.RemovePrompt(index))))
             self._prompt_buttons.append((button, index))
+
+
+def _percent(share: float) -> str:
+    """What there is at all is never shown as nothing."""
+    return "< 0.1 %" if share < 0.0005 else f"{100 * share:.1f} %"
 
 
 def _part_name(doc: Document, part: int) -> str | None:

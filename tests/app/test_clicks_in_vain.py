@@ -22,7 +22,7 @@ OTHER = RegionRef(1, "b" * 64, True, 3, "next mask")
 @pytest.fixture
 def obj() -> Any:
     """An open object as :class:`Segmenting` sees it; every second element is displayed."""
-    asset = SimpleNamespace(element=np.arange(0, ELEMENTS, 2, dtype=np.int32))
+    asset = SimpleNamespace(element=np.arange(0, ELEMENTS, 2, dtype=np.int32), area=None)
     done: list[Any] = []
     return SimpleNamespace(
         document=Document(), need_asset=lambda: asset, do=lambda c, who: done.append(c)
