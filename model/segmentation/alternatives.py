@@ -30,6 +30,15 @@ def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
     return common, common / np.maximum(area[:, None] + area[None] - common, 1e-9)
 
 
+def look_alike(one: Bool, other: Bool, size: Float) -> bool:
+    """Whether two masks (N,) overlap so much that a person would not tell them apart.
+
+    Args:
+        size: (N,) how much each element counts.
+    """
+    return float(size[one & other].sum()) >= _ALIKE * float(size[one | other].sum())
+
+
 def offered(
     masks: Bool, scores: Float, shown: Bool, size: Float, most: int = ALTERNATIVES
 ) -> list[int]:

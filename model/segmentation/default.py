@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
-from model.segmentation.alternatives import offered
+from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.plates import (
@@ -35,6 +35,10 @@ from model.segmentation.scorers import shipped_scorers, solver_of
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
 
 _STATES = 256
+_SPARE = 10
+"""Other masks more than are shown, since some may turn out to be the same, or everything."""
+_ALL = 0.99
+"""Of the object: what takes more moves against nothing, and is no part."""
 _IN_VAIN = 2
 """Clicks in vain after which, in a room, one beside the part takes a region of its own along."""
 _SPECK = 0.002
@@ -79,6 +83,7 @@ class DefaultSession:
         # An object's own hypotheses reach far enough; a room's objects are many regions.
         self._joins = encoding.room is not None
         mesh = asset.mesh
+        self._weight = np.ones(asset.element_count) if mesh is None else mesh.face_areas
         self.groups: tuple[Plates, ...] = ()
         self.fittings: Fittings | None = None
         if mesh is not None:
@@ -107,14 +112,22 @@ class DefaultSession:
         ranked = state.ranked[part]
         masks, size = ranked.candidates.masks, self.encoding.cells.size
         out: list[Bool] = []
-        for index in offered(masks, ranked.scores, current, size):
+        seen = [self._labels(steps, state) == part]
+        for index in offered(masks, ranked.scores, current, size, ALTERNATIVES + _SPARE):
+            if len(out) == ALTERNATIVES:
+                break
             mask = masks[index]
             changed = {**state.parts, part: replace(state.parts[part], mask=mask)}
             for other, its in state.parts.items():
                 if other != part and its.mask is not None:
                     changed[other] = replace(its, mask=its.mask & ~mask)
-            labels = self._labels(steps, replace(state, parts=changed))
-            out.append(labels == part)
+            own = self._labels(steps, replace(state, parts=changed)) == part
+            if self._weight[own].sum() > _ALL * self._weight.sum():
+                continue
+            # Handles go with what they are mounted on: with and without them is the same then.
+            if not any(look_alike(own, other, self._weight) for other in seen):
+                seen.append(own)
+                out.append(own)
         return out
 
     def preview(self, cell: int) -> Bool:

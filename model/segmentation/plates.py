@@ -30,7 +30,7 @@ SHELL_SHARE = 0.25
 LEAST_SHELLS = 3
 
 _LEAST_TOUCHES = 3
-_ALONE = 0.9
+_ALONE = 0.8
 _FITTING_SHARE = 0.3
 """Of the part's area: what is larger is no handle."""
 
@@ -138,7 +138,11 @@ class Fittings:
             return labels
         number, of_face = self.shells.number, self.shells.of_face
         on = of_face >= 0
-        idle = np.ones(number, bool)
+        shell_area = np.bincount(of_face[on], self.shells.weight[on], number)
+        width = int(labels.max()) + 1
+        part_area = np.bincount(labels, self.shells.weight, width)
+        # What is larger than any part's fitting is what they may be mounted on.
+        idle = shell_area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
         idle[of_face[on & (labels != BASE)]] = False
         for step in steps:
             faces = step.element if isinstance(step, ClickStep) else step.elements
@@ -151,14 +155,11 @@ class Fittings:
             shape=(number, number),
         )
         count, piece = connected_components(links, directed=False)
-        width = int(labels.max()) + 1
         asked = idle[self.shell] & ~loose
         key = piece[self.shell[asked]] * width + labels[self.face[asked]]
         votes = np.bincount(key, minlength=count * width).reshape(count, width)
         best, total = votes.argmax(1), votes.sum(1)
-        shell_area = np.bincount(of_face[on], self.shells.weight[on], number)
         area = np.bincount(piece, shell_area * idle, count)
-        part_area = np.bincount(labels, self.shells.weight, width)
         joins = (total >= _LEAST_TOUCHES) & (votes.max(1) >= _ALONE * total) & (best != BASE)
         joins &= area <= _FITTING_SHARE * part_area[best]
         moved = on & (idle & joins[piece])[of_face]

@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from browsing import CHROMIUM_FLAGS, Tab
+from browsing import CHROMIUM_FLAGS, COARSE, Tab
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +63,7 @@ def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
     ) -> Tab:
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
         page = contexts[-1].new_page()
-        page.goto(server.url)
+        page.goto(f"{server.url}{COARSE}")
         return kind(page, server).ready()
 
     yield begin

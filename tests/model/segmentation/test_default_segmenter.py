@@ -231,6 +231,38 @@ def test_a_handle_goes_with_the_door_it_is_mounted_on() -> None:
     assert set(labels[of == 4]) == {2} and set(labels[of == 1]) == {1}
 
 
+def test_tab_shows_masks_that_differ_and_whole_drawers() -> None:
+    """A click on each drawer's front takes its handle along, and the tray is behind Tab."""
+    path = static_assets() / "examples" / "cabinet.glb"
+    truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
+    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
+    asset = read_asset(path)
+    assert asset.mesh is not None
+    center, area = asset.element_centers, asset.mesh.face_areas
+    session = DefaultSegmenter().encode(asset)
+
+    def overlap(one: np.ndarray, other: np.ndarray) -> float:
+        return float(area[one & other].sum() / area[one | other].sum())
+
+    drawers = [p["id"] for p in truth["parts"] if p["name"] == "drawer"]
+    assert len(drawers) == 3
+    for drawer in drawers:
+        own = labels == drawer
+        handle = own & (center[:, 1] < center[own, 1].min() + 0.03)
+        front = own & (np.abs(center[:, 1] + 0.24) < 1e-4)
+        middle = np.median(center[front], axis=0) - (0.12, 0, 0)
+        spot = int(np.where(front, np.linalg.norm(center - middle, axis=1), np.inf).argmin())
+        x, y, z = center[spot].tolist()
+        clicked = Prompts((Click((x, y, z), 1, True, spot),))
+        answer = session.segment(clicked).labels == 1
+        assert answer[handle].all()
+        shown = [answer, *session.candidates(clicked, 1)]
+        assert max(overlap(mask, own) for mask in shown) > 0.95
+        for i, mask in enumerate(shown):
+            assert area[mask].sum() < 0.99 * area.sum()
+            assert all(overlap(mask, other) < 0.9 for other in shown[:i])
+
+
 @pytest.fixture
 def stubborn(session) -> PartSolver:
     """A solver whose scorer would rather keep the mask."""
