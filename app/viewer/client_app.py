@@ -18,6 +18,7 @@ from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
 from app.viewer.joints_panel import JointsPanel
 from app.viewer.keys import add_keys
+from app.viewer.light import LightSwitch
 from app.viewer.motion import Motion
 from app.viewer.pointing import Pointing
 from app.viewer.queue_panel import QueuePanel
@@ -81,6 +82,7 @@ class ClientApp:
             self._build_object()
         keys = gui.add_button("Keys and mouse (?)", icon=viser.Icon.KEYBOARD, color="gray")
         keys.on_click(lambda _: self.act(self.commands.show_keys))
+        self.light = LightSwitch(self)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         add_keys(self)
@@ -128,6 +130,7 @@ class ClientApp:
         except (RuntimeError, TimeoutError, ArtiworldError):
             log.info("tab %s has no memory of its own", self.client.client_id)
         self.queue_panel.show_user(self.who)
+        self.light.recall()
         if self._in_scene is not None:
             if inside:
                 self._in_scene.come_back(inside)

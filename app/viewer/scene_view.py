@@ -18,7 +18,7 @@ from app.viewer import palette
 from app.viewer.joint_marks import JointMarks
 from app.viewer.moving_parts import MovingParts
 from app.viewer.overlays import Overlays
-from app.viewer.stage import SCENE_ROOT, aim, fitting_distance, set_stage
+from app.viewer.stage import LIGHT_ROOT, SCENE_ROOT, aim, fitting_distance, set_stage
 from app.viewer.tints import Tints
 from model.geometry.display import spacing
 from model.segmentation.prompts import Click
@@ -59,7 +59,7 @@ class SceneView:
     def clear(self) -> None:
         """Take the object off the picture; a scene around it stays."""
         for name in list(self._scene._handle_from_node_name):
-            if not name.startswith(SCENE_ROOT):
+            if not name.startswith((SCENE_ROOT, LIGHT_ROOT)):
                 self._scene.remove_by_name(name)
         self._forget()
 

@@ -11,6 +11,8 @@ import viser
 FIELD_OF_VIEW = 0.7
 SCENE_ROOT = "/world"
 """Node above all that belongs to a scene around the object."""
+LIGHT_ROOT = "/light"
+"""Node above the lights that a person chose."""
 
 
 def set_stage(scene: viser.SceneApi) -> None:

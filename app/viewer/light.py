@@ -1,0 +1,71 @@
+"""How a tab is lit: with reflections of surroundings, or plainly for browsers without a GPU."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+import viser
+
+from app.viewer.stage import LIGHT_ROOT
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+log = logging.getLogger(__name__)
+
+_KEY, _PLAIN = "artiworld-light", "plain"
+_ABOVE, _BESIDE = (0.0, 0.0, 1.0), (-2.0, -3.0, 2.0)
+"""From where sky and lamp shine on the origin."""
+
+
+class LightSwitch:
+    """A checkbox that this browser remembers."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._lamps: list[viser.SceneNodeHandle] = []
+        self._box = app.client.gui.add_checkbox(
+            "Plain light",
+            False,
+            hint="No reflections. Moves several times more smoothly where the browser has no GPU",
+        )
+        self._box.on_update(lambda _: app.act(self._switched))
+
+    def recall(self) -> None:
+        """Light the tab as this browser had it last."""
+        try:
+            plain = self._app.client.local_storage.get_item(_KEY, timeout=3.0) == _PLAIN
+        except (RuntimeError, TimeoutError):
+            return
+        if plain != self._box.value:
+            self._box.value = plain
+            self._light(plain)
+
+    def _switched(self) -> None:
+        plain = self._box.value
+        self._light(plain)
+        self._app.client.local_storage.set_item(_KEY, _PLAIN if plain else "")
+
+    def _light(self, plain: bool) -> None:
+        """Plainly, or by viser's own map of surroundings.
+
+        Looking up surroundings takes most of a frame's time where a processor draws it.
+        """
+        scene = self._app.client.scene
+        for lamp in self._lamps:
+            lamp.remove()
+        self._lamps = []
+        scene.configure_environment_map(None if plain else "warehouse")
+        if plain:
+            self._lamps = [
+                scene.add_light_hemisphere(
+                    f"{LIGHT_ROOT}/sky",
+                    ground_color=(190, 180, 170),
+                    intensity=1.9,
+                    position=_ABOVE,
+                ),
+                scene.add_light_directional(
+                    f"{LIGHT_ROOT}/lamp", color=(255, 250, 244), intensity=0.9, position=_BESIDE
+                ),
+            ]
