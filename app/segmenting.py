@@ -168,7 +168,8 @@ class Segmenting:
         return len(shown) > 0 and bool((labels[shown[0]] == click.part) == click.positive)
 
     def _show(self, ref: str, labels: npt.NDArray[np.int16]) -> None:
-        shares = _shares(labels, self._obj.need_asset().area)
+        asset = self._obj.asset  # None where the object is read anew meanwhile
+        shares = _shares(labels, None if asset is None else asset.area)
         with self._lock:
             self._labels_ref, self.labels, self.shares = ref, labels, shares
 

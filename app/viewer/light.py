@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import TYPE_CHECKING
 
 import viser
@@ -11,8 +10,6 @@ from app.viewer.stage import LIGHT_ROOT
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
-
-log = logging.getLogger(__name__)
 
 _KEY, _PLAIN = "artiworld-light", "plain"
 _ABOVE, _BESIDE = (0.0, 0.0, 1.0), (-2.0, -3.0, 2.0)
@@ -38,9 +35,8 @@ class LightSwitch:
             plain = self._app.client.local_storage.get_item(_KEY, timeout=3.0) == _PLAIN
         except (RuntimeError, TimeoutError):
             return
-        if plain != self._box.value:
-            self._box.value = plain
-            self._light(plain)
+        if plain:
+            self._box.value = True  # which is heard like a click on it
 
     def _switched(self) -> None:
         plain = self._box.value

@@ -36,7 +36,7 @@ def look_alike(one: Bool, other: Bool, size: Float) -> bool:
     Args:
         size: (N,) how much each element counts.
     """
-    return float(size[one & other].sum()) >= _ALIKE * float(size[one | other].sum())
+    return float(size @ (one & other)) >= _ALIKE * float(size @ (one | other))
 
 
 def offered(

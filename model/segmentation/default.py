@@ -83,7 +83,8 @@ class DefaultSession:
         # An object's own hypotheses reach far enough; a room's objects are many regions.
         self._joins = encoding.room is not None
         mesh = asset.mesh
-        self._weight = np.ones(asset.element_count) if mesh is None else mesh.face_areas
+        weight = np.ones(asset.element_count) if mesh is None else mesh.face_areas
+        self._weight = weight.astype(np.float32)
         self.groups: tuple[Plates, ...] = ()
         self.fittings: Fittings | None = None
         if mesh is not None:
@@ -122,7 +123,7 @@ class DefaultSession:
                 if other != part and its.mask is not None:
                     changed[other] = replace(its, mask=its.mask & ~mask)
             own = self._labels(steps, replace(state, parts=changed)) == part
-            if self._weight[own].sum() > _ALL * self._weight.sum():
+            if self._weight @ own > _ALL * self._weight.sum():
                 continue
             # Handles go with what they are mounted on: with and without them is the same then.
             if not any(look_alike(own, other, self._weight) for other in seen):

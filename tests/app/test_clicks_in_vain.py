@@ -25,7 +25,7 @@ def obj() -> Any:
     asset = SimpleNamespace(element=np.arange(0, ELEMENTS, 2, dtype=np.int32), area=None)
     done: list[Any] = []
     return SimpleNamespace(
-        document=Document(), need_asset=lambda: asset, do=lambda c, who: done.append(c)
+        document=Document(), asset=asset, need_asset=lambda: asset, do=lambda c, who: done.append(c)
     )
 
 

@@ -18,7 +18,7 @@ from sessions.document import Document
 
 
 def shares(asset: Any, labels: np.ndarray) -> dict[int, float]:
-    obj = SimpleNamespace(document=Document(), need_asset=lambda: asset, do=lambda c, who: None)
+    obj = SimpleNamespace(document=Document(), asset=asset, do=lambda c, who: None)
     desk = Segmenting(obj)  # type: ignore[arg-type]
     desk._keep(SegmentationAnswer(obj.document.key, "a" * 64, labels, {}, "default", 0.0))
     return desk.shares
