@@ -18,7 +18,7 @@ from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
 from app.viewer.joints_panel import JointsPanel
 from app.viewer.keys import add_keys
-from app.viewer.light import LightSwitch
+from app.viewer.light import PLAIN, LightSwitch
 from app.viewer.motion import Motion
 from app.viewer.pointing import Pointing
 from app.viewer.queue_panel import QueuePanel
@@ -124,13 +124,13 @@ class ClientApp:
         wanted, inside = None, ""
         try:
             stored = self.client.local_storage.get_item("artiworld", timeout=3.0)
-            name, number, inside = [*(stored or "").split("\n", 2), "", ""][:3]
+            name, number, inside, light = [*(stored or "").split("\n", 3), "", "", ""][:4]
+            self.light.plain = light == PLAIN
             self.who = cmd.clean_text(name, 60, "your name") or self.who
             wanted = int(number) if number.isdigit() else None
         except (RuntimeError, TimeoutError, ArtiworldError):
             log.info("tab %s has no memory of its own", self.client.client_id)
         self.queue_panel.show_user(self.who)
-        self.light.recall()
         if self._in_scene is not None:
             if inside:
                 self._in_scene.come_back(inside)
@@ -202,10 +202,11 @@ class ClientApp:
         self.invalidate()
 
     def remember(self) -> None:
-        """Keep the person's name and place in the browser."""
+        """Keep the person's name, place and light in the browser."""
         number = "" if self.object is None else str(self.object.record.id)
         inside = "" if self._in_scene is None else self._in_scene.inside or ""
-        self.client.local_storage.set_item("artiworld", f"{self.who}\n{number}\n{inside}")
+        light = PLAIN if self.light.plain else ""
+        self.client.local_storage.set_item("artiworld", f"{self.who}\n{number}\n{inside}\n{light}")
 
     @property
     def in_scene(self) -> InScene:

@@ -11,13 +11,14 @@ from app.viewer.stage import LIGHT_ROOT
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
-_KEY, _PLAIN = "artiworld-light", "plain"
+PLAIN = "plain"
+"""What the browser remembers where there are no reflections."""
 _ABOVE, _BESIDE = (0.0, 0.0, 1.0), (-2.0, -3.0, 2.0)
 """From where sky and lamp shine on the origin."""
 
 
 class LightSwitch:
-    """A checkbox that this browser remembers."""
+    """A checkbox for the light of one tab."""
 
     def __init__(self, app: ClientApp) -> None:
         self._app = app
@@ -29,19 +30,18 @@ class LightSwitch:
         )
         self._box.on_update(lambda _: app.act(self._switched))
 
-    def recall(self) -> None:
-        """Light the tab as this browser had it last."""
-        try:
-            plain = self._app.client.local_storage.get_item(_KEY, timeout=3.0) == _PLAIN
-        except (RuntimeError, TimeoutError):
-            return
-        if plain:
-            self._box.value = True  # which is heard like a click on it
+    @property
+    def plain(self) -> bool:
+        """Whether there are no reflections."""
+        return self._box.value
+
+    @plain.setter
+    def plain(self, plain: bool) -> None:
+        self._box.value = plain  # which is heard like a click on it
 
     def _switched(self) -> None:
-        plain = self._box.value
-        self._light(plain)
-        self._app.client.local_storage.set_item(_KEY, _PLAIN if plain else "")
+        self._light(self.plain)
+        self._app.remember()
 
     def _light(self, plain: bool) -> None:
         """Plainly, or by viser's own map of surroundings.

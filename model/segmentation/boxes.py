@@ -343,8 +343,9 @@ class ObjectSolver(PartSolver):
         """``shell`` (C,): of a mesh, the shell of each cell."""
         self._boxes = Boxes(cells)
         self._mesh = shell is not None
-        several = shell is not None and len(np.unique(shell)) > 1
-        self._shells = _Shells(shell, cells.size) if shell is not None and several else None
+        self._shells = None
+        if shell is not None and len(np.unique(shell)) > 1:
+            self._shells = _Shells(shell, cells.size)
         grid = self._boxes
         planes, describe = together(
             lambda: grid.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, grid)

@@ -83,8 +83,9 @@ class DefaultSession:
         # An object's own hypotheses reach far enough; a room's objects are many regions.
         self._joins = encoding.room is not None
         mesh = asset.mesh
-        weight = np.ones(asset.element_count) if mesh is None else mesh.face_areas
-        self._weight = weight.astype(np.float32)
+        self._weight = np.ones(asset.element_count, np.float32)
+        if mesh is not None:
+            self._weight = mesh.face_areas.astype(np.float32)
         self.groups: tuple[Plates, ...] = ()
         self.fittings: Fittings | None = None
         if mesh is not None:
@@ -113,7 +114,7 @@ class DefaultSession:
         ranked = state.ranked[part]
         masks, size = ranked.candidates.masks, self.encoding.cells.size
         out: list[Bool] = []
-        seen = [self._labels(steps, state) == part]
+        seen, whole = [self._labels(steps, state) == part], self._weight.sum()
         for index in offered(masks, ranked.scores, current, size, ALTERNATIVES + _SPARE):
             if len(out) == ALTERNATIVES:
                 break
@@ -123,7 +124,7 @@ class DefaultSession:
                 if other != part and its.mask is not None:
                     changed[other] = replace(its, mask=its.mask & ~mask)
             own = self._labels(steps, replace(state, parts=changed)) == part
-            if self._weight @ own > _ALL * self._weight.sum():
+            if self._weight @ own > _ALL * whole:
                 continue
             # Handles go with what they are mounted on: with and without them is the same then.
             if not any(look_alike(own, other, self._weight) for other in seen):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -126,6 +127,13 @@ class Fittings:
     shell: npt.NDArray[np.int64]
     face: npt.NDArray[np.int32]
 
+    @cached_property
+    def _shell_area(self) -> npt.NDArray[np.float64]:
+        """(S,) m² of each small shell."""
+        of_face, weight = self.shells.of_face, self.shells.weight
+        on = of_face >= 0
+        return np.asarray(np.bincount(of_face[on], weight[on], self.shells.number), np.float64)
+
     def mounted(
         self, labels: npt.NDArray[np.int16], steps: Iterable[Step]
     ) -> npt.NDArray[np.int16]:
@@ -138,11 +146,10 @@ class Fittings:
             return labels
         number, of_face = self.shells.number, self.shells.of_face
         on = of_face >= 0
-        shell_area = np.bincount(of_face[on], self.shells.weight[on], number)
         width = int(labels.max()) + 1
         part_area = np.bincount(labels, self.shells.weight, width)
         # What is larger than any part's fitting is what they may be mounted on.
-        idle = shell_area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
+        idle = self._shell_area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
         idle[of_face[on & (labels != BASE)]] = False
         for step in steps:
             faces = step.element if isinstance(step, ClickStep) else step.elements
@@ -159,7 +166,7 @@ class Fittings:
         key = piece[self.shell[asked]] * width + labels[self.face[asked]]
         votes = np.bincount(key, minlength=count * width).reshape(count, width)
         best, total = votes.argmax(1), votes.sum(1)
-        area = np.bincount(piece, shell_area * idle, count)
+        area = np.bincount(piece, self._shell_area * idle, count)
         joins = (total >= _LEAST_TOUCHES) & (votes.max(1) >= _ALONE * total) & (best != BASE)
         joins &= area <= _FITTING_SHARE * part_area[best]
         moved = on & (idle & joins[piece])[of_face]
