@@ -33,6 +33,7 @@ from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_scorers, solver_of
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
+from model.segmentation.trays import Trays, trays_of
 
 _STATES = 256
 _SPARE = 10
@@ -73,7 +74,8 @@ class DefaultSession:
         encoding: nodes, graph, cells, trees, walks.
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
-        fittings: what the small shells of a mesh touch.
+        fittings: what the small shells of a mesh lie beside.
+        trays: what they are fastened to.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
@@ -88,12 +90,14 @@ class DefaultSession:
             self._weight = mesh.face_areas.astype(np.float32)
         self.groups: tuple[Plates, ...] = ()
         self.fittings: Fittings | None = None
+        self.trays: Trays | None = None
         if mesh is not None:
             shells = small_shells_of(mesh)
             self.groups = (plates_of(mesh), shells)
             graph, face = encoding.graph, encoding.nodes.elements.element_of_node
             a, b = face[graph.a[~graph.bridge]], face[graph.b[~graph.bridge]]
             self.fittings = fittings_of(shells, a, b)
+            self.trays = trays_of(mesh, shells)
         self._states: OrderedDict[bytes, _State] = OrderedDict()
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
@@ -274,6 +278,8 @@ class DefaultSession:
             labels = groups.whole(labels, steps)
         if self.fittings is not None:
             labels = self.fittings.mounted(labels, steps)
+        if self.trays is not None:
+            labels = self.trays.pulled(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
 
     def _split_cells(

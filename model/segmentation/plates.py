@@ -52,6 +52,23 @@ class Plates:
     number: int
     splits: bool = False
 
+    @cached_property
+    def area(self) -> npt.NDArray[np.float64]:
+        """(number,) m² of each group."""
+        on = self.of_face >= 0
+        total = np.bincount(self.of_face[on], self.weight[on], self.number)
+        return np.asarray(total, np.float64)
+
+    def idle(self, labels: npt.NDArray[np.int16], steps: Iterable[Step]) -> npt.NDArray[np.bool_]:
+        """(number,) groups that are the base's altogether and of which no prompt speaks."""
+        out = np.ones(self.number, bool)
+        out[self.of_face[(self.of_face >= 0) & (labels != BASE)]] = False
+        for step in steps:
+            faces = step.element if isinstance(step, ClickStep) else step.elements
+            groups = np.atleast_1d(self.of_face[faces])
+            out[groups[groups >= 0]] = False
+        return out
+
     def whole(self, labels: npt.NDArray[np.int16], steps: Iterable[Step]) -> npt.NDArray[np.int16]:
         """Labels (F,) with every group in one part: that of its last positive click, else the
         one that has most of its area, among the parts that no click refuses there.
@@ -127,13 +144,6 @@ class Fittings:
     shell: npt.NDArray[np.int64]
     face: npt.NDArray[np.int32]
 
-    @cached_property
-    def _shell_area(self) -> npt.NDArray[np.float64]:
-        """(S,) m² of each small shell."""
-        of_face, weight = self.shells.of_face, self.shells.weight
-        on = of_face >= 0
-        return np.asarray(np.bincount(of_face[on], weight[on], self.shells.number), np.float64)
-
     def mounted(
         self, labels: npt.NDArray[np.int16], steps: Iterable[Step]
     ) -> npt.NDArray[np.int16]:
@@ -149,12 +159,8 @@ class Fittings:
         width = int(labels.max()) + 1
         part_area = np.bincount(labels, self.shells.weight, width)
         # What is larger than any part's fitting is what they may be mounted on.
-        idle = self._shell_area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
-        idle[of_face[on & (labels != BASE)]] = False
-        for step in steps:
-            faces = step.element if isinstance(step, ClickStep) else step.elements
-            groups = np.atleast_1d(of_face[faces])
-            idle[groups[groups >= 0]] = False
+        idle = self.shells.idle(labels, steps)
+        idle &= self.shells.area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
         other = of_face[self.face]
         loose = idle[self.shell] & (other >= 0) & idle[other]
         links = coo_matrix(
@@ -166,7 +172,7 @@ class Fittings:
         key = piece[self.shell[asked]] * width + labels[self.face[asked]]
         votes = np.bincount(key, minlength=count * width).reshape(count, width)
         best, total = votes.argmax(1), votes.sum(1)
-        area = np.bincount(piece, self._shell_area * idle, count)
+        area = np.bincount(piece, self.shells.area * idle, count)
         joins = (total >= _LEAST_TOUCHES) & (votes.max(1) >= _ALONE * total) & (best != BASE)
         joins &= area <= _FITTING_SHARE * part_area[best]
         moved = on & (idle & joins[piece])[of_face]

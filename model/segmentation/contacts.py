@@ -1,0 +1,113 @@
+"""Which disconnected shells of a modelled mesh truly touch each other.
+
+The node graph joins what lies within a few millimetres; a drawer's tray stands no farther than that
+from the carcass it slides in. Distances to the triangles themselves tell what is fastened.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.geometry.mesh import Mesh
+
+TOUCHING = 1e-4
+"""Of the mesh's diagonal: 0.1 mm on a metre, more than what models are rounded to."""
+
+LEAST_SHARE = 0.002
+"""Of the mesh's area: smaller shells are fittings, and there may be any number of them."""
+
+_SAMPLES = 1500
+
+
+def contacts_of(
+    mesh: Mesh, shell: npt.NDArray[np.integer], asked: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Faces at which shells touch.
+
+    Args:
+        shell: (F,) the shell of each face.
+        asked: (F,) faces of the shells whose contacts are wanted.
+
+    Returns:
+        Two (K,) arrays: a face of an asked shell, and one of another shell that it touches.
+        Shells below ``LEAST_SHARE`` of the area are left out.
+    """
+    area = np.bincount(shell, mesh.face_areas)
+    there = np.nonzero(area >= LEAST_SHARE * area.sum())[0]
+    wanted = np.unique(shell[asked])
+    tolerance = TOUCHING * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    pieces = [_Shell(mesh, np.nonzero(shell == s)[0]) for s in there]
+    low = np.array([p.low for p in pieces]) - tolerance
+    high = np.array([p.high for p in pieces]) + tolerance
+    close = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(2)
+    close &= np.isin(there, wanted)[:, None] & ~np.eye(len(there), dtype=bool)
+    mine: list[npt.NDArray[np.int32]] = []
+    other: list[npt.NDArray[np.int32]] = []
+    for i, j in zip(*np.nonzero(close), strict=True):
+        a, b = pieces[i].on(pieces[j], tolerance)
+        d, c = pieces[j].on(pieces[i], tolerance)
+        mine += [a, c]
+        other += [b, d]
+    if not mine:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32)
+    pairs = np.unique(np.stack([np.concatenate(mine), np.concatenate(other)], 1), axis=0)
+    return pairs[:, 0], pairs[:, 1]
+
+
+class _Shell:
+    """One shell: points on it, and how far others' points are from its triangles."""
+
+    def __init__(self, mesh: Mesh, faces: npt.NDArray[np.integer]) -> None:
+        self._faces = faces.astype(np.int32)
+        self._triangles = mesh.triangles[faces].astype(np.float32)
+        self.low = self._triangles.reshape(-1, 3).min(0)
+        self.high = self._triangles.reshape(-1, 3).max(0)
+        self._points, self._of = self._sampled(mesh.face_areas[faces])
+        self._scene: Any = None
+
+    def _sampled(
+        self, area: npt.NDArray[np.floating]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+        """Corners and random points, and the face of each."""
+        rng = np.random.default_rng(0)
+        weight = area.astype(np.float64) + 1e-12
+        on = rng.choice(len(area), _SAMPLES, p=weight / weight.sum())
+        u, v = rng.random((2, _SAMPLES, 1))
+        u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
+        t = self._triangles[on]
+        points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
+        corners = self._triangles.reshape(-1, 3)
+        of = np.concatenate([np.repeat(np.arange(len(area)), 3), on])
+        return np.concatenate([corners, points]).astype(np.float32), self._faces[of]
+
+    def on(
+        self, other: _Shell, tolerance: float
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """Own faces and those of ``other`` that lie within ``tolerance`` metres of them."""
+        near = (self._points >= other.low - tolerance) & (self._points <= other.high + tolerance)
+        rows = np.nonzero(near.all(1))[0]
+        if not len(rows):
+            return np.zeros(0, np.int32), np.zeros(0, np.int32)
+        points = self._points[rows]
+        place, hit = other.nearest(points)
+        touching = np.linalg.norm(place - points, axis=1) <= tolerance
+        return self._of[rows[touching]], other._faces[hit[touching]]
+
+    def nearest(
+        self, points: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+        """(N, 3) the nearest places on the shell, and (N,) which of its faces they are on."""
+        import open3d as o3d
+
+        if self._scene is None:
+            self._scene = o3d.t.geometry.RaycastingScene()
+            corners = np.arange(3 * len(self._triangles), dtype=np.uint32).reshape(-1, 3)
+            self._scene.add_triangles(
+                o3d.core.Tensor.from_numpy(self._triangles.reshape(-1, 3)),
+                o3d.core.Tensor.from_numpy(corners),
+            )
+        found = self._scene.compute_closest_points(o3d.core.Tensor.from_numpy(points))
+        return found["points"].numpy(), found["primitive_ids"].numpy().astype(np.int64)

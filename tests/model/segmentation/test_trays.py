@@ -1,0 +1,118 @@
+"""What is fastened to a drawer's front alone goes with it, and nothing else does."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from model.geometry.asset import Asset
+from model.geometry.mesh import Mesh
+from model.geometry.readers import read_asset
+from model.geometry.topology import connected_shells
+from model.resources import static_assets
+from model.segmentation.contacts import contacts_of
+from model.segmentation.default import DefaultSegmenter
+from model.segmentation.plates import small_shells_of
+from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.training.primitives import block
+from model.segmentation.trays import trays_of
+
+FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)
+
+
+def cabinet(gap: float = 0.004, *, behind: float = 0.0) -> tuple[Mesh, np.ndarray]:
+    """A front, its tray with ``gap`` metres to the carcass on both sides, five panels.
+
+    ``behind`` is how far the tray stands behind the front.
+    """
+    inner = 0.38
+    boxes = [
+        block((-0.4, -0.02, 0.02), (0.4, 0.0, 0.38)),
+        block((-inner + gap, behind, 0.06), (inner - gap, 0.4, 0.3)),
+        block((-0.4, 0.002, 0), (-inner, 0.5, 0.4)),
+        block((inner, 0.002, 0), (0.4, 0.5, 0.4)),
+        block((-0.4, 0.002, -0.02), (0.4, 0.5, 0.0)),
+        block((-0.4, 0.002, 0.4), (0.4, 0.5, 0.42)),
+        block((-0.4, 0.5, -0.02), (0.4, 0.52, 0.42)),
+    ]
+    triangles = np.concatenate(boxes)
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    of = np.repeat(np.arange(len(boxes)), [len(b) for b in boxes])
+    return Mesh(triangles.reshape(-1, 3), faces), of
+
+
+def pulled(mesh: Mesh, of: np.ndarray, *parts: int) -> list[int]:
+    """The part of each box, when ``parts`` are the first ones' and the rest is the base."""
+    labels = np.zeros(len(of), np.int16)
+    for box, part in enumerate(parts):
+        labels[of == box] = part
+    out = trays_of(mesh, small_shells_of(mesh)).pulled(labels, ())
+    found = [set(out[of == box].tolist()) for box in range(of.max() + 1)]
+    assert all(len(one) == 1 for one in found)
+    return [one.pop() for one in found]
+
+
+def test_a_tray_goes_with_its_front() -> None:
+    assert pulled(*cabinet(), 1) == [1, 1, 0, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("gap, behind", [(0.0, 0.0), (0.004, 0.003)])
+def test_a_tray_stays_where_it_touches_the_carcass_or_not_the_front(
+    gap: float, behind: float
+) -> None:
+    assert pulled(*cabinet(gap, behind=behind), 1) == [1, 0, 0, 0, 0, 0, 0]
+
+
+def test_the_carcass_does_not_go_with_a_door_that_touches_it() -> None:
+    mesh, of = cabinet()
+    vertices = mesh.vertices + np.where(of.repeat(3) == FRONT, 0.002, 0.0)[:, None] * [0, 1, 0]
+    assert pulled(Mesh(vertices, mesh.faces), of, 1)[CARCASS] == [0] * 5
+
+
+def test_what_lies_under_a_lid_stays() -> None:
+    """Only upright fronts pull something: a seat or a lid lies on what carries it."""
+    mesh, of = cabinet()
+    turned = mesh.vertices[:, [0, 2, 1]] * np.float32([1, 1, -1])
+    assert pulled(Mesh(turned, mesh.faces), of, 1)[TRAY] == 0
+
+
+def test_a_tray_that_is_said_to_be_the_base_stays() -> None:
+    mesh, of = cabinet()
+    session = DefaultSegmenter().encode(Asset("drawer", mesh))
+    front = Region(1, np.flatnonzero(of == FRONT))
+    assert set(session.segment(Prompts((front,))).labels[of == TRAY]) == {1}
+    face = int(np.flatnonzero(of == TRAY)[0])
+    x, y, z = mesh.triangles[face].mean(0).tolist()
+    labels = session.segment(Prompts((front, Click((x, y, z), 0, True, face)))).labels
+    assert set(labels[of == TRAY]) == {0}
+
+
+@pytest.mark.parametrize("gap, touched", [(0.004, {FRONT}), (0.0, {FRONT, 2, 3})])
+def test_contacts_are_exact(gap: float, touched: set[int]) -> None:
+    mesh, of = cabinet(gap)
+    a, b = contacts_of(mesh, np.asarray(connected_shells(mesh)), of == TRAY)
+    assert set(of[a]) == {TRAY} and set(of[b]) == touched
+
+
+def test_one_click_takes_each_drawer_of_the_bundled_cabinet() -> None:
+    """Fronts, handles and trays, and nothing of the partition 5 mm beside the trays."""
+    path = static_assets() / "examples" / "cabinet.glb"
+    truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
+    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
+    asset = read_asset(path)
+    assert asset.mesh is not None
+    center = asset.element_centers
+    session = DefaultSegmenter().encode(asset)
+    clicks = []
+    drawers = [p["id"] for p in truth["parts"] if p["name"] == "drawer"]
+    for drawer in drawers:
+        front = (labels == drawer) & (np.abs(center[:, 1] + 0.24) < 1e-4)
+        spot = int(np.flatnonzero(front)[0])
+        x, y, z = center[spot].tolist()
+        clicks.append(Click((x, y, z), drawer, True, spot))
+    found = session.segment(Prompts(tuple(clicks))).labels
+    for drawer in drawers:
+        assert (found[labels == drawer] == drawer).all()
+        assert not (found[labels == 0] == drawer).any()
