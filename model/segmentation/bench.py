@@ -22,7 +22,7 @@ from model.segmentation.bench_data import (
     room_objects,
 )
 from model.segmentation.default import DefaultSession
-from model.segmentation.prompts import Click, Prompts
+from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.proposal import propose
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
@@ -78,6 +78,7 @@ class BenchRow:
     the other masks which the segmenter offers for it (Tab), in their order. ``proposed`` holds
     the best IoU of each part with a part of the proposal or its base, ``guesses`` for each object
     how many parts are proposed and how many of them overlap with a true one by over a half.
+    ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
     """
 
     segmenter: str
@@ -88,6 +89,7 @@ class BenchRow:
     proposed: list[float] = field(default_factory=list)
     guesses: list[tuple[int, int]] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
+    moves: list[bool] = field(default_factory=list)
     competing: list[list[float]] = field(default_factory=list)
     encode_seconds: list[float] = field(default_factory=list)
     click_seconds: list[float] = field(default_factory=list)
@@ -99,17 +101,7 @@ class BenchRow:
     def summary(self) -> dict[str, float]:
         """The figures that people compare."""
         out: dict[str, float] = {"objects": self.objects, "parts": len(self.curves)}
-        for mark in MARKS:
-            at = [c[min(mark, len(c)) - 1] for c in self.curves]
-            out[f"IoU@{mark}"] = float(np.mean(at)) if at else float("nan")
-        for tabs in TABS:
-            reached = [max(o[: 1 + tabs]) for o in self.offered]
-            out[f"IoU@1 best of {1 + tabs}"] = float(np.mean(reached)) if reached else float("nan")
-        for target in TARGETS:
-            needed = [_clicks_to(c, target) for c in self.curves]
-            out[f"NoC@{round(100 * target)}"] = float(np.mean(needed)) if needed else float("nan")
-        drops = [b < a - 0.05 for c in self.curves for a, b in itertools.pairwise(c)]
-        out["drops %"] = 100 * float(np.mean(drops)) if drops else 0.0
+        out |= _of_clicks(self.curves, self.offered)
         for number in range(3):
             done = [c[number] for c in self.competing]
             out[f"all@{number + 1}"] = float(np.mean(done)) if done else float("nan")
@@ -118,6 +110,12 @@ class BenchRow:
             out["proposed IoU"] = float(np.mean(self.proposed))
             out["proposed parts"] = float(number / len(self.guesses))
             out["proposed right %"] = 100 * float(right / max(number, 1))
+        if not all(self.moves):
+            figures = _of_clicks(
+                list(itertools.compress(self.curves, self.moves)),
+                list(itertools.compress(self.offered, self.moves)),
+            )
+            out |= {f"moving {name}": value for name, value in figures.items()}
         out["encode s"] = _quantile(self.encode_seconds, 0.5)
         out["click p50 ms"] = 1000 * _quantile(self.click_seconds, 0.5)
         out["click p95 ms"] = 1000 * _quantile(self.click_seconds, 0.95)
@@ -267,6 +265,7 @@ def _one_against_the_rest(
         row.offered.append([curve[0], *(pointer.iou(mask, truth) for mask in others)])
         row.curves.append(curve)
         row.names.append(f"{item.name}/{part}")
+        row.moves.append(part != BASE)
 
 
 def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
@@ -311,6 +310,24 @@ def _timed(
     seconds.append(time.perf_counter() - begin)
     cpu.append(time.process_time() - busy)
     return labels
+
+
+def _of_clicks(curves: list[list[float]], offered: list[list[float]]) -> dict[str, float]:
+    """The field's figures for the IoU after each click."""
+    out: dict[str, float] = {}
+    for mark in MARKS:
+        out[f"IoU@{mark}"] = _mean([c[min(mark, len(c)) - 1] for c in curves])
+    for tabs in TABS:
+        out[f"IoU@1 best of {1 + tabs}"] = _mean([max(o[: 1 + tabs]) for o in offered])
+    for target in TARGETS:
+        out[f"NoC@{round(100 * target)}"] = _mean([_clicks_to(c, target) for c in curves])
+    drops = [b < a - 0.05 for c in curves for a, b in itertools.pairwise(c)]
+    out["drops %"] = 100 * float(np.mean(drops)) if drops else 0.0
+    return out
+
+
+def _mean(values: list[float] | list[int]) -> float:
+    return float(np.mean(values)) if values else float("nan")
 
 
 def _clicks_to(curve: list[float], target: float) -> int:

@@ -16,8 +16,8 @@ from model.geometry.mesh import Mesh
 TOUCHING = 1e-4
 """Of the mesh's diagonal: 0.1 mm on a metre, more than what models are rounded to."""
 
-LEAST_SHARE = 0.002
-"""Of the mesh's area: smaller shells are fittings, and there may be any number of them."""
+MOST_SHELLS = 1000
+"""Crumbs of a scan beyond those are not asked what they touch."""
 
 _SAMPLES = 1500
 
@@ -33,28 +33,34 @@ def contacts_of(
 
     Returns:
         Two (K,) arrays: a face of an asked shell, and one of another shell that it touches.
-        Shells below ``LEAST_SHARE`` of the area are left out.
+        Of more than ``MOST_SHELLS`` shells the smaller ones are left out.
     """
-    area = np.bincount(shell, mesh.face_areas)
-    there = np.nonzero(area >= LEAST_SHARE * area.sum())[0]
-    wanted = np.unique(shell[asked])
+    faces = _faces_of_shells(shell)
+    there = np.argsort(-np.bincount(shell, mesh.face_areas), kind="stable")[:MOST_SHELLS]
     tolerance = TOUCHING * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    pieces = [_Shell(mesh, np.nonzero(shell == s)[0]) for s in there]
+    pieces = [_Shell(mesh, faces[s]) for s in there]
     low = np.array([p.low for p in pieces]) - tolerance
     high = np.array([p.high for p in pieces]) + tolerance
     close = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(2)
-    close &= np.isin(there, wanted)[:, None] & ~np.eye(len(there), dtype=bool)
+    wanted = np.isin(there, shell[asked])
+    close &= wanted[:, None] | wanted[None]
     mine: list[npt.NDArray[np.int32]] = []
     other: list[npt.NDArray[np.int32]] = []
-    for i, j in zip(*np.nonzero(close), strict=True):
-        a, b = pieces[i].on(pieces[j], tolerance)
-        d, c = pieces[j].on(pieces[i], tolerance)
-        mine += [a, c]
-        other += [b, d]
+    for i, j in zip(*np.nonzero(np.triu(close, 1)), strict=True):
+        for one, two in ((pieces[i], pieces[j]), (pieces[j], pieces[i])):
+            a, b = one.on(two, tolerance)
+            mine += [a, b]
+            other += [b, a]
     if not mine:
         return np.zeros(0, np.int32), np.zeros(0, np.int32)
-    pairs = np.unique(np.stack([np.concatenate(mine), np.concatenate(other)], 1), axis=0)
+    pairs = np.stack([np.concatenate(mine), np.concatenate(other)], 1)
+    pairs = np.unique(pairs[asked[pairs[:, 0]]], axis=0).astype(np.int32)
     return pairs[:, 0], pairs[:, 1]
+
+
+def _faces_of_shells(shell: npt.NDArray[np.integer]) -> list[npt.NDArray[np.int64]]:
+    order = np.argsort(shell, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(shell))[:-1])
 
 
 class _Shell:

@@ -22,24 +22,21 @@ from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.plates import (
-    Fittings,
-    Plates,
-    fittings_of,
-    plates_of,
-    small_shells_of,
-)
+from model.segmentation.fittings import Fittings, fittings_of
+from model.segmentation.plates import Plates, plates_of
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_scorers, solver_of
 from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
-from model.segmentation.trays import Trays, trays_of
 
 _STATES = 256
 _SPARE = 10
 """Other masks more than are shown, since some may turn out to be the same, or everything."""
 _ALL = 0.99
 """Of the object: what takes more moves against nothing, and is no part."""
+_NEARLY = 0.9
+"""Of the object: a first answer takes no more, since a part moves against something."""
+_TRIED = 12
 _IN_VAIN = 2
 """Clicks in vain after which, in a room, one beside the part takes a region of its own along."""
 _SPECK = 0.002
@@ -74,8 +71,7 @@ class DefaultSession:
         encoding: nodes, graph, cells, trees, walks.
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
-        fittings: what the small shells of a mesh lie beside.
-        trays: what they are fastened to.
+        fittings: what the small shells of a mesh are fastened to.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
@@ -88,16 +84,14 @@ class DefaultSession:
         self._weight = np.ones(asset.element_count, np.float32)
         if mesh is not None:
             self._weight = mesh.face_areas.astype(np.float32)
+        self._all = float(self._weight.sum())
         self.groups: tuple[Plates, ...] = ()
         self.fittings: Fittings | None = None
-        self.trays: Trays | None = None
         if mesh is not None:
-            shells = small_shells_of(mesh)
-            self.groups = (plates_of(mesh), shells)
             graph, face = encoding.graph, encoding.nodes.elements.element_of_node
             a, b = face[graph.a[~graph.bridge]], face[graph.b[~graph.bridge]]
-            self.fittings = fittings_of(shells, a, b)
-            self.trays = trays_of(mesh, shells)
+            self.fittings = fittings_of(mesh, a, b)
+            self.groups = (plates_of(mesh), self.fittings.shells)
         self._states: OrderedDict[bytes, _State] = OrderedDict()
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
@@ -118,17 +112,12 @@ class DefaultSession:
         ranked = state.ranked[part]
         masks, size = ranked.candidates.masks, self.encoding.cells.size
         out: list[Bool] = []
-        seen, whole = [self._labels(steps, state) == part], self._weight.sum()
+        seen = [self._labels(steps, state) == part]
         for index in offered(masks, ranked.scores, current, size, ALTERNATIVES + _SPARE):
             if len(out) == ALTERNATIVES:
                 break
-            mask = masks[index]
-            changed = {**state.parts, part: replace(state.parts[part], mask=mask)}
-            for other, its in state.parts.items():
-                if other != part and its.mask is not None:
-                    changed[other] = replace(its, mask=its.mask & ~mask)
-            own = self._labels(steps, replace(state, parts=changed)) == part
-            if self._weight @ own > _ALL * whole:
+            own = self._taken(masks[index], part, state, steps)
+            if self._weight @ own > _ALL * self._all:
                 continue
             # Handles go with what they are mounted on: with and without them is the same then.
             if not any(look_alike(own, other, self._weight) for other in seen):
@@ -138,7 +127,13 @@ class DefaultSession:
 
     def preview(self, cell: int) -> Bool:
         """(C,) the cells that a first click on ``cell`` would take."""
-        return self.solver.tidy(self.solver.first_answer(cell).best, PartState(), cell)
+        found = self.solver.first_answer(cell)
+        best = found.best
+        if self.fittings is not None:
+            node = int(np.argmax(self.encoding.cells.of_node == cell))
+            element = int(self.encoding.nodes.elements.element_of_node[node])
+            best = self._not_all(found, _State(), (ClickStep(1, True, element, node),))
+        return self.solver.tidy(best, PartState(), cell)
 
     # The state after each prompt ---------------------------------------------------------
 
@@ -151,7 +146,7 @@ class DefaultSession:
             done -= 1
         state = self._states[keys[done]] if done else _State()
         for index in range(done, len(steps)):
-            state = self._after(state, steps[index])
+            state = self._after(state, steps[: index + 1])
             self._states[keys[index + 1]] = state
         for key in keys[1:]:
             self._states.move_to_end(key)
@@ -159,7 +154,9 @@ class DefaultSession:
             self._states.popitem(last=False)
         return state
 
-    def _after(self, state: _State, step: Step) -> _State:
+    def _after(self, state: _State, steps: tuple[Step, ...]) -> _State:
+        """The state after the last of ``steps``, from that before it."""
+        step = steps[-1]
         if isinstance(step, RegionStep):
             return self._after_region(state, step)
         cell = int(self.encoding.cells.of_node[step.node])
@@ -179,7 +176,10 @@ class DefaultSession:
                     blocked |= other.mask  # type: ignore[operator]
             self.encoding.walk.ask(cell)
             found = self.solver.answer(own, cell, step.positive, blocked)
-            mask = self.solver.tidy(found.best, own, cell) & ~blocked
+            best = found.best
+            if step.positive and own.mask is None and self.fittings is not None:
+                best = self._not_all(found, state, steps)
+            mask = self.solver.tidy(best, own, cell) & ~blocked
             if self._joins and step.positive and own.mask is not None and own.stalls >= _IN_VAIN:
                 mask = self._not_in_vain(own, mask, cell, blocked)
             parts[step.part] = self.solver.moved(own, cell, step.positive, mask)
@@ -199,6 +199,26 @@ class DefaultSession:
                 else:
                     parts[q] = replace(yielded, mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
+
+    def _not_all(self, found: Ranked, state: _State, steps: tuple[Step, ...]) -> Bool:
+        """The best first answer that plates and shells don't make the whole mesh.
+
+        The solver has none of the whole object, but faces may be far more than their cells.
+        """
+        masks, part = found.candidates.masks, steps[-1].part
+        for index in np.argsort(-found.scores, kind="stable")[:_TRIED]:
+            if self._weight @ self._taken(masks[index], part, state, steps) <= _NEARLY * self._all:
+                return masks[index]
+        return found.best
+
+    def _taken(self, mask: Bool, part: int, state: _State, steps: tuple[Step, ...]) -> Bool:
+        """(E,) the elements that would be those of ``part`` if its cells were ``mask``."""
+        parts = {
+            other: its if its.mask is None else replace(its, mask=its.mask & ~mask)
+            for other, its in state.parts.items()
+        }
+        parts[part] = replace(state.parts.get(part, PartState()), mask=mask)
+        return self._labels(steps, replace(state, parts=parts)) == part
 
     def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
         """``mask``, widened where yet another positive click beside it brought hardly anything.
@@ -277,9 +297,7 @@ class DefaultSession:
         for groups in self.groups:
             labels = groups.whole(labels, steps)
         if self.fittings is not None:
-            labels = self.fittings.mounted(labels, steps)
-        if self.trays is not None:
-            labels = self.trays.pulled(labels, steps)
+            labels = self.fittings.joined(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
 
     def _split_cells(

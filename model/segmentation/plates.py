@@ -30,11 +30,6 @@ SHELL_SHARE = 0.25
 
 LEAST_SHELLS = 3
 
-_LEAST_TOUCHES = 3
-_ALONE = 0.8
-_FITTING_SHARE = 0.3
-"""Of the part's area: what is larger is no handle."""
-
 
 @dataclass(frozen=True, eq=False)
 class Plates:
@@ -129,68 +124,6 @@ def plates_of(mesh: Mesh) -> Plates:
     of_face = np.full(count, -1, np.int32)
     ids, of_face[is_plate] = np.unique(group[is_plate], return_inverse=True)
     return Plates(of_face, np.asarray(mesh.face_areas, np.float64), len(ids))
-
-
-@dataclass(frozen=True, eq=False)
-class Fittings:
-    """Small shells and what they touch: handles, screws and trims go where they are mounted.
-
-    Attributes:
-        shells: the small shells.
-        shell, face: (K,) pairs of a shell and a face of another shell that lies beside it.
-    """
-
-    shells: Plates
-    shell: npt.NDArray[np.int64]
-    face: npt.NDArray[np.int32]
-
-    def mounted(
-        self, labels: npt.NDArray[np.int16], steps: Iterable[Step]
-    ) -> npt.NDArray[np.int16]:
-        """Labels (F,) where shells left to the base that touch one part alone belong to it.
-
-        A bar on two posts goes with the door under the posts. Shells that a prompt speaks of stay
-        as they are, and so does what is not small beside the part.
-        """
-        if not len(self.shell):
-            return labels
-        number, of_face = self.shells.number, self.shells.of_face
-        on = of_face >= 0
-        width = int(labels.max()) + 1
-        part_area = np.bincount(labels, self.shells.weight, width)
-        # What is larger than any part's fitting is what they may be mounted on.
-        idle = self.shells.idle(labels, steps)
-        idle &= self.shells.area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
-        other = of_face[self.face]
-        loose = idle[self.shell] & (other >= 0) & idle[other]
-        links = coo_matrix(
-            (np.ones(int(loose.sum()), np.int8), (self.shell[loose], other[loose])),
-            shape=(number, number),
-        )
-        count, piece = connected_components(links, directed=False)
-        asked = idle[self.shell] & ~loose
-        key = piece[self.shell[asked]] * width + labels[self.face[asked]]
-        votes = np.bincount(key, minlength=count * width).reshape(count, width)
-        best, total = votes.argmax(1), votes.sum(1)
-        area = np.bincount(piece, self.shells.area * idle, count)
-        joins = (total >= _LEAST_TOUCHES) & (votes.max(1) >= _ALONE * total) & (best != BASE)
-        joins &= area <= _FITTING_SHARE * part_area[best]
-        moved = on & (idle & joins[piece])[of_face]
-        out = labels.copy()
-        out[moved] = best[piece[of_face[moved]]]
-        return out
-
-
-def fittings_of(shells: Plates, a: npt.NDArray[np.integer], b: npt.NDArray[np.integer]) -> Fittings:
-    """What touches the small shells.
-
-    Args:
-        a, b: (M,) faces that lie beside each other.
-    """
-    mine = np.concatenate([shells.of_face[a], shells.of_face[b]]).astype(np.int64)
-    face = np.concatenate([b, a]).astype(np.int32)
-    keep = (mine >= 0) & (mine != shells.of_face[face])
-    return Fittings(shells, mine[keep], face[keep])
 
 
 def small_shells_of(mesh: Mesh) -> Plates:

@@ -39,6 +39,11 @@ _REGION_SAYS = 4
 _CHOSEN = 5.0
 """How much more such a mask is worth keeping than one that clicks brought."""
 
+_ALL = 0.9
+_ALL_RAMP = 0.05
+_ALL_PENALTY = 12.0
+"""For a first answer that takes the share ``_ALL`` of the object, and the ramp more."""
+
 _SIZE_PENALTY = 4.0
 """For a mask e times as large as one that was too large, or that much smaller."""
 _SIZE_MOST = 1.0
@@ -289,7 +294,16 @@ class PartSolver:
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
-        return Ranked(found, features, scores)
+        return Ranked(found, features, scores - self._everything(found.masks))
+
+    def _everything(self, masks: Bool) -> Float:
+        """(H,) what speaks against first answers of nearly the whole object.
+
+        A part moves against something, and what nobody claims is the base without a click.
+        """
+        size = self.cells.size.astype(np.float32)
+        share = (masks.astype(np.float32) @ size) / size.sum()
+        return _ALL_PENALTY * np.clip((share - _ALL) / _ALL_RAMP, 0, 1)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool

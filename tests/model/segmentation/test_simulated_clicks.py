@@ -9,7 +9,7 @@ import pytest
 
 from model.datasets.procedural.families import HELD_OUT
 from model.errors import InputFileError
-from model.segmentation.bench import BenchConfig, run
+from model.segmentation.bench import BenchConfig, BenchRow, run
 from model.segmentation.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.scorers import read_scorers
 from model.segmentation.simulate import deepest, next_click, next_part_click
@@ -102,6 +102,15 @@ def test_bench_on_procedural_objects(tmp_path):
     assert 0 < summary["IoU@1"] <= 1 and 1 <= summary["NoC@80"] <= 20
     assert summary["IoU@1 best of 6"] == summary["IoU@1"]  # the baselines have one answer
     assert json.loads((tmp_path / "r.json").read_text())["rows"][0]["summary"]["parts"] == 4
+
+
+def test_bench_tells_moving_parts_from_bases():
+    row = BenchRow("some", "set", 1, [[0.2, 0.9], [0.6, 0.6]], [[0.2], [0.6]], moves=[False, True])
+    summary = row.summary()
+    assert summary["IoU@1"] == 0.4 and summary["moving IoU@1"] == 0.6
+    assert summary["NoC@80"] == 11 and summary["moving NoC@80"] == 20
+    row.moves = [True, True]
+    assert not any(name.startswith("moving") for name in row.summary())
 
 
 def test_bench_says_what_is_offered_without_and_after_one_click():

@@ -1,4 +1,4 @@
-"""What is fastened to a drawer's front alone goes with it, and nothing else does."""
+"""What nobody clicks goes with what it is fastened to: handles, hinges and drawers' trays."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from model.geometry.readers import read_asset
 from model.geometry.topology import connected_shells
 from model.resources import static_assets
 from model.segmentation.contacts import contacts_of
-from model.segmentation.default import DefaultSegmenter
-from model.segmentation.plates import small_shells_of
+from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.fittings import fittings_of
 from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.tools import hover
 from model.segmentation.training.primitives import block
-from model.segmentation.trays import trays_of
 
 FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)
 
@@ -48,7 +48,8 @@ def pulled(mesh: Mesh, of: np.ndarray, *parts: int) -> list[int]:
     labels = np.zeros(len(of), np.int16)
     for box, part in enumerate(parts):
         labels[of == box] = part
-    out = trays_of(mesh, small_shells_of(mesh)).pulled(labels, ())
+    none = np.zeros(0, np.int32)
+    out = fittings_of(mesh, none, none).joined(labels, ())
     found = [set(out[of == box].tolist()) for box in range(of.max() + 1)]
     assert all(len(one) == 1 for one in found)
     return [one.pop() for one in found]
@@ -96,23 +97,47 @@ def test_contacts_are_exact(gap: float, touched: set[int]) -> None:
     assert set(of[a]) == {TRAY} and set(of[b]) == touched
 
 
-def test_one_click_takes_each_drawer_of_the_bundled_cabinet() -> None:
-    """Fronts, handles and trays, and nothing of the partition 5 mm beside the trays."""
+@pytest.fixture(scope="module")
+def bundled() -> tuple[DefaultSession, np.ndarray, dict[int, str]]:
+    """The bundled cabinet, its faces' true parts, and what they are."""
     path = static_assets() / "examples" / "cabinet.glb"
     truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
     labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    asset = read_asset(path)
-    assert asset.mesh is not None
-    center = asset.element_centers
-    session = DefaultSegmenter().encode(asset)
-    clicks = []
-    drawers = [p["id"] for p in truth["parts"] if p["name"] == "drawer"]
-    for drawer in drawers:
-        front = (labels == drawer) & (np.abs(center[:, 1] + 0.24) < 1e-4)
+    session = DefaultSegmenter().encode(read_asset(path))
+    return session, labels, {p["id"]: p["name"] for p in truth["parts"] if p["id"]}
+
+
+def test_one_click_takes_each_part_of_the_bundled_cabinet(
+    bundled: tuple[DefaultSession, np.ndarray, dict[int, str]],
+) -> None:
+    """Fronts, handles, hinges and trays, and nothing of the partition 5 mm beside the trays."""
+    session, labels, parts = bundled
+    center, clicks = session.asset.element_centers, []
+    for part, name in parts.items():
+        level = -0.24 if name == "drawer" else -0.232  # a door's panel is set back
+        front = (labels == part) & (np.abs(center[:, 1] - level) < 5e-4)
         spot = int(np.flatnonzero(front)[0])
         x, y, z = center[spot].tolist()
-        clicks.append(Click((x, y, z), drawer, True, spot))
+        clicks.append(Click((x, y, z), part, True, spot))
     found = session.segment(Prompts(tuple(clicks))).labels
-    for drawer in drawers:
-        assert (found[labels == drawer] == drawer).all()
-        assert not (found[labels == 0] == drawer).any()
+    assert sorted(set(parts.values())) == ["door", "drawer"]
+    assert (found == labels).all()
+
+
+def test_a_first_click_never_means_the_whole_object(
+    bundled: tuple[DefaultSession, np.ndarray, dict[int, str]],
+) -> None:
+    """Wherever it lands, and what is shown under the pointer is what the click takes."""
+    session, _, _ = bundled
+    assert session.asset.mesh is not None
+    area = session.asset.mesh.face_areas
+    center = session.asset.element_centers
+    demo = json.loads((static_assets() / "examples" / "cabinet.prompts.json").read_text())
+    for click in demo["clicks"][::2]:
+        x, y, z = click["position"]
+        face = int(np.linalg.norm(center - click["position"], axis=1).argmin())
+        answer = session.segment(Prompts((Click((x, y, z), 1, True, face),))).labels == 1
+        assert answer[face]
+        assert area[answer].sum() <= 0.9 * area.sum()
+        shown = hover(session, center[face], face)
+        assert area[shown].sum() <= 0.95 * area.sum()
