@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
+from model.segmentation.cells import groups
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.fittings import Fittings, fittings_of
@@ -34,6 +35,10 @@ _SPARE = 10
 """Other masks more than are shown, since some may turn out to be the same, or everything."""
 _ALL = 0.99
 """Of the object: what takes more moves against nothing, and is no part."""
+_ISLAND_ALONE = 0.8
+"""Of its links: what has that many with one part lies beside that alone."""
+_ISLAND_SHARE = 0.15
+"""Of the part: what is larger is no handle."""
 _NEARLY = 0.9
 """Of the object: a first answer takes no more, since a part moves against something."""
 _TRIED = 12
@@ -80,6 +85,8 @@ class DefaultSession:
         self.solver = solver
         # An object's own hypotheses reach far enough; a room's objects are many regions.
         self._joins = encoding.room is not None
+        # On meshes shells tell what is fastened; in a room what lies on a table is no handle of it.
+        self._islands = asset.mesh is None and encoding.room is None
         mesh = asset.mesh
         self._weight = np.ones(asset.element_count, np.float32)
         if mesh is not None:
@@ -133,7 +140,8 @@ class DefaultSession:
             node = int(np.argmax(self.encoding.cells.of_node == cell))
             element = int(self.encoding.nodes.elements.element_of_node[node])
             best = self._not_all(found, _State(), (ClickStep(1, True, element, node),))
-        return self.solver.tidy(best, PartState(), cell)
+        mask = self.solver.tidy(best, PartState(), cell)
+        return self._with_islands(mask.astype(np.int16), ()) > BASE if self._islands else mask
 
     # The state after each prompt ---------------------------------------------------------
 
@@ -289,16 +297,47 @@ class DefaultSession:
         for part, own in state.parts.items():
             if own.mask is not None:
                 of_cell[own.mask] = part
+        if self._islands:
+            of_cell = self._with_islands(of_cell, steps)
         of_node = of_cell[encoding.cells.of_node]
         self._split_cells(of_node, of_cell, steps)
         labels = encoding.nodes.elements.to_elements(of_node)
         if not steps:
             return labels
-        for groups in self.groups:
-            labels = groups.whole(labels, steps)
+        for plates in self.groups:
+            labels = plates.whole(labels, steps)
         if self.fittings is not None:
             labels = self.fittings.joined(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+
+    def _with_islands(
+        self, of_cell: npt.NDArray[np.int16], steps: tuple[Step, ...]
+    ) -> npt.NDArray[np.int16]:
+        """``of_cell`` where small pieces of the base beside one part alone belong to it.
+
+        A handle in front of a door, its window, a hole in what clicks found. Pieces of which a
+        prompt says something else stay as they are.
+        """
+        cells, links = self.encoding.cells, self.encoding.cells.links
+        width = int(of_cell.max()) + 1
+        same = of_cell[links.a] == of_cell[links.b]
+        count, piece = groups(len(cells), links.a[same], links.b[same])
+        part, size = np.zeros(count, np.int16), np.bincount(piece, cells.size, count)
+        part[piece] = of_cell
+        one, two = piece[links.a[~same]], piece[links.b[~same]]
+        key = np.concatenate([one, two]) * width + np.concatenate([part[two], part[one]])
+        votes = np.bincount(key, np.tile(links.count[~same], 2), count * width).reshape(
+            count, width
+        )
+        best = votes.argmax(1)
+        part_size = np.bincount(of_cell, cells.size, width)
+        joins = (part == BASE) & (best != BASE) & (votes.max(1) >= _ISLAND_ALONE * votes.sum(1))
+        joins &= size <= _ISLAND_SHARE * part_size[best]
+        for step in steps:
+            nodes = step.node if isinstance(step, ClickStep) else step.nodes
+            told = np.unique(piece[cells.of_node[nodes]])
+            joins[told] &= step.positive & (best[told] == step.part)
+        return np.where(joins[piece], best[piece], of_cell).astype(np.int16)
 
     def _split_cells(
         self,

@@ -1,0 +1,80 @@
+"""On scans small pieces in front of one part go with it unless a prompt says otherwise."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from model.geometry.readers import read_asset
+from model.resources import static_assets
+from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.tools import hover
+
+DOOR = 1
+Oven = tuple[DefaultSession, np.ndarray, np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def oven() -> Oven:
+    """The bundled scan's session, its points, its true parts, and the bar of the door's handle."""
+    path = static_assets() / "examples" / "oven_scan.ply"
+    truth = json.loads((path.parent / "truth" / "oven_scan.json").read_text())
+    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
+    asset = read_asset(path)
+    points = asset.element_centers
+    low, high = np.array([-0.23, -0.43, 0.67]), np.array([0.31, -0.355, 0.73])
+    bar = (labels == DOOR) & ((points > low) & (points < high)).all(1)
+    assert bar.sum() > 2000
+    return DefaultSegmenter().encode(asset), points, labels, bar
+
+
+def click(points: np.ndarray, where: np.ndarray, part: int, positive: bool = True) -> Click:
+    """On the point in the middle of ``where``."""
+    middle = np.median(points[where], axis=0)
+    index = int(np.flatnonzero(where)[np.linalg.norm(points[where] - middle, axis=1).argmin()])
+    x, y, z = points[index].tolist()
+    return Click((x, y, z), part, positive, index)
+
+
+def test_a_handle_goes_with_the_door_behind_it(oven: Oven) -> None:
+    session, _points, labels, bar = oven
+    door = Region(DOOR, np.flatnonzero((labels == DOOR) & ~bar))
+    found = session.segment(Prompts((door,))).labels
+    assert (found[bar] == DOOR).mean() > 0.98
+    assert not (found[labels == 0] == DOOR).mean() > 0.02
+    knobs = labels > 2
+    assert not (found[knobs] == DOOR).any()  # they touch the panel, not the door
+
+
+def test_what_a_click_says_of_it_holds(oven: Oven) -> None:
+    session, points, labels, bar = oven
+    door = Region(DOOR, np.flatnonzero((labels == DOOR) & ~bar))
+    not_this = click(points, bar, DOOR, positive=False)
+    found = session.segment(Prompts((door, not_this))).labels
+    assert (found[bar] == 0).mean() > 0.95
+    own = click(points, bar, 2)
+    found = session.segment(Prompts((door, own))).labels
+    assert found[own.element] == 2 and (found[bar] == 2).mean() > 0.5
+    base = Region(0, np.flatnonzero(bar))
+    assert (session.segment(Prompts((door, base))).labels[bar] == 0).all()
+
+
+def test_half_of_an_object_takes_no_other_half(oven: Oven) -> None:
+    """What is not small beside the part stays, however much it lies beside it alone."""
+    session, _points, labels, bar = oven
+    panel = Region(DOOR, np.flatnonzero(labels != DOOR))
+    found = session.segment(Prompts((panel,))).labels
+    assert (found[(labels == DOOR) & ~bar] == 0).mean() > 0.98
+
+
+def test_the_preview_shows_what_the_click_takes(oven: Oven) -> None:
+    session, points, labels, bar = oven
+    for where in (labels == 2, labels == 3, bar):
+        at = click(points, where, 1)
+        assert at.element is not None
+        taken = session.segment(Prompts((at,))).labels == 1
+        shown = hover(session, points[at.element], at.element)
+        assert (shown ^ taken).sum() <= 0.01 * taken.sum()
