@@ -10,16 +10,17 @@ import viser
 from app.open_object import OpenObject
 from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
-from app.viewer.widgets import put
+from app.viewer.quick_names import QuickNames
+from app.viewer.widgets import NONE, put
 from model.segmentation.crop import ROOM_METRES
-from model.segmentation.prompts import Click
+from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
-NONE, OTHER = "—", "other…"
+OTHER = "other…"
 PROMPTS_SHOWN = 12
 PARTS_SHOWN = 40
 
@@ -90,6 +91,7 @@ class AnnotatePanel:
                 "Part is a", (NONE, *palette.PART_NAMES, OTHER), initial_value=NONE
             )
             self._name_text = gui.add_text("Other name", "", visible=False)
+            self._quick = QuickNames(app, self._rename)
         with gui.add_folder("Tools"):
             self._tools = [
                 gui.add_button_group(label, options, hint=hint)
@@ -313,6 +315,7 @@ class AnnotatePanel:
     def _draw_names(self, doc: Document) -> None:
         name = _part_name(doc, self._app.part)
         _show_choice(self._name, self._name_text, name, palette.PART_NAMES)
+        self._quick.show(name is None and self._app.part != BASE)
         _show_choice(self._category, self._category_text, doc.category, palette.CATEGORIES)
 
     def _draw_prompts(self, doc: Document) -> None:

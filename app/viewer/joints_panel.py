@@ -10,10 +10,13 @@ import viser
 from app.open_object import OpenObject
 from app.viewer.joint_editor import JointEditor
 from app.viewer.joint_text import part_title, shown, tree_text
-from app.viewer.widgets import put
+from app.viewer.palette import CATEGORIES
+from app.viewer.quick_names import QuickNames
+from app.viewer.widgets import NONE, put
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
-from sessions.document import Document
+from sessions import commands as cmd
+from sessions.document import Document, PartInfo
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -39,6 +42,9 @@ class JointsPanel:
             "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
         )
         self._tree = gui.add_markdown("")
+        self._what = gui.add_markdown("")
+        self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
+        self._quick = QuickNames(app, self._named)
         self._motion = gui.add_folder("Motion")
         with self._motion:
             self._all = gui.add_button_group(
@@ -47,6 +53,7 @@ class JointsPanel:
         self._folder = gui.add_folder("Joint")
         with self._folder:
             self.editor = JointEditor(app)
+        app.on_update(self._category, self._categorised)
         self._again.on_click(lambda _: app.act(app.commands.predict))
         self._here.on_click(lambda _: app.act(app.commands.predict_here))
         self._all.on_click(
@@ -85,6 +92,7 @@ class JointsPanel:
             app.child,
             checks,
             app.motion.gizmo_on,
+            doc.category,
         )
         if now == self._drawn:
             return
@@ -92,6 +100,7 @@ class JointsPanel:
         for widget in (self._tree, self._motion, self._folder):
             put(widget, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
+        self._draw_names(doc, wanted)
         put(self._again, "visible", wanted)
         if tree is None:
             text = "No joints yet. Click the moving parts, then predict."
@@ -103,6 +112,43 @@ class JointsPanel:
         put(self._tree, "content", tree_text(tree, doc, obj.checks))
         self._draw_motion(tree, doc)
         self.editor.draw(obj, tree)
+
+    def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
+        """Parts without a name, the chosen joint's first, and whether there is no category.
+
+        Nothing is unknown where a person has settled joints: they are not predicted in passing.
+        """
+        if doc.tree is None or doc.prediction is None or doc.locked or doc.edited_joints:
+            return [], False
+        found = [p for p in doc.parts if p.name is None and p.link in doc.tree.joint_of]
+        return sorted(found, key=lambda p: p.link != self._app.child), doc.category is None
+
+    def _draw_names(self, doc: Document, wanted: bool) -> None:
+        unnamed, uncategorised = ([], False) if wanted else self._unknown(doc)
+        put(self._what, "visible", bool(unnamed) or uncategorised)
+        put(self._category, "visible", uncategorised)
+        put(self._category, "value", NONE)
+        self._quick.show(bool(unnamed))
+        what = f"**What is {unnamed[0].link}?**" if unnamed else "**What is the object?**"
+        put(self._what, "content", f"{what} Joints come right more often if that is known.")
+
+    def _categorised(self) -> None:
+        if self._category.value != NONE:
+            self._app.do(cmd.SetCategory(self._category.value))
+            self._predict_what_is_known()
+
+    def _named(self, name: str) -> None:
+        unnamed, _ = self._unknown(self._app.need_object().document)
+        if unnamed:
+            self._app.do(cmd.NamePart(unnamed[0].id, name))
+            if len(unnamed) > 1:
+                self._app.choose_joint(unnamed[1].link)
+            self._predict_what_is_known()
+
+    def _predict_what_is_known(self) -> None:
+        """Predict again once the last name, or the category after it, has been said."""
+        if self._unknown(self._app.need_object().document) == ([], False):
+            self._app.commands.predict()
 
     def _draw_motion(self, tree: KinematicTree | None, doc: Document) -> None:
         moving = [] if tree is None else [j for j in tree.joints if j.moves and j.mimic is None]

@@ -336,7 +336,11 @@ class DefaultSession:
         for step in steps:
             nodes = step.node if isinstance(step, ClickStep) else step.nodes
             told = np.unique(piece[cells.of_node[nodes]])
-            joins[told] &= step.positive & (best[told] == step.part)
+            # What was said to be a part and is the base has been taken back since.
+            if step.positive and step.part == BASE:
+                joins[told] = False
+            elif not step.positive:
+                joins[told] &= best[told] != step.part
         return np.where(joins[piece], best[piece], of_cell).astype(np.int16)
 
     def _split_cells(

@@ -135,7 +135,8 @@ def enforce(
             refused.pop(step.element, None) if isinstance(step, ClickStep) else None
             continue
         inside = where[out[where] == step.part]
-        other = instead[inside]
+        other = labels[inside]
+        other = np.where((other > BASE) & (other != step.part), other, instead[inside])
         fallback = BASE if step.part != BASE else UNASSIGNED
         out[inside] = np.where(other == step.part, fallback, other)
         if isinstance(step, ClickStep):

@@ -43,6 +43,36 @@ def predict(tab: Tab) -> None:
     tab.wait_node("/part/1")
 
 
+def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet: Any) -> None:
+    """Where they are clicked, or where their joints are looked at; the last word predicts again."""
+    path, points = cabinet
+    tab = open_tab(start(path))
+    tab.prompt(points["door"])
+    tab.button("door").click()
+    wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
+    tab.button("door").wait_for(state="hidden")
+    for key, place in (("2", "drawer"), ("3", "base")):
+        tab.key(key)
+        wait_until(lambda key=key: tab.app.part == int(key), "the key chooses the part")
+        tab.prompt(points[place])
+    predict(tab)
+    before = tab.document.prediction
+    tab.page.get_by_text("What is link_2?").wait_for()
+    tab.button("drawer").click()
+    tab.page.get_by_text("What is link_3?").wait_for()
+    assert tab.app.child == "link_3" and tab.document.prediction is before
+    tab.button("lid").click()
+    tab.button("lid").wait_for(state="hidden")
+    assert tab.document.part_names == {1: "door", 2: "drawer", 3: "lid"}
+    tab.page.get_by_text("What is the object?").wait_for()
+    assert tab.document.prediction is before
+    tab.choose("Category", "StorageFurniture")
+    wait_until(lambda: tab.document.prediction is not before, "joints are predicted anew")
+    assert tab.document.category == "StorageFurniture"
+    assert tab.document.tree.joint_of["link_2"].type == "prismatic"
+    tab.page.get_by_text("What is the object?").wait_for(state="hidden")
+
+
 def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     server = start(path)

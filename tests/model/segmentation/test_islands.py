@@ -62,6 +62,18 @@ def test_what_a_click_says_of_it_holds(oven: Oven) -> None:
     assert (session.segment(Prompts((door, base))).labels[bar] == 0).all()
 
 
+def test_what_was_taken_back_says_nothing(oven: Oven) -> None:
+    """Door and drawer in one, the drawer taken away and made its own: its handle goes with it."""
+    session, points, labels, _ = oven
+    low, high = np.array([-0.16, -0.42, 0.13]), np.array([0.16, -0.345, 0.23])
+    grip = (labels == 2) & ((points > low) & (points < high)).all(1)
+    both = Region(DOOR, np.flatnonzero((labels == DOOR) | (labels == 2)))
+    taken_back = Region(DOOR, np.flatnonzero(labels == 2), positive=False)
+    drawer = Region(2, np.flatnonzero((labels == 2) & ~grip))
+    found = session.segment(Prompts((both, taken_back, drawer))).labels
+    assert grip.sum() > 1000 and (found[grip] == 2).mean() > 0.9
+
+
 def test_half_of_an_object_takes_no_other_half(oven: Oven) -> None:
     """What is not small beside the part stays, however much it lies beside it alone."""
     session, _points, labels, bar = oven

@@ -1,0 +1,29 @@
+"""Buttons that name a part: joints are predicted better for parts that have a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from app.viewer.widgets import put
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+ROWS: Final[tuple[tuple[str, ...], ...]] = (("door", "drawer", "lid"), ("knob", "button", "wheel"))
+"""What most parts are; the list beside them has the rest."""
+
+
+class QuickNames:
+    """One click names a part."""
+
+    def __init__(self, app: ClientApp, named: Callable[[str], None]) -> None:
+        """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
+        self._rows = [app.client.gui.add_button_group("", names) for names in ROWS]
+        for row in self._rows:
+            row.on_click(lambda e: app.act(lambda: named(e.target.value)))
+
+    def show(self, visible: bool) -> None:
+        """Show or hide them."""
+        for row in self._rows:
+            put(row, "visible", visible)
