@@ -154,7 +154,7 @@ class DefaultSession:
             done -= 1
         state = self._states[keys[done]] if done else _State()
         for index in range(done, len(steps)):
-            state = self._after(state, steps[: index + 1])
+            state = self._completed(self._after(state, steps[: index + 1]), steps[: index + 1])
             self._states[keys[index + 1]] = state
         for key in keys[1:]:
             self._states.move_to_end(key)
@@ -293,12 +293,7 @@ class DefaultSession:
 
     def _labels(self, steps: tuple[Step, ...], state: _State) -> npt.NDArray[np.int16]:
         encoding = self.encoding
-        of_cell = np.zeros(len(encoding.cells), np.int16)
-        for part, own in state.parts.items():
-            if own.mask is not None:
-                of_cell[own.mask] = part
-        if self._islands:
-            of_cell = self._with_islands(of_cell, steps)
+        of_cell = self._of_cells(state, steps)
         of_node = of_cell[encoding.cells.of_node]
         self._split_cells(of_node, of_cell, steps)
         labels = encoding.nodes.elements.to_elements(of_node)
@@ -309,6 +304,25 @@ class DefaultSession:
         if self.fittings is not None:
             labels = self.fittings.joined(labels, steps)
         return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+
+    def _of_cells(self, state: _State, steps: tuple[Step, ...]) -> npt.NDArray[np.int16]:
+        """(C,) the part of each cell, islands with what they lie beside."""
+        out = np.zeros(len(self.encoding.cells), np.int16)
+        for part, own in state.parts.items():
+            if own.mask is not None:
+                out[own.mask] = part
+        return self._with_islands(out, steps) if self._islands else out
+
+    def _completed(self, state: _State, steps: tuple[Step, ...]) -> _State:
+        """``state`` with islands in the masks: the next click is about what is seen."""
+        if not self._islands or not state.parts:
+            return state
+        of_cell = self._of_cells(state, steps)
+        parts = {
+            part: own if own.mask is None else replace(own, mask=own.mask | (of_cell == part))
+            for part, own in state.parts.items()
+        }
+        return replace(state, parts=parts)
 
     def _with_islands(
         self, of_cell: npt.NDArray[np.int16], steps: tuple[Step, ...]
