@@ -292,18 +292,29 @@ class DefaultSession:
     # Labels --------------------------------------------------------------------------
 
     def _labels(self, steps: tuple[Step, ...], state: _State) -> npt.NDArray[np.int16]:
-        encoding = self.encoding
         of_cell = self._of_cells(state, steps)
-        of_node = of_cell[encoding.cells.of_node]
+        of_node = of_cell[self.encoding.cells.of_node]
         self._split_cells(of_node, of_cell, steps)
-        labels = encoding.nodes.elements.to_elements(of_node)
+        labels = self.encoding.nodes.elements.to_elements(of_node)
         if not steps:
             return labels
+        labels = self._whole(labels, steps)
+        return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+
+    def _whole(
+        self, labels: npt.NDArray[np.int16], steps: tuple[Step, ...]
+    ) -> npt.NDArray[np.int16]:
+        """``labels`` of faces with plates and shells undivided, fittings where they belong."""
         for plates in self.groups:
             labels = plates.whole(labels, steps)
-        if self.fittings is not None:
-            labels = self.fittings.joined(labels, steps)
-        return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+        return labels if self.fittings is None else self.fittings.joined(labels, steps)
+
+    def without_prompts(self, of_cell: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
+        """(E,) labels of the parts that cells (C,) were given by something else than prompts."""
+        of_cell = self._with_islands(of_cell, ()) if self._islands else of_cell
+        cells, elements = self.encoding.cells, self.encoding.nodes.elements
+        labels = self._whole(elements.to_elements(of_cell[cells.of_node]), ())
+        return labels if self.fittings is None else self.fittings.merged(labels)
 
     def _of_cells(self, state: _State, steps: tuple[Step, ...]) -> npt.NDArray[np.int16]:
         """(C,) the part of each cell, islands with what they lie beside."""

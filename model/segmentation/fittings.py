@@ -101,6 +101,16 @@ class Fittings:
         labels = self._mounted(labels, steps)
         return self._pulled(labels, steps)
 
+    def merged(self, labels: Labels) -> Labels:
+        """Labels (F,) where trays that are parts of their own are one with their fronts."""
+        out = labels
+        for part in np.unique(labels[labels != BASE]):
+            own = labels == part
+            pulled = self._pulled(np.where(own, BASE, out).astype(np.int16), ())[own]
+            if pulled[0] != BASE and (pulled == pulled[0]).all():
+                out = np.where(own, pulled[0], out).astype(np.int16)
+        return out
+
     def _mounted(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
         """Labels where pieces that are small beside the part they lie on belong to it."""
         part_area = np.bincount(labels, self.shells.weight)

@@ -50,8 +50,9 @@ def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
     of_cell = np.zeros(len(cells), np.int16)
     for part, mask in enumerate(chosen, start=BASE + 1):
         of_cell[mask] = part
-    labels = session.encoding.nodes.elements.to_elements(of_cell[cells.of_node])
-    return PartSegmentation(labels, "default")
+    labels = session.without_prompts(of_cell)
+    _, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
+    return PartSegmentation(labels[:-1].astype(np.int16), "default")
 
 
 def _answers(session: DefaultSession, asked: npt.NDArray[np.int64]) -> tuple[Bool, Float]:

@@ -16,6 +16,7 @@ from model.segmentation.contacts import contacts_of
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.fittings import fittings_of
 from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.proposal import propose
 from model.segmentation.tools import hover
 from model.segmentation.training.primitives import block
 
@@ -122,6 +123,26 @@ def test_one_click_takes_each_part_of_the_bundled_cabinet(
     found = session.segment(Prompts(tuple(clicks))).labels
     assert sorted(set(parts.values())) == ["door", "drawer"]
     assert (found == labels).all()
+
+
+def test_a_proposal_has_whole_drawers(
+    bundled: tuple[DefaultSession, np.ndarray, dict[int, str]],
+) -> None:
+    """No tray is a part of its own, and handles go with what they are mounted on."""
+    session, labels, parts = bundled
+    assert session.asset.mesh is not None
+    area = session.asset.mesh.face_areas
+    found = propose(session).labels
+    for part in parts:
+        own = labels == part
+        overlap = [
+            area[own & (found == p)].sum() / area[own | (found == p)].sum()
+            for p in np.unique(found[own])
+        ]
+        assert max(overlap) > 0.98
+    share = np.bincount(found, area) / area.sum()
+    assert (share > 0.001).sum() == 1 + len(parts)
+    assert (share > 0).all()  # numbers follow each other
 
 
 def test_a_first_click_never_means_the_whole_object(
