@@ -314,7 +314,9 @@ class DefaultSession:
         of_cell = self._with_islands(of_cell, ()) if self._islands else of_cell
         cells, elements = self.encoding.cells, self.encoding.nodes.elements
         labels = self._whole(elements.to_elements(of_cell[cells.of_node]), ())
-        return labels if self.fittings is None else self.fittings.merged(labels)
+        if self.fittings is None:
+            return labels
+        return self.fittings.joined(self.fittings.merged(labels), ())
 
     def _of_cells(self, state: _State, steps: tuple[Step, ...]) -> npt.NDArray[np.int16]:
         """(C,) the part of each cell, islands with what they lie beside."""

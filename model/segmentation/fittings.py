@@ -27,6 +27,9 @@ _MOSTLY = 0.5
 _FITTING_SHARE = 0.3
 """Of the part's area: what is larger is no handle."""
 
+_SPECK = 3e-4
+"""Of the mesh: what is smaller and fastened to a part is none of its own unless it is clicked."""
+
 _TRAY_OF_BASE = 0.4
 """Of what is the base's: a larger piece behind a front is the carcass."""
 _FLAT = 0.5
@@ -102,13 +105,19 @@ class Fittings:
         return self._pulled(labels, steps)
 
     def merged(self, labels: Labels) -> Labels:
-        """Labels (F,) where trays that are parts of their own are one with their fronts."""
-        out = labels
+        """Labels (F,) where trays that are parts of their own are one with their fronts.
+
+        So are specks with what they are mounted on.
+        """
+        out, weight = labels, self.shells.weight
         for part in np.unique(labels[labels != BASE]):
             own = labels == part
-            pulled = self._pulled(np.where(own, BASE, out).astype(np.int16), ())[own]
-            if pulled[0] != BASE and (pulled == pulled[0]).all():
-                out = np.where(own, pulled[0], out).astype(np.int16)
+            rest = np.where(own, BASE, out).astype(np.int16)
+            joined = self._pulled(rest, ())[own]
+            if weight[own].sum() <= _SPECK * weight.sum():
+                joined = self._mounted(rest, ())[own]
+            if joined[0] != BASE and (joined == joined[0]).all():
+                out = np.where(own, joined[0], out).astype(np.int16)
         return out
 
     def _mounted(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:

@@ -139,10 +139,8 @@ def test_a_proposal_has_whole_drawers(
             area[own & (found == p)].sum() / area[own | (found == p)].sum()
             for p in np.unique(found[own])
         ]
-        assert max(overlap) > 0.98
-    share = np.bincount(found, area) / area.sum()
-    assert (share > 0.001).sum() == 1 + len(parts)
-    assert (share > 0).all()  # numbers follow each other
+        assert max(overlap) > 0.999
+    assert found.max() == len(parts)
 
 
 def test_a_first_click_never_means_the_whole_object(
