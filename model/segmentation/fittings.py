@@ -110,6 +110,8 @@ class Fittings:
         So are specks with what they are mounted on.
         """
         out, weight = labels, self.shells.weight
+        if not self.shells.number:
+            return labels
         for part in np.unique(labels[labels != BASE]):
             own = labels == part
             rest = np.where(own, BASE, out).astype(np.int16)

@@ -19,6 +19,7 @@ from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.proposal import propose
 from model.segmentation.tools import hover
 from model.segmentation.training.primitives import block
+from tests.model.segmentation.conftest import subdivide
 
 FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)
 
@@ -141,6 +142,16 @@ def test_a_proposal_has_whole_drawers(
         ]
         assert max(overlap) > 0.999
     assert found.max() == len(parts)
+
+
+def test_a_mesh_of_one_shell_has_no_fittings() -> None:
+    triangles = subdivide(block((0, 0, 0), (1, 0.5, 0.3)), 3)
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    session = DefaultSegmenter().encode(Asset("block", Mesh(triangles.reshape(-1, 3), faces)))
+    assert len(propose(session).labels) == len(faces)
+    x, y, z = triangles[0].mean(0).tolist()
+    labels = session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels
+    assert labels[0] == 1 and hover(session, triangles[0].mean(0), 0)[0]
 
 
 def test_a_first_click_never_means_the_whole_object(
