@@ -16,10 +16,12 @@ from model.geometry.mesh import Mesh
 TOUCHING = 1e-4
 """Of the mesh's diagonal: 0.1 mm on a metre, more than what models are rounded to."""
 
-MOST_SHELLS = 1000
+MOST_SHELLS = 400
 """Crumbs of a scan beyond those are not asked what they touch."""
 
 _SAMPLES = 1500
+_MOST_CORNERS = 20_000
+"""Of one shell: a scan has millions, and what lies on it has corners of its own."""
 
 
 def contacts_of(
@@ -38,7 +40,8 @@ def contacts_of(
     faces = _faces_of_shells(shell)
     there = np.argsort(-np.bincount(shell, mesh.face_areas), kind="stable")[:MOST_SHELLS]
     tolerance = TOUCHING * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    pieces = [_Shell(mesh, faces[s]) for s in there]
+    triangles = mesh.triangles.astype(np.float32)
+    pieces = [_Shell(triangles[faces[s]], faces[s], mesh.face_areas[faces[s]]) for s in there]
     low = np.array([p.low for p in pieces]) - tolerance
     high = np.array([p.high for p in pieces]) + tolerance
     close = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(2)
@@ -66,12 +69,17 @@ def _faces_of_shells(shell: npt.NDArray[np.integer]) -> list[npt.NDArray[np.int6
 class _Shell:
     """One shell: points on it, and how far others' points are from its triangles."""
 
-    def __init__(self, mesh: Mesh, faces: npt.NDArray[np.integer]) -> None:
+    def __init__(
+        self,
+        triangles: npt.NDArray[np.float32],
+        faces: npt.NDArray[np.integer],
+        area: npt.NDArray[np.floating],
+    ) -> None:
         self._faces = faces.astype(np.int32)
-        self._triangles = mesh.triangles[faces].astype(np.float32)
-        self.low = self._triangles.reshape(-1, 3).min(0)
-        self.high = self._triangles.reshape(-1, 3).max(0)
-        self._points, self._of = self._sampled(mesh.face_areas[faces])
+        self._triangles = triangles
+        self.low = triangles.reshape(-1, 3).min(0)
+        self.high = triangles.reshape(-1, 3).max(0)
+        self._points, self._of = self._sampled(area)
         self._scene: Any = None
 
     def _sampled(
@@ -85,8 +93,11 @@ class _Shell:
         u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
         t = self._triangles[on]
         points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
-        corners = self._triangles.reshape(-1, 3)
-        of = np.concatenate([np.repeat(np.arange(len(area)), 3), on])
+        at = np.arange(3 * len(area))
+        if len(at) > _MOST_CORNERS:
+            at = rng.choice(at, _MOST_CORNERS, replace=False)
+        corners = self._triangles.reshape(-1, 3)[at]
+        of = np.concatenate([at // 3, on])
         return np.concatenate([corners, points]).astype(np.float32), self._faces[of]
 
     def on(
