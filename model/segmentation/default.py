@@ -343,7 +343,7 @@ class DefaultSession:
         """``of_cell`` where small pieces of the base beside one part alone belong to it.
 
         A handle in front of a door, its window, a hole in what clicks found. Pieces of which a
-        prompt says something else stay as they are.
+        prompt says something else stay as they are, and so do those beside a part that was drawn.
         """
         cells, links = self.encoding.cells, self.encoding.cells.links
         width = int(of_cell.max()) + 1
@@ -360,6 +360,11 @@ class DefaultSession:
         part_size = np.bincount(of_cell, cells.size, width)
         joins = (part == BASE) & (best != BASE) & (votes.max(1) >= _ISLAND_ALONE * votes.sum(1))
         joins &= size <= _ISLAND_SHARE * part_size[best]
+        joins[np.where(part == BASE, size, -1.0).argmax()] = False  # something has to stay behind
+        # Whoever draws a part has drawn its handle, too, or left it out.
+        last = {step.part: step for step in steps}
+        drawn = [part for part, step in last.items() if isinstance(step, RegionStep)]
+        joins &= ~np.isin(best, drawn)
         for step in steps:
             nodes = step.node if isinstance(step, ClickStep) else step.nodes
             told = np.unique(piece[cells.of_node[nodes]])
