@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometry.mesh import Mesh
+from model.geometry.sampling import sample_surface
 
 TOUCHING = 1e-4
 """Of the mesh's diagonal: 0.1 mm on a metre, more than what models are rounded to."""
@@ -41,7 +42,7 @@ def contacts_of(
     there = np.argsort(-np.bincount(shell, mesh.face_areas), kind="stable")[:MOST_SHELLS]
     tolerance = TOUCHING * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     triangles = mesh.triangles.astype(np.float32)
-    pieces = [_Shell(triangles[faces[s]], faces[s], mesh.face_areas[faces[s]]) for s in there]
+    pieces = [_Shell(triangles[faces[s]], faces[s]) for s in there]
     low = np.array([p.low for p in pieces]) - tolerance
     high = np.array([p.high for p in pieces]) + tolerance
     close = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(2)
@@ -69,36 +70,29 @@ def _faces_of_shells(shell: npt.NDArray[np.integer]) -> list[npt.NDArray[np.int6
 class _Shell:
     """One shell: points on it, and how far others' points are from its triangles."""
 
-    def __init__(
-        self,
-        triangles: npt.NDArray[np.float32],
-        faces: npt.NDArray[np.integer],
-        area: npt.NDArray[np.floating],
-    ) -> None:
+    def __init__(self, triangles: npt.NDArray[np.float32], faces: npt.NDArray[np.integer]) -> None:
         self._faces = faces.astype(np.int32)
         self._triangles = triangles
         self.low = triangles.reshape(-1, 3).min(0)
         self.high = triangles.reshape(-1, 3).max(0)
-        self._points, self._of = self._sampled(area)
+        self._points, self._of = self._sampled()
         self._scene: Any = None
 
-    def _sampled(
-        self, area: npt.NDArray[np.floating]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+    def _sampled(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
         """Corners and random points, and the face of each."""
         rng = np.random.default_rng(0)
-        weight = area.astype(np.float64) + 1e-12
-        on = rng.choice(len(area), _SAMPLES, p=weight / weight.sum())
-        u, v = rng.random((2, _SAMPLES, 1))
-        u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
-        t = self._triangles[on]
-        points = t[:, 0] + u * (t[:, 1] - t[:, 0]) + v * (t[:, 2] - t[:, 0])
-        at = np.arange(3 * len(area))
+        corners = self._triangles.reshape(-1, 3)
+        at = np.arange(len(corners))
         if len(at) > _MOST_CORNERS:
             at = rng.choice(at, _MOST_CORNERS, replace=False)
-        corners = self._triangles.reshape(-1, 3)[at]
-        of = np.concatenate([at // 3, on])
-        return np.concatenate([corners, points]).astype(np.float32), self._faces[of]
+        points, of = corners[at], at // 3
+        mesh = Mesh(
+            corners.astype(np.float64), np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+        )
+        if mesh.face_areas.sum() > 0:
+            more, on = sample_surface(mesh, _SAMPLES, rng)
+            points, of = np.concatenate([points, more.points]), np.concatenate([of, on])
+        return points, self._faces[of]
 
     def on(
         self, other: _Shell, tolerance: float

@@ -28,7 +28,7 @@ from model.segmentation.plates import Plates, plates_of
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_scorers, solver_of
-from model.segmentation.solver import PartSolver, PartState, Ranked, with_click
+from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, with_click
 
 _STATES = 256
 _SPARE = 10
@@ -39,9 +39,8 @@ _ISLAND_ALONE = 0.8
 """Of its links: what has that many with one part lies beside that alone."""
 _ISLAND_SHARE = 0.15
 """Of the part: what is larger is no handle."""
-_NEARLY = 0.9
-"""Of the object: a first answer takes no more, since a part moves against something."""
 _TRIED = 12
+"""First answers of a mesh that are looked at for one that takes no more than ``NEARLY_ALL``."""
 _IN_VAIN = 2
 """Clicks in vain after which, in a room, one beside the part takes a region of its own along."""
 _SPECK = 0.002
@@ -215,7 +214,10 @@ class DefaultSession:
         """
         masks, part = found.candidates.masks, steps[-1].part
         for index in np.argsort(-found.scores, kind="stable")[:_TRIED]:
-            if self._weight @ self._taken(masks[index], part, state, steps) <= _NEARLY * self._all:
+            if (
+                self._weight @ self._taken(masks[index], part, state, steps)
+                <= NEARLY_ALL * self._all
+            ):
                 return masks[index]
         return found.best
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from model.geometry.mesh import Mesh
+from model.segmentation.cells import groups
 from model.segmentation.contacts import contacts_of
 from model.segmentation.plates import Plates, small_shells_of
 from model.segmentation.prompt_steps import Step
@@ -159,10 +158,7 @@ class Fittings:
     def _pieces(self, labels: Labels, idle: Bool, pairs: Pairs) -> _Pieces:
         one, two = pairs.shell, self.shells.of_face[pairs.face]
         loose = idle[one] & (two >= 0) & idle[two]
-        number = self.shells.number
-        links = coo_matrix((np.ones(int(loose.sum()), np.int8), (one[loose], two[loose])),
-                           shape=(number, number))  # fmt: skip
-        count, piece = connected_components(links, directed=False)
+        count, piece = groups(self.shells.number, one[loose], two[loose])
         area = np.asarray(np.bincount(piece, self.shells.area * idle, count), np.float64)
         return _Pieces(piece, area, self._votes(labels, idle, piece, count, pairs))
 
@@ -215,11 +211,12 @@ def fittings_of(mesh: Mesh, a: npt.NDArray[np.integer], b: npt.NDArray[np.intege
     """
     from model.geometry.topology import connected_shells
 
-    shells = small_shells_of(mesh)
+    shell = np.asarray(connected_shells(mesh))
+    shells = small_shells_of(mesh, shell)
     of_face = shells.of_face
     one, two = np.zeros((2, 0), np.int32)
     if shells.number:
-        one, two = contacts_of(mesh, np.asarray(connected_shells(mesh)), of_face >= 0)
+        one, two = contacts_of(mesh, shell, of_face >= 0)
     mine = np.concatenate([of_face[a], of_face[b]]).astype(np.int64)
     face = np.concatenate([b, a]).astype(np.int32)
     keep = (mine >= 0) & (mine != of_face[face])

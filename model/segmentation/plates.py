@@ -126,11 +126,12 @@ def plates_of(mesh: Mesh) -> Plates:
     return Plates(of_face, np.asarray(mesh.face_areas, np.float64), len(ids))
 
 
-def small_shells_of(mesh: Mesh) -> Plates:
-    """The disconnected shells of ``mesh`` that are small enough to be one thing each."""
-    from model.geometry.topology import connected_shells
+def small_shells_of(mesh: Mesh, shell: npt.NDArray[np.integer]) -> Plates:
+    """The disconnected shells of ``mesh`` that are small enough to be one thing each.
 
-    shell = np.asarray(connected_shells(mesh))
+    Args:
+        shell: (F,) the shell of each face.
+    """
     area = np.asarray(mesh.face_areas, np.float64)
     total = np.bincount(shell, area)
     of_face = np.full(len(shell), -1, np.int32)

@@ -39,10 +39,11 @@ _REGION_SAYS = 4
 _CHOSEN = 5.0
 """How much more such a mask is worth keeping than one that clicks brought."""
 
-_ALL = 0.9
+NEARLY_ALL = 0.9
+"""Of the object: a first answer takes no more, since a part moves against something."""
 _ALL_RAMP = 0.05
 _ALL_PENALTY = 12.0
-"""For a first answer that takes the share ``_ALL`` of the object, and the ramp more."""
+"""For a first answer that takes that share of the object, and the ramp more."""
 
 _SIZE_PENALTY = 4.0
 """For a mask e times as large as one that was too large, or that much smaller."""
@@ -303,7 +304,7 @@ class PartSolver:
         """
         size = self.cells.size.astype(np.float32)
         share = (masks.astype(np.float32) @ size) / size.sum()
-        return _ALL_PENALTY * np.clip((share - _ALL) / _ALL_RAMP, 0, 1)
+        return _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool
