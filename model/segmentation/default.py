@@ -9,8 +9,10 @@ mend a mask) and a small network picks the one most like a part. Parts exclude e
 from __future__ import annotations
 
 import hashlib
+import itertools
 import time
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,6 +23,7 @@ from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
 from model.segmentation.cells import groups
+from model.segmentation.closeup import ClosePart, Closeups
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.fittings import Fittings, fittings_of
@@ -60,11 +63,13 @@ class _State:
         parts: masks and clicks of the parts other than the base.
         base: cells clicked as base.
         ranked: the hypotheses of the latest click of each part.
+        close: what close-ups show of the small parts.
     """
 
     parts: dict[int, PartState] = field(default_factory=dict)
     base: tuple[int, ...] = ()
     ranked: dict[int, Ranked] = field(default_factory=dict)
+    close: dict[int, ClosePart] = field(default_factory=dict)
 
 
 class DefaultSession:
@@ -76,6 +81,7 @@ class DefaultSession:
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
         fittings: what the small shells of a mesh are fastened to.
+        closeups: small parts on the nodes themselves; not in rooms.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
@@ -86,6 +92,7 @@ class DefaultSession:
         self._joins = encoding.room is not None
         # On meshes shells tell what is fastened; in a room what lies on a table is no handle of it.
         self._islands = asset.mesh is None and encoding.room is None
+        self.closeups = Closeups(encoding) if self._islands else None
         mesh = asset.mesh
         self._weight = np.ones(asset.element_count, np.float32)
         if mesh is not None:
@@ -113,23 +120,38 @@ class DefaultSession:
         state = self._state(steps)
         if part not in state.ranked or part not in state.parts:
             return []
-        current = state.parts[part].mask
-        assert current is not None
-        ranked = state.ranked[part]
-        masks, size = ranked.candidates.masks, self.encoding.cells.size
         out: list[Bool] = []
         seen = [self._labels(steps, state) == part]
-        for index in offered(masks, ranked.scores, current, size, ALTERNATIVES + _SPARE):
+        for other in self._others(state, part):
             if len(out) == ALTERNATIVES:
                 break
-            own = self._taken(masks[index], part, state, steps)
+            own = self._labels(steps, other) == part
             if self._weight @ own > _ALL * self._all:
                 continue
             # Handles go with what they are mounted on: with and without them is the same then.
-            if not any(look_alike(own, other, self._weight) for other in seen):
+            if not any(look_alike(own, one, self._weight) for one in seen):
                 seen.append(own)
                 out.append(own)
         return out
+
+    def _others(self, state: _State, part: int) -> Iterator[_State]:
+        """``state`` with other masks of ``part``, the most useful first; those of its close-up take
+        turns with those of the whole object.
+        """
+        ranked, own = state.ranked[part], state.parts[part].mask
+        assert own is not None
+        masks, most = ranked.candidates.masks, ALTERNATIVES + _SPARE
+        index = offered(masks, ranked.scores, own, self.encoding.cells.size, most)
+        whole = (_with_mask(state, part, masks[i]) for i in index)
+        close = state.close.get(part)
+        if close is None or self.closeups is None:
+            yield from whole
+            return
+        for one, other in itertools.zip_longest(self.closeups.others(close), whole):
+            if one is not None:
+                yield replace(state, close={**state.close, part: one})
+            if other is not None:
+                yield other
 
     def preview(self, cell: int) -> Bool:
         """(C,) the cells that a first click on ``cell`` would take."""
@@ -153,7 +175,9 @@ class DefaultSession:
             done -= 1
         state = self._states[keys[done]] if done else _State()
         for index in range(done, len(steps)):
-            state = self._completed(self._after(state, steps[: index + 1]), steps[: index + 1])
+            so_far = steps[: index + 1]
+            after = self._completed(self._after(state, so_far), so_far)
+            state = after if self.closeups is None else self._closer(state, after, so_far)
             self._states[keys[index + 1]] = state
         for key in keys[1:]:
             self._states.move_to_end(key)
@@ -223,12 +247,7 @@ class DefaultSession:
 
     def _taken(self, mask: Bool, part: int, state: _State, steps: tuple[Step, ...]) -> Bool:
         """(E,) the elements that would be those of ``part`` if its cells were ``mask``."""
-        parts = {
-            other: its if its.mask is None else replace(its, mask=its.mask & ~mask)
-            for other, its in state.parts.items()
-        }
-        parts[part] = replace(state.parts.get(part, PartState()), mask=mask)
-        return self._labels(steps, replace(state, parts=parts)) == part
+        return self._labels(steps, _with_mask(state, part, mask)) == part
 
     def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
         """``mask``, widened where yet another positive click beside it brought hardly anything.
@@ -297,6 +316,8 @@ class DefaultSession:
         of_cell = self._of_cells(state, steps)
         of_node = of_cell[self.encoding.cells.of_node]
         self._split_cells(of_node, of_cell, steps)
+        if self.closeups is not None:
+            self.closeups.place(of_node, state.close)
         labels = self.encoding.nodes.elements.to_elements(of_node)
         if not steps:
             return labels
@@ -338,6 +359,15 @@ class DefaultSession:
             for part, own in state.parts.items()
         }
         return replace(state, parts=parts)
+
+    def _closer(self, before: _State, after: _State, steps: tuple[Step, ...]) -> _State:
+        """``after`` with what close-ups show: the next click is about what is seen."""
+        assert self.closeups is not None
+        close = self.closeups.after(before.close, after.parts, steps)
+        parts = dict(after.parts)
+        for part, its in close.items():
+            parts[part] = replace(parts[part], mask=self.closeups.cells(its, parts[part]))
+        return replace(after, parts=parts, close=close)
 
     def _with_islands(
         self, of_cell: npt.NDArray[np.int16], steps: tuple[Step, ...]
@@ -419,6 +449,17 @@ class DefaultSession:
         nearest = of_cell[taken[near]]
         instead = np.where(of_cell == BASE, nearest, BASE).astype(np.int16)
         return self.encoding.nodes.elements.to_elements(instead[cells.of_node])
+
+
+def _with_mask(state: _State, part: int, mask: Bool) -> _State:
+    """``state`` if the cells of ``part`` were ``mask``; it has no close-up then."""
+    parts = {
+        other: its if its.mask is None else replace(its, mask=its.mask & ~mask)
+        for other, its in state.parts.items()
+    }
+    parts[part] = replace(state.parts.get(part, PartState()), mask=mask)
+    close = {other: its for other, its in state.close.items() if other != part}
+    return replace(state, parts=parts, close=close)
 
 
 def _released(steps: tuple[Step, ...], labels: npt.NDArray[np.int16]) -> dict[int, Bool]:
