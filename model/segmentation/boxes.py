@@ -120,11 +120,13 @@ class Boxes:
         facing: (3, C) whether the cell faces along it.
         size: (C,) float32 nodes in each cell; square: the same where it faces along any of them.
         step: (3,) metres.
+        axes: (3, 3) the directions, in rows.
     """
 
-    def __init__(self, cells: Cells) -> None:
+    def __init__(self, cells: Cells, axes: Float | None = None) -> None:
         unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
-        axes = main_directions(unit, cells.size)
+        axes = main_directions(unit, cells.size) if axes is None else axes
+        self.axes = axes
         at = cells.center @ axes.T
         low, side = at.min(0), np.maximum(np.ptp(at, axis=0), 1e-9)
         self.step = side / _STEPS
@@ -339,9 +341,12 @@ class ObjectSolver(PartSolver):
         first_scorer: Mlp | None,
         later_scorer: Mlp | None,
         shell: npt.NDArray[np.integer] | None = None,
+        axes: Float | None = None,
     ) -> None:
-        """``shell`` (C,): of a mesh, the shell of each cell."""
-        self._boxes = Boxes(cells)
+        """``shell`` (C,): of a mesh, the shell of each cell; ``axes`` (3, 3): the main directions,
+        where they are known.
+        """
+        self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._shells = None
         if shell is not None and len(np.unique(shell)) > 1:
@@ -355,6 +360,11 @@ class ObjectSolver(PartSolver):
         self._most = _OF_SIZES if self._mesh else _BETWEEN
         self._beliefs = BoxBeliefs(planes, grid.place, grid.facing, grid.step, model)
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
+
+    @property
+    def axes(self) -> Float:
+        """(3, 3) the main directions, in rows."""
+        return self._boxes.axes
 
     def first_regions(self, cell: int) -> Candidates:
         """The nested regions, the boxes round them, and those behind flat ones."""

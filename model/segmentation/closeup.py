@@ -17,15 +17,17 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.segmentation.alternatives import offered
+from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import build_cells
 from model.segmentation.edge_strength import edge_weight
 from model.segmentation.encoding import Encoding
 from model.segmentation.graph import Graph
 from model.segmentation.hierarchy import build_hierarchy
 from model.segmentation.nodes import ElementMap, Nodes
+from model.segmentation.parallel import together
 from model.segmentation.prompt_steps import ClickStep, Step
 from model.segmentation.prompts import BASE
-from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.scorers import shipped_scorers
 from model.segmentation.solver import PartState, Ranked, with_click
 from model.segmentation.walk import Walk
 
@@ -38,6 +40,7 @@ _LARGE = 0.4
 _KEPT = 12
 """Close-ups, some megabytes each."""
 
+Float = npt.NDArray[np.floating]
 Bool = npt.NDArray[np.bool_]
 Int = npt.NDArray[np.int32]
 
@@ -65,7 +68,7 @@ class Closeup:
         size: (C,) nodes in each cell.
     """
 
-    def __init__(self, encoding: Encoding, anchor: int) -> None:
+    def __init__(self, encoding: Encoding, anchor: int, axes: Float) -> None:
         nodes, graph = encoding.nodes, encoding.graph
         count = min(_NODES, len(nodes))
         _, near = nodes.tree.query(nodes.points[anchor], k=count)
@@ -78,8 +81,8 @@ class Closeup:
         cells = build_cells(*part, strength, edge_weight(strength, part[1]), count)
         self._of_node, self.size = cells.of_node, cells.size
         # Factors are freed by the thread that made them.
-        inside = Encoding(*part, strength, cells, build_hierarchy(cells), Walk(cells))
-        self._solver = solver_of(inside, *shipped_scorers())
+        walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
+        self._solver = ObjectSolver(cells, hierarchy, walk, *shipped_scorers(), axes=axes)
 
     def mask(self, cells: Bool) -> Bool:
         """(K,) which of its nodes are in a mask over its cells (C,)."""
@@ -178,16 +181,17 @@ def _part_of(nodes: Nodes, graph: Graph, kept: Int, place: Int) -> tuple[tuple[N
 
 
 class Closeups:
-    """The close-ups of an encoded cloud or mesh, made where they are needed."""
+    """The close-ups of an encoded cloud, made where they are needed."""
 
-    def __init__(self, encoding: Encoding) -> None:
-        self._encoding = encoding
+    def __init__(self, encoding: Encoding, axes: Float) -> None:
+        """``axes`` (3, 3): main directions of the whole object."""
+        self._encoding, self._axes = encoding, axes
         self._of: OrderedDict[int, Closeup] = OrderedDict()
 
     def __getitem__(self, anchor: int) -> Closeup:
         """The close-up round a node."""
         if anchor not in self._of:
-            self._of[anchor] = Closeup(self._encoding, anchor)
+            self._of[anchor] = Closeup(self._encoding, anchor, self._axes)
             if len(self._of) > _KEPT:
                 self._of.popitem(last=False)
         self._of.move_to_end(anchor)

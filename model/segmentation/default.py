@@ -22,6 +22,7 @@ from scipy.spatial import KDTree
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
+from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups
 from model.segmentation.closeup import ClosePart, Closeups
 from model.segmentation.edge_strength import shipped_edge_model
@@ -81,7 +82,7 @@ class DefaultSession:
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
         fittings: what the small shells of a mesh are fastened to.
-        closeups: small parts on the nodes themselves; not in rooms.
+        closeups: small parts of a cloud on the nodes themselves.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
@@ -92,7 +93,9 @@ class DefaultSession:
         self._joins = encoding.room is not None
         # On meshes shells tell what is fastened; in a room what lies on a table is no handle of it.
         self._islands = asset.mesh is None and encoding.room is None
-        self.closeups = Closeups(encoding) if self._islands else None
+        self.closeups: Closeups | None = None
+        if self._islands and isinstance(solver, ObjectSolver):
+            self.closeups = Closeups(encoding, solver.axes)
         mesh = asset.mesh
         self._weight = np.ones(asset.element_count, np.float32)
         if mesh is not None:
