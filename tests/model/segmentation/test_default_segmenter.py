@@ -14,7 +14,7 @@ from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.readers import read_asset
 from model.resources import static_assets
-from model.segmentation.default import DefaultSegmenter
+from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp
 from model.segmentation.prompts import Click, Prompts, Region
@@ -77,19 +77,26 @@ def test_a_click_inside_a_region_takes_a_part_of_it(session, cloud_cabinet):
     assert set(np.unique(labels)) == {1, 2}
 
 
-def test_clicks_for_two_parts_in_one_cell_share_it(session, cloud_cabinet):
+@pytest.mark.parametrize("close", [True, False])
+def test_clicks_for_two_parts_in_one_cell_share_it(session, cloud_cabinet, close):
+    if not close:  # cells alone: nodes follow the nearest click
+        session = DefaultSession(session.asset, session.encoding, session.solver)
+        session.closeups = None
     cells, points = session.encoding.cells, cloud_cabinet.asset.element_centers
     cell = int(cells.size.argmax())
     nodes = np.nonzero(cells.of_node == cell)[0]
     along = points[nodes] @ (points[nodes[-1]] - points[nodes[0]])
     low, high = int(nodes[along.argmin()]), int(nodes[along.argmax()])
     for last in (low, high):
-        clicks = [click_at(cloud_cabinet, low + high - last, 1), click_at(cloud_cabinet, last, 2)]
+        first = low + high - last
+        clicks = [click_at(cloud_cabinet, first, 1), click_at(cloud_cabinet, last, 2)]
         labels = session.segment(Prompts(tuple(clicks))).labels
-        nearer = np.linalg.norm(points[nodes] - points[last], axis=1) < np.linalg.norm(
-            points[nodes] - points[low + high - last], axis=1
-        )
-        assert np.array_equal(labels[nodes] == 2, nearer)
+        assert labels[first] == 1 and labels[last] == 2
+        if not close:
+            nearer = np.linalg.norm(points[nodes] - points[last], axis=1) < np.linalg.norm(
+                points[nodes] - points[first], axis=1
+            )
+            assert np.array_equal(labels[nodes] == 2, nearer)
 
 
 def test_candidates_differ_from_each_other_and_the_answer(session, cloud_cabinet):
