@@ -197,6 +197,11 @@ class Closeups:
         self._of.move_to_end(anchor)
         return self._of[anchor]
 
+    def small(self, mask: Bool) -> bool:
+        """Whether a mask over the object's cells (C,) is looked at closely."""
+        size = self._encoding.cells.size
+        return 0 < float(size[mask].sum()) <= SMALL * float(size.sum())
+
     def after(
         self,
         known: Mapping[int, ClosePart],
@@ -210,10 +215,9 @@ class Closeups:
             parts: what is known of all parts after it, in cells of the whole object.
         """
         cells = self._encoding.cells
-        most = SMALL * float(cells.size.sum())
         out: dict[int, ClosePart] = {}
         for part, own in parts.items():
-            if own.mask is None or not 0 < cells.size[own.mask].sum() <= most:
+            if own.mask is None or not self.small(own.mask):
                 continue
             anchor = next(
                 (s.node for s in steps

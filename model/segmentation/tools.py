@@ -16,6 +16,7 @@ from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import to_elements, to_nodes
 from model.segmentation.prompt_steps import locate
+from model.segmentation.prompts import Click, Prompts
 
 Bool = npt.NDArray[np.bool_]
 Position = Sequence[float] | npt.NDArray[np.floating]
@@ -24,10 +25,16 @@ _GAP = 3.0
 
 
 def hover(session: DefaultSession, position: Position, element: int | None = None) -> Bool:
-    """(E,) what a first click at ``position`` would take; for showing under the pointer."""
+    """(E,) what a first click at ``position`` would take; for showing under the pointer.
+
+    Small parts of a cloud take a close-up, a tenth of a second for each node that is pointed at.
+    """
     found, node = locate(session.asset, session.encoding.nodes, position, element)
     cells = session.encoding.cells
     mask = session.preview(int(cells.of_node[node]))
+    if session.closeups is not None and session.closeups.small(mask):
+        x, y, z = (float(v) for v in position)
+        return session.segment(Prompts((Click((x, y, z), 1, True, found),))).labels == 1
     out = to_elements(session, mask[cells.of_node])
     out[found] = True
     return out
