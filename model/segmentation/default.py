@@ -3,7 +3,8 @@
 An asset becomes at most 100k nodes, a graph with learned edge strengths, about ten thousand
 cells, three merge trees and three factorised random walks. A click gathers hypotheses (regions of
 the trees, boxes, the earlier mask with a region added or cut, walks from the clicks, walks that
-mend a mask) and a small network picks the one most like a part. Parts exclude each other.
+mend a mask) and a small network picks the one most like a part. Parts exclude each other. Small
+parts of clouds are answered on the nodes round them, see ``closeup.py``.
 """
 
 from __future__ import annotations
