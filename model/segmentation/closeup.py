@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -50,43 +51,46 @@ class ClosePart:
     """What is known of a part in a close-up.
 
     Attributes:
-        anchor: node in the middle of the close-up.
-        state: its clicks and mask, in cells of the close-up.
+        nodes: (K,) ascending, those of the whole object that are in the close-up.
+        state: its clicks and mask, over these nodes.
         ranked: the hypotheses of its latest click.
     """
 
-    anchor: int
+    nodes: Int
     state: PartState
     ranked: Ranked
+
+    def shows(self, step: Step) -> bool:
+        """Whether a prompt says anything of what is in the close-up."""
+        said = step.node if isinstance(step, ClickStep) else step.nodes
+        return bool(np.isin(said, self.nodes).any())
 
 
 class Closeup:
     """The surroundings of a node, encoded like an object.
 
     Attributes:
-        nodes: (K,) ascending, those of the whole object that are in it.
-        size: (C,) nodes in each cell.
+        nodes: (K,) ascending, those of the whole object that are in it; each is a cell.
     """
 
     def __init__(self, encoding: Encoding, anchor: int, axes: Float) -> None:
-        nodes, graph = encoding.nodes, encoding.graph
-        count = min(_NODES, len(nodes))
-        _, near = nodes.tree.query(nodes.points[anchor], k=count)
-        self.anchor = anchor
+        nodes = encoding.nodes
+        _, near = nodes.tree.query(nodes.points[anchor], k=min(_NODES, len(nodes)))
         self.nodes = np.sort(np.atleast_1d(near)).astype(np.int32)
         self._place = np.full(len(nodes), -1, np.int32)
-        self._place[self.nodes] = np.arange(count, dtype=np.int32)
+        self._place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
+        self._encoding, self._axes = encoding, axes
+
+    @cached_property
+    def _solver(self) -> ObjectSolver:
+        """Made when a click first needs it: most prompts only confirm what is there."""
+        nodes, graph = self._encoding.nodes, self._encoding.graph
         part, edges = _part_of(nodes, graph, self.nodes, self._place)
-        strength = encoding.strength[edges]
-        cells = build_cells(*part, strength, edge_weight(strength, part[1]), count)
-        self._of_node, self.size = cells.of_node, cells.size
+        strength = self._encoding.strength[edges]
+        cells = build_cells(*part, strength, edge_weight(strength, part[1]), len(self.nodes))
         # Factors are freed by the thread that made them.
         walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
-        self._solver = ObjectSolver(cells, hierarchy, walk, *shipped_scorers(), axes=axes)
-
-    def mask(self, cells: Bool) -> Bool:
-        """(K,) which of its nodes are in a mask over its cells (C,)."""
-        return cells[self._of_node]
+        return ObjectSolver(cells, hierarchy, walk, *shipped_scorers(), axes=self._axes)
 
     def after(
         self, known: ClosePart | None, steps: tuple[Step, ...], part: int, blocked: Bool
@@ -99,17 +103,14 @@ class Closeup:
         """
         state = known.state if known is not None else None
         ranked = known.ranked if known is not None else None
-        # A cell that is blocked in part only is not.
-        free = np.bincount(self._of_node, ~blocked, len(self.size)) > 0
         foreign: list[int] = []
         for step in steps:
             if not isinstance(step, ClickStep):
                 state = self._with_region(state, step.nodes, step.part == part, step.positive)
                 continue
-            place = int(self._place[step.node])
-            if place < 0:
+            cell, own = int(self._place[step.node]), step.part == part
+            if cell < 0:
                 continue
-            cell, own = int(self._of_node[place]), step.part == part
             if state is None or state.mask is None:
                 if own and step.positive:
                     state = PartState(negative=tuple(foreign))
@@ -123,16 +124,15 @@ class Closeup:
             if state.mask is not None and bool(state.mask[cell]) == positive:
                 state = with_click(state, cell, positive)
                 continue
-            stopped = ~free
+            stopped = blocked.copy()
             stopped[cell] = False
             ranked = self._solver.answer(state, cell, positive, stopped)
             mask = self._solver.tidy(ranked.best, state, cell)
             state = self._solver.moved(state, cell, positive, mask)
         if state is None or state.mask is None or ranked is None:
             return None
-        held = float(self.size[state.mask].sum())
-        fits = 0 < held <= _LARGE * len(self.nodes)
-        return ClosePart(self.anchor, state, ranked) if fits else None
+        fits = 0 < state.mask.sum() <= _LARGE * len(self.nodes)
+        return ClosePart(self.nodes, state, ranked) if fits else None
 
     def _with_region(
         self, state: PartState | None, nodes: Int, own: bool, positive: bool
@@ -141,8 +141,8 @@ class Closeup:
         if state is None or state.mask is None or (not own and not positive):
             return state
         place = self._place[nodes]
-        inside = np.zeros(len(self.size), bool)
-        inside[self._of_node[place[place >= 0]]] = True
+        inside = np.zeros(len(self.nodes), bool)
+        inside[place[place >= 0]] = True
         if not inside.any():
             return state
         mask = state.mask | inside if own and positive else state.mask & ~inside
@@ -226,6 +226,9 @@ class Closeups:
             if anchor is None:
                 continue
             before = known.get(part)
+            if before is not None and not before.shows(steps[-1]):
+                out[part] = before
+                continue
             closeup = self[anchor]
             blocked = self._blocked(parts, part)[cells.of_node[closeup.nodes]]
             todo = steps if before is None else steps[-1:]
@@ -255,17 +258,16 @@ class Closeups:
         """
         points = self._encoding.nodes.points
         for part, its in close.items():
-            closeup = self[its.anchor]
-            assert its.state.mask is not None
-            mask = closeup.mask(its.state.mask)
-            here = of_node[closeup.nodes]
+            mask = its.state.mask
+            assert mask is not None
+            here = of_node[its.nodes]
             left, others = (here == part) & ~mask, (here != part) & ~mask
             if left.any():
-                around = points[closeup.nodes]
+                around = points[its.nodes]
                 _, near = KDTree(around[others]).query(around[left])
                 here[left] = here[others][near]
             here[mask] = part
-            of_node[closeup.nodes] = here
+            of_node[its.nodes] = here
 
     def cells(self, close: ClosePart, own: PartState) -> Bool:
         """(C,) cells of the whole object most of which are in a mask, at least one.
@@ -273,10 +275,10 @@ class Closeups:
         Args:
             own: what is known of the part in these cells; it counts outside the close-up.
         """
-        cells, closeup = self._encoding.cells, self[close.anchor]
+        cells = self._encoding.cells
         assert own.mask is not None and close.state.mask is not None
         node = own.mask[cells.of_node]
-        node[closeup.nodes] = closeup.mask(close.state.mask)
+        node[close.nodes] = close.state.mask
         held = np.bincount(cells.of_node, node, len(cells)) / cells.size
         out = held > 0.5
         out[held.argmax()] = True
@@ -286,6 +288,5 @@ class Closeups:
         """``close`` with the other masks that a person is offered."""
         masks, own = close.ranked.candidates.masks, close.state.mask
         assert own is not None
-        size = self[close.anchor].size
-        for index in offered(masks, close.ranked.scores, own, size):
+        for index in offered(masks, close.ranked.scores, own, np.ones(len(own))):
             yield replace(close, state=replace(close.state, mask=masks[index]))
