@@ -342,12 +342,16 @@ class ObjectSolver(PartSolver):
         later_scorer: Mlp | None,
         shell: npt.NDArray[np.integer] | None = None,
         axes: Float | None = None,
+        of_mesh: bool = False,
     ) -> None:
         """``shell`` (C,): of a mesh, the shell of each cell; ``axes`` (3, 3): the main directions,
-        where they are known.
+        where they are known; ``of_mesh``: whether the cells are of faces, with ``shell`` or not.
         """
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
+        if self._mesh or of_mesh:
+            # Whole shells come and go, however near to their border a click is.
+            self._far_penalty = 0.0
         self._shells = None
         if shell is not None and len(np.unique(shell)) > 1:
             self._shells = _Shells(shell, cells.size)

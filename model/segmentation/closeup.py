@@ -90,7 +90,9 @@ class Closeup:
         cells = build_cells(*part, strength, edge_weight(strength, part[1]), len(self.nodes))
         # Factors are freed by the thread that made them.
         walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
-        return ObjectSolver(cells, hierarchy, walk, *shipped_scorers(), axes=self._axes)
+        return ObjectSolver(
+            cells, hierarchy, walk, *shipped_scorers(), axes=self._axes, of_mesh=nodes.of_mesh
+        )
 
     def after(
         self, known: ClosePart | None, steps: tuple[Step, ...], part: int, blocked: Bool
@@ -181,7 +183,7 @@ def _part_of(nodes: Nodes, graph: Graph, kept: Int, place: Int) -> tuple[tuple[N
 
 
 class Closeups:
-    """The close-ups of an encoded cloud, made where they are needed."""
+    """The close-ups of an encoded object, made where they are needed."""
 
     def __init__(self, encoding: Encoding, axes: Float) -> None:
         """``axes`` (3, 3): main directions of the whole object."""

@@ -83,7 +83,7 @@ class DefaultSession:
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
         fittings: what the small shells of a mesh are fastened to.
-        closeups: small parts of a cloud on the nodes themselves.
+        closeups: small parts of an object on the nodes themselves; None in a room.
     """
 
     def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
@@ -95,7 +95,7 @@ class DefaultSession:
         # On meshes shells tell what is fastened; in a room what lies on a table is no handle of it.
         self._islands = asset.mesh is None and encoding.room is None
         self.closeups: Closeups | None = None
-        if self._islands and isinstance(solver, ObjectSolver):
+        if encoding.room is None and isinstance(solver, ObjectSolver):
             self.closeups = Closeups(encoding, solver.axes)
         mesh = asset.mesh
         self._weight = np.ones(asset.element_count, np.float32)
@@ -151,9 +151,12 @@ class DefaultSession:
         if close is None or self.closeups is None:
             yield from whole
             return
-        for one, other in itertools.zip_longest(self.closeups.others(close), whole):
-            if one is not None:
-                yield replace(state, close={**state.close, part: one})
+        near = (
+            replace(state, close={**state.close, part: one}) for one in self.closeups.others(close)
+        )
+        # A small answer on a mesh is mostly a whole shell, and what is meant is what holds it.
+        turns = (near, whole) if self.asset.mesh is None else (whole, near)
+        for other in itertools.chain.from_iterable(itertools.zip_longest(*turns)):
             if other is not None:
                 yield other
 
@@ -264,6 +267,10 @@ class DefaultSession:
         assert own.mask is not None
         least = min(_SPECK * total, _SPECK_OF_PART * size[own.mask].sum())
         if size[mask & ~own.mask].sum() >= least:
+            return mask
+        apart = ((self.encoding.cells.center - self.encoding.cells.center[cell]) ** 2).sum(1)
+        if size[apart < apart[own.mask].min()].sum() < least:
+            # Right beside the part a click means what it brought: a near-perfect mask is mended.
             return mask
         most = max(_FAR_LARGER * size[own.mask].sum(), 20 * least)
         first = self.solver.first_answer(cell)

@@ -58,6 +58,11 @@ _STALL_DEMAND, _STALL_GROWTH, _STALL_MOST = 0.05, 3.0, 0.5
 """Share of the mask that a click has to change, how it grows with each one in vain, its limit."""
 _STALL_BALL = 2.0
 """The same limit in what is nearer to the click than the mask's border."""
+_RUN_FREE, _RUN_STALLS = 2, 0.5
+"""Clicks of one kind in a row that tell nothing, and what part of one in vain each more is."""
+_FAR, _FAR_PENALTY, _FAR_MOST = 10.0, 0.3, 3.0
+"""A mask that changes more than that times what is nearer to the click than the border before loses
+by the logarithm of it, up to the last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,7 @@ class PartState:
         positive, negative: clicked cells in order.
         mask: (C,) its cells.
         stalls: how many clicks in a row have hardly changed the mask.
+        run: clicks of the same kind in a row since the first, negative where they took away.
         drawn: how often the person has chosen or drawn another mask than the clicks brought.
         least, most: nodes of the largest mask from which something was missing, and of the smallest
             one that held too much.
@@ -77,6 +83,7 @@ class PartState:
     negative: tuple[int, ...] = ()
     mask: Bool | None = None
     stalls: int = 0
+    run: int = 0
     drawn: int = 0
     least: float = 0.0
     most: float = np.inf
@@ -98,6 +105,8 @@ class Ranked:
 
 class PartSolver:
     """Finds the mask that a part's clicks mean."""
+
+    _far_penalty = _FAR_PENALTY
 
     def __init__(
         self,
@@ -217,15 +226,15 @@ class PartSolver:
 
     def moved(self, state: PartState, cell: int, positive: bool, mask: Bool) -> PartState:
         """``state`` after a click that made the part ``mask``."""
-        stalls = 0
+        stalls = run = 0
         if state.mask is not None and state.mask.any():
             size = self.cells.size
             little = size[mask ^ state.mask].sum() < _STALL_SHARE * size[state.mask].sum()
             stalls = state.stalls + 1 if little else 0
+            run = max(state.run, 0) + 1 if positive else min(state.run, 0) - 1
         least, most = self._bounds(state, positive)
-        return replace(
-            with_click(state, cell, positive), mask=mask, stalls=stalls, least=least, most=most
-        )
+        after = with_click(state, cell, positive)
+        return replace(after, mask=mask, stalls=stalls, run=run, least=least, most=most)
 
     def _bounds(self, state: PartState, positive: bool) -> tuple[float, float]:
         """``least`` and ``most`` after a click: most people mend the larger error first."""
@@ -271,11 +280,16 @@ class PartSolver:
         apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
         other = state.mask != state.mask[cell]
         near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
+        # Who clicks right beside the border of a mask means what is there.
+        far = np.log(np.maximum(changed, 1.0) / (_FAR * max(near, 1e-9)))
+        against += self._far_penalty * np.clip(far, 0, _FAR_MOST)
         # A first answer that lies far from the next click was a detail: the handle of a door.
         detail = near > own and not state.mask[cell]
-        if state.stalls or detail:
+        run = state.run if positive else -state.run
+        stalls = state.stalls + _RUN_STALLS * max(run - _RUN_FREE, 0)
+        if stalls or detail:
             # Who clicks again after a click in vain means more than the last answers gave.
-            share = min(_STALL_DEMAND * _STALL_GROWTH**state.stalls, _STALL_MOST)
+            share = min(_STALL_DEMAND * _STALL_GROWTH**stalls, _STALL_MOST)
             wanted = min(share * (near if detail else own), _STALL_BALL * near)
             against += _STALL_PENALTY * np.clip(1 - changed / max(wanted, 1.0), 0, 1)
         return against

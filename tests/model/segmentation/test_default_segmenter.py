@@ -347,6 +347,56 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
     assert min(after) > -0.02, after
 
 
+def test_one_kind_of_click_again_and_again_counts_as_in_vain(session, cloud_cabinet) -> None:
+    solver, size = session.solver, session.encoding.cells.size
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    door = int(session.encoding.cells.of_node[deepest(points, truth)])
+    wide = solver.chain(door).masks
+    masks = wide[np.argsort(wide @ size)[[2, len(wide) // 3, len(wide) // 2]]]
+    state = solver.moved(PartState(), door, True, masks[0])
+    assert state.run == 0
+    for mask, run in ((masks[1], 1), (masks[2], 2), (masks[1], 3)):
+        state = solver.moved(state, door, True, mask)
+        assert state.run == run and state.stalls == 0
+    assert solver.moved(state, door, False, masks[0]).run == -1
+    barely = state.mask.copy()
+    barely[door] = False
+    nothing = np.zeros(1, np.float32)
+
+    def against(run: int) -> float:
+        known = replace(state, run=run)
+        return float(solver._unlikely(known, door, False, barely[None], nothing)[0])
+
+    assert against(-6) > against(-1) + 1
+    assert against(6) == against(-1)
+
+
+def test_a_click_beside_the_border_means_what_is_there(session, cloud_cabinet) -> None:
+    solver, cells = session.solver, session.encoding.cells
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    door = int(cells.of_node[deepest(points, truth)])
+    wide = solver.chain(door).masks
+    mask = wide[np.argsort(wide @ cells.size)[len(wide) // 2]]
+    links = cells.links
+    edge = int(links.b[mask[links.a] & ~mask[links.b]][0])
+    state = solver.moved(PartState(), door, True, mask)
+
+    def scores(penalty: float) -> tuple[np.ndarray, np.ndarray]:
+        solver._far_penalty = penalty
+        answer = solver.answer(state, edge, True, None)
+        return answer.candidates.masks, answer.scores
+
+    masks, free = scores(0.0)
+    same, fell = scores(0.3)
+    del solver._far_penalty
+    assert np.array_equal(masks, same)
+    apart = ((cells.center - cells.center[edge]) ** 2).sum(1)
+    near = cells.size[apart < apart[mask].min()].sum()
+    large = (masks ^ mask) @ cells.size > 10 * near
+    assert 0 < large.sum() < len(large) and np.array_equal(free > fell + 1e-6, large)
+    assert (free - fell).max() <= 0.9 + 1e-5
+
+
 def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabinet) -> None:
     solver, encoding = session.solver, session.encoding
     size = encoding.cells.size

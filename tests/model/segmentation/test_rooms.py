@@ -62,24 +62,34 @@ def test_a_lone_object_is_no_room() -> None:
     assert DefaultSegmenter().encode(asset).encoding.room is None
 
 
-def test_few_clicks_pick_an_object(room: LabelledCloud, session: DefaultSession) -> None:
-    ids, count = np.unique(room.labels[room.labels != NOTHING], return_counts=True)
-    points = room.cloud.points
-    reached = []
-    for part in ids[np.argsort(-count)][:5]:
-        truth = room.labels == part
-        clicks = [(deepest(points, truth), True)]
-        for _ in range(5):
-            prompts = Prompts(
-                tuple(Click(tuple(points[e].tolist()), 1, p, int(e)) for e, p in clicks)
-            )
-            answer = session.segment(prompts).labels == 1
-            found = next_click(points, truth, answer)
-            if found is None:
-                break
-            clicks.append(found)
-        reached.append(iou(answer, truth))
-    assert np.mean(reached) > 0.75, np.round(reached, 2)
+def test_few_clicks_pick_an_object_and_more_do_not_lose_it() -> None:
+    """The five largest objects of three rooms, so that one odd answer doesn't decide."""
+    reached, lost, played = [], [], 0
+    for seed in (SEED, SEED + 1, SEED + 2):
+        room = scanned_room(seed)
+        session = DefaultSegmenter().encode(Asset("room", cloud=room.cloud))
+        ids, count = np.unique(room.labels[room.labels != NOTHING], return_counts=True)
+        points = room.cloud.points
+        for part in ids[np.argsort(-count)][:5]:
+            truth = room.labels == part
+            clicks, curve = [(deepest(points, truth), True)], []
+            for _ in range(6):
+                prompts = Prompts(
+                    tuple(Click(tuple(points[e].tolist()), 1, p, int(e)) for e, p in clicks)
+                )
+                answer = session.segment(prompts).labels == 1
+                curve.append(iou(answer, truth))
+                found = next_click(points, truth, answer)
+                if found is None:
+                    break
+                clicks.append(found)
+            reached.append(curve[min(4, len(curve) - 1)])
+            # A click right beside a mask that is all but perfect must not throw it over.
+            more = [n for n in range(1, len(curve)) if clicks[n][1] and curve[n - 1] > 0.95]
+            played += len(more)
+            lost += [(part, curve) for n in more if curve[n] < curve[n - 1] - 0.1]
+    assert np.mean(reached) > 0.85, np.round(reached, 2)
+    assert played >= 15 and not lost, lost
 
 
 def test_scorers_of_rooms_can_be_trained_again(tmp_path) -> None:
