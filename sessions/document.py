@@ -38,10 +38,16 @@ class RegionRef:
 
 @dataclass(frozen=True)
 class PartInfo:
-    """A part that somebody declared or clicked. Its link is ``link_<id>``."""
+    """A part that somebody declared or clicked. Its link is ``link_<id>``.
+
+    Attributes:
+        id, name: its number, and what it is.
+        like: the part of which a tool found it to be another one: the same shape, a mirror image.
+    """
 
     id: int
     name: str | None = None
+    like: int | None = None
 
     @property
     def link(self) -> str:

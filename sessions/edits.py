@@ -236,9 +236,16 @@ def _known_part(document: Document, part: int) -> PartInfo:
 
 
 def _name_part(document: Document, part: int, name: str | None) -> Document:
-    if _known_part(document, part).name == name:
+    known = _known_part(document, part)
+    if known.name == name:
         return document
-    return _with_part(document, PartInfo(part, name))
+    if known.name is None:
+        # Whoever says what one of six equal knobs is has said it of all that have no name yet.
+        first = part if known.like is None else known.like
+        for other in document.parts:
+            if other.name is None and first in (other.id, other.like):
+                document = _with_part(document, replace(other, name=name))
+    return _with_part(document, replace(known, name=name))
 
 
 def _delete_part(document: Document, part: int) -> Document:
@@ -246,9 +253,15 @@ def _delete_part(document: Document, part: int) -> Document:
     assert part != BASE, "the command refuses the base"
     tree = None if document.tree is None else without_link(document.tree, gone.link)
     document = _clear_prompts(document, part)
+    parts = tuple(p for p in document.parts if p.id != part)
+    # Another part may get this number: those like it are like the first of them from now on.
+    first = next((p.id for p in parts if p.like == part), None)
     return replace(
         document,
-        parts=tuple(p for p in document.parts if p.id != part),
+        parts=tuple(
+            replace(p, like=None if p.id == first else first) if p.like == part else p
+            for p in parts
+        ),
         tree=tree,
         locked=_still_locked(document.locked, tree),
     )
@@ -315,7 +328,7 @@ def _apply_tool(document: Document, command: ApplyTool) -> Document:
             document = _delete_part(document, part)
     for r in command.regions:
         if document.part(r.part) is None:
-            document = _with_part(document, PartInfo(r.part, r.name))
+            document = _with_part(document, PartInfo(r.part, r.name, r.like))
         region = RegionRef(r.part, r.elements, r.positive, r.count, command.tool)
         document = _add_prompt(document, region)
     if document is before:

@@ -30,6 +30,7 @@ class ToolRegion:
         positive: False where they don't belong to the part.
         count: K, for people.
         name: of the part, where it is new.
+        like: where it is new, the part of which it is another one.
     """
 
     part: int
@@ -37,12 +38,15 @@ class ToolRegion:
     positive: bool = True
     count: int = 0
     name: str | None = None
+    like: int | None = None
 
     def __post_init__(self) -> None:
         check_part(self.part)
         check_ref(self.elements, "elements")
         check_count(self.count)
         put_field(self, "name", clean_name(self.name, "the part's name"))
+        if self.like is not None:
+            check_part(self.like)
 
 
 @dataclass(frozen=True)

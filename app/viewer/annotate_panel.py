@@ -162,7 +162,12 @@ class AnnotatePanel:
             if part and part not in {p.id for p in self._document().parts}:
                 self._app.do(cmd.AddPart(part, name))
             else:
+                before = len(self._document().part_names)
                 self._app.do(cmd.NamePart(part, name))
+                more = len(self._document().part_names) - before - 1
+                if name and more > 0:
+                    what = f"{more} more part{'s'[: more != 1]} of the same shape; undo for all"
+                    self._app.notify(f"{name.capitalize()}, too", what, "green")
 
     def _part_clicked(self, part: int) -> None:
         if self._app.pointing.armed == "merge":

@@ -141,8 +141,10 @@ class JointsPanel:
         unnamed, _ = self._unknown(self._app.need_object().document)
         if unnamed:
             self._app.do(cmd.NamePart(unnamed[0].id, name))
-            if len(unnamed) > 1:
-                self._app.choose_joint(unnamed[1].link)
+            # Others of the same shape have the name as well now.
+            unnamed, _ = self._unknown(self._app.need_object().document)
+            if unnamed:
+                self._app.choose_joint(unnamed[0].link)
             self._predict_what_is_known()
 
     def _predict_what_is_known(self) -> None:

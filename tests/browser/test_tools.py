@@ -13,6 +13,8 @@ from PIL import Image
 
 from app.tasks import asset_of
 
+OVEN = Path(__file__).parents[2] / "static_assets" / "examples" / "oven_scan.ply"
+
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
 
@@ -119,6 +121,25 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     region = tab.document.prompts[-1]
     assert region.tool == "cut" and region.part == 3
     assert tab.app.pointing.armed == ""
+
+
+def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:
+    """The bundled oven: one knob, the others by their shape, one name, one undo."""
+    tab = open_tab(start(OVEN))
+    wait_until(lambda: not tab.app.object.busy, "the object is encoded")
+    tab.prompt((-0.2518, -0.3616, 0.8229))
+    tab.key("z")
+    wait_until(lambda: len(tab.document.parts) > 3, "the other knobs are parts")
+    tab.settled()
+    knobs = [p.id for p in tab.document.parts if p.id]
+    assert not tab.document.part_names
+    tab.button("knob").click()
+    wait_until(lambda: tab.document.part_names, "a name")
+    assert tab.document.part_names == dict.fromkeys(knobs, "knob")
+    tab.page.get_by_text("more parts of the same shape").wait_for()
+    tab.key("Control+z")
+    wait_until(lambda: not tab.document.part_names, "all names are taken back")
+    assert [p.id for p in tab.document.parts if p.id] == knobs
 
 
 def test_a_painted_door_is_cut_out_of_two_triangles(

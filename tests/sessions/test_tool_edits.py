@@ -9,7 +9,16 @@ import pytest
 from model.errors import CommandError
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import Click
-from sessions.commands import AddClick, AddPart, NamePart, SetFrame, Undo, from_json, to_json
+from sessions.commands import (
+    AddClick,
+    AddPart,
+    DeletePart,
+    NamePart,
+    SetFrame,
+    Undo,
+    from_json,
+    to_json,
+)
 from sessions.document import Placement, RegionRef
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
@@ -41,6 +50,39 @@ def test_many_regions_are_one_step():
     assert state.present.label == "same shape, 3 parts"
     undone = apply(state, Undo(), HERE).present
     assert [p.id for p in undone.parts] == [0, 1] and len(undone.prompts) == 1
+
+
+def names(state: SessionState) -> list[str | None]:
+    return [p.name for p in state.present.parts]
+
+
+def alike(*parts: int, like: int = 1, tool: str = "same shape") -> ApplyTool:
+    return ApplyTool(tool, tuple(ToolRegion(i, A, True, 4, like=like) for i in parts))
+
+
+def test_one_name_is_for_all_that_were_found_alike():
+    found = done(AddClick(Click((0, 0, 0), 1)), alike(2, 3), AddClick(Click((1, 0, 0), 4)))
+    for said in (1, 3):
+        named = apply(found, NamePart(said, "knob"), HERE)
+        assert names(named) == [None, "knob", "knob", "knob", None]
+        assert names(apply(named, Undo(), HERE)) == [None] * 5
+    # What has a name already keeps it, and another name is for one part alone.
+    own = done(AddClick(Click((0, 0, 0), 1)), alike(2, 3), NamePart(2, "knob"), NamePart(3, "dial"))
+    assert names(own) == [None, "knob", "knob", "dial"]
+    assert names(apply(own, NamePart(1, None), HERE)) == [None, None, "knob", "dial"]
+    assert state_from_json(state_to_json(own)) == own
+
+
+def test_parts_stay_alike_when_the_first_is_deleted():
+    state = done(AddClick(Click((0, 0, 0), 1)), alike(2, 3), DeletePart(1))
+    state = apply(state, AddClick(Click((1, 0, 0), 1)), HERE)
+    assert names(apply(state, NamePart(1, "door"), HERE)) == [None, "door", None, None]
+    assert names(apply(state, NamePart(3, "knob"), HERE)) == [None, None, "knob", "knob"]
+
+
+def test_a_part_that_is_no_number_is_like_none():
+    with pytest.raises(CommandError):
+        ToolRegion(2, A, like=-3)
 
 
 def test_merging_gives_the_elements_and_removes_the_part():
