@@ -107,6 +107,8 @@ class PartSolver:
     """Finds the mask that a part's clicks mean."""
 
     _far_penalty = _FAR_PENALTY
+    _run_stalls = _RUN_STALLS
+    _stall_ball = _STALL_BALL
 
     def __init__(
         self,
@@ -286,11 +288,11 @@ class PartSolver:
         # A first answer that lies far from the next click was a detail: the handle of a door.
         detail = near > own and not state.mask[cell]
         run = state.run if positive else -state.run
-        stalls = state.stalls + _RUN_STALLS * max(run - _RUN_FREE, 0)
+        stalls = state.stalls + self._run_stalls * max(run - _RUN_FREE, 0)
         if stalls or detail:
             # Who clicks again after a click in vain means more than the last answers gave.
             share = min(_STALL_DEMAND * _STALL_GROWTH**stalls, _STALL_MOST)
-            wanted = min(share * (near if detail else own), _STALL_BALL * near)
+            wanted = min(share * (near if detail else own), self._stall_ball * near)
             against += _STALL_PENALTY * np.clip(1 - changed / max(wanted, 1.0), 0, 1)
         return against
 
