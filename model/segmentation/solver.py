@@ -65,6 +65,10 @@ _FAR, _FAR_PENALTY, _FAR_MOST = 10.0, 0.3, 3.0
 by the logarithm of it, up to the last."""
 
 
+_SPECK_NODES, _SPECK_PENALTY, _SPECK_MOST = 16.0, 3.0, 3.0
+"""A mask that becomes smaller than that many nodes loses by the logarithm of it, up to the last."""
+
+
 @dataclass(frozen=True, eq=False)
 class PartState:
     """What is known of one part so far.
@@ -282,6 +286,9 @@ class PartSolver:
         apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
         other = state.mask != state.mask[cell]
         near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
+        # Nobody wants a part of a handful of nodes, whoever takes something away least of all.
+        speck = np.log(np.minimum(_SPECK_NODES, own) / np.maximum(now, 1.0))
+        against += _SPECK_PENALTY * np.clip(speck, 0, _SPECK_MOST)
         # Who clicks right beside the border of a mask means what is there.
         far = np.log(np.maximum(changed, 1.0) / (_FAR * max(near, 1e-9)))
         against += self._far_penalty * np.clip(far, 0, _FAR_MOST)

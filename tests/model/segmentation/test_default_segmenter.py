@@ -371,6 +371,24 @@ def test_one_kind_of_click_again_and_again_counts_as_in_vain(session, cloud_cabi
     assert against(6) == against(-1)
 
 
+def test_what_is_taken_away_leaves_no_speck(session, cloud_cabinet) -> None:
+    solver, cells = session.solver, session.encoding.cells
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
+    door = int(cells.of_node[deepest(points, truth)])
+    wide = solver.chain(door).masks
+    mask = wide[np.argsort(wide @ cells.size)[len(wide) // 2]]
+    state = solver.moved(PartState(), door, True, mask)
+    small = np.argsort(np.where(mask, cells.size, np.inf))[:30]
+    kept = np.zeros((30, len(cells)), bool)
+    kept[np.arange(30), small] = True
+    kept = np.maximum.accumulate(kept)
+    against = solver._unlikely(state, door, False, kept, np.ones(30, np.float32))
+    left = kept @ cells.size
+    assert (left < 16).any() and (left > 16).any()
+    expected = np.clip(3 * np.log(16 / left), 0, 9)
+    np.testing.assert_allclose(against - against[-1], expected, atol=0.1)
+
+
 def test_a_click_beside_the_border_means_what_is_there(session, cloud_cabinet) -> None:
     solver, cells = session.solver, session.encoding.cells
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
