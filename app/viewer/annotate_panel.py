@@ -166,7 +166,9 @@ class AnnotatePanel:
                 self._app.do(cmd.NamePart(part, name))
                 more = len(self._document().part_names) - before - 1
                 if name and more > 0:
-                    what = f"{more} more part{'s'[: more != 1]} of the same shape; undo takes all back"
+                    what = (
+                        f"{more} more part{'s'[: more != 1]} of the same shape; undo takes all back"
+                    )
                     self._app.notify(f"{name.capitalize()}, too", what, "green")
 
     def _part_clicked(self, part: int) -> None:

@@ -33,7 +33,7 @@ from model.segmentation.plates import Plates, plates_of
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_scorers, solver_of
-from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, with_click
+from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
 
 _STATES = 256
 _SPARE = 10
@@ -201,12 +201,12 @@ class DefaultSession:
         if step.part == BASE:
             return self._after_base_click(state, cell, step.positive)
         parts, ranked = dict(state.parts), dict(state.ranked)
-        own = parts.get(step.part, PartState(negative=self._foreign(state, step.part)))
+        own = parts.get(step.part, self._begun(state, step.part))
         inside = own.mask is not None and bool(own.mask[cell])
         others = {q: s for q, s in parts.items() if q != step.part and s.mask is not None}
         if inside == step.positive and own.mask is not None:
             # The answer already agrees: a click that confirms must not disturb anything.
-            parts[step.part] = with_click(own, cell, step.positive)
+            parts[step.part] = agreeing(own, cell, step.positive)
         else:
             blocked = np.zeros(len(self.encoding.cells), bool)
             for other in others.values():
@@ -227,7 +227,6 @@ class DefaultSession:
             assert taken is not None
             for q, other in others.items():
                 assert other.mask is not None
-                yielded = with_click(other, cell, False)
                 if other.mask[cell]:
                     # The click says that this part was too large: ask again what it is.
                     rest = _union([s.mask for r, s in parts.items() if r != q], len(taken))
@@ -235,7 +234,7 @@ class DefaultSession:
                     ranked[q] = found
                     parts[q] = self.solver.moved(other, cell, False, found.best & ~rest)
                 else:
-                    parts[q] = replace(yielded, mask=other.mask & ~taken)
+                    parts[q] = replace(agreeing(other, cell, False), mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
 
     def _not_all(self, found: Ranked, state: _State, steps: tuple[Step, ...]) -> Bool:
@@ -282,10 +281,11 @@ class DefaultSession:
                 return mask | more
         return mask
 
-    def _foreign(self, state: _State, part: int) -> tuple[int, ...]:
-        """Cells clicked as something else: negatives of a part that begins."""
+    def _begun(self, state: _State, part: int) -> PartState:
+        """A part without clicks of its own: what was clicked as something else is not in it."""
         cells = [c for q, s in state.parts.items() if q != part for c in s.positive]
-        return tuple(dict.fromkeys([*state.base, *cells]))
+        foreign = tuple(dict.fromkeys([*state.base, *cells]))
+        return PartState(negative=foreign, agreed=(0, len(foreign)))
 
     def _after_base_click(self, state: _State, cell: int, positive: bool) -> _State:
         if not positive:
@@ -297,7 +297,7 @@ class DefaultSession:
                 ranked[part] = found
                 parts[part] = self.solver.moved(own, cell, False, found.best)
             else:
-                parts[part] = with_click(own, cell, False)
+                parts[part] = agreeing(own, cell, False)
         base = (*(c for c in state.base if c != cell), cell)
         return _State(parts, base, ranked)
 
@@ -309,7 +309,7 @@ class DefaultSession:
             if own.mask is not None and (step.positive or part == step.part):
                 parts[part] = replace(own, mask=own.mask & ~inside)
         if step.positive and step.part != BASE:
-            own = parts.get(step.part, PartState(negative=self._foreign(state, step.part)))
+            own = parts.get(step.part, self._begun(state, step.part))
             before = own.mask if own.mask is not None else np.zeros(len(cells), bool)
             parts[step.part] = replace(own, mask=before | inside)
         own, now = state.parts.get(step.part), parts.get(step.part)

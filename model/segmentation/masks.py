@@ -109,6 +109,7 @@ class Clicked:
         positive, negative: cells, in order.
         last: the cell clicked now, and on which side.
         before: (C,) the mask before this click, or None at the first.
+        agreed: how many of the positive and of the negative ones changed nothing.
     """
 
     positive: tuple[int, ...]
@@ -116,6 +117,7 @@ class Clicked:
     last: int
     last_positive: bool
     before: Bool | None = None
+    agreed: tuple[int, int] = (0, 0)
 
 
 def _rank(values: Float) -> npt.NDArray[np.int64]:
@@ -399,8 +401,8 @@ class MaskDescriber:
             growth = np.clip(np.log(area / max(was, 1e-9)), -4, 4)
             changed = moved[:, 1] / np.maximum(moved[:, 0], 1)
         return [
-            np.full(number, min(len(clicked.positive), 10)),
-            np.full(number, min(len(clicked.negative), 10)),
+            np.full(number, min(max(len(clicked.positive) - clicked.agreed[0], 1), 10)),
+            np.full(number, min(max(len(clicked.negative) - clicked.agreed[1], 0), 10)),
             np.full(number, float(clicked.last_positive)),
             overlap,
             growth,

@@ -81,6 +81,7 @@ class PartState:
         drawn: how often the person has chosen or drawn another mask than the clicks brought.
         least, most: nodes of the largest mask from which something was missing, and of the smallest
             one that held too much.
+        agreed: how many of the clicks of each kind only said what was so already.
     """
 
     positive: tuple[int, ...] = ()
@@ -91,6 +92,7 @@ class PartState:
     drawn: int = 0
     least: float = 0.0
     most: float = np.inf
+    agreed: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +215,7 @@ class PartSolver:
         after = with_click(state, cell, positive)
         if state.mask is None or not state.mask.any():
             return self._first_answer(after, cell, blocked)
-        clicked = Clicked(after.positive, after.negative, cell, positive, state.mask)
+        clicked = Clicked(after.positive, after.negative, cell, positive, state.mask, state.agreed)
         found = self._finish(self._region_hypotheses(state, after, cell, positive), after, blocked)
         if self._later is None:
             scores = self._rule(found, clicked)
@@ -271,7 +273,8 @@ class PartSolver:
         now, kept = (masks.astype(np.float32) @ sides).T
         changed = now + own - 2 * kept
         # Nobody clicks early to change a cell or two; later that may be all that is wrong.
-        said = len(state.positive) + len(state.negative) + _REGION_SAYS * state.drawn
+        said = max(len(state.positive) + len(state.negative) - sum(state.agreed), 1)
+        said += _REGION_SAYS * state.drawn
         early = np.exp(-(said - 1) / 2)
         idle = changed <= min(_IDLE_CELLS * size.mean(), _IDLE_SHARE * own)
         # And nobody clicks late to throw away most of what is there, unless nothing else helps.
@@ -437,6 +440,18 @@ def with_click(state: PartState, cell: int, positive: bool) -> PartState:
     if positive:
         return replace(state, positive=(*yes, cell), negative=no)
     return replace(state, positive=yes, negative=(*no, cell))
+
+
+def agreeing(state: PartState, cell: int, positive: bool) -> PartState:
+    """The clicks after one more that changes nothing: the part has ``cell``, or has it not.
+
+    Whoever clicks five places of a door's glass has told where it is, but has mended nothing: so
+    that the next click may still change much, such clicks don't count as steps.
+    """
+    new = cell not in (state.positive if positive else state.negative)
+    yes, no = state.agreed
+    agreed = (yes + (new and positive), no + (new and not positive))
+    return replace(with_click(state, cell, positive), agreed=agreed)
 
 
 def _seeds(state: PartState) -> tuple[npt.NDArray[np.int64], Float]:

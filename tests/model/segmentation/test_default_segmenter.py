@@ -442,3 +442,18 @@ def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabine
     assert scores(odd) == free
     after = solver.moved(odd, cell, True, mask)
     assert after.least == own and np.isinf(after.most)
+
+
+def test_clicks_that_agree_do_not_hold_the_mask_as_it_is() -> None:
+    """The clicks beside the bundled oven: five on the glass of its door, then its frame."""
+    folder = static_assets() / "examples"
+    session = DefaultSegmenter().encode(read_asset(folder / "oven_scan.ply"))
+    runs = json.loads((folder / "truth" / "oven_scan.json").read_text())["runs"]
+    labels = np.repeat([part for part, _ in runs], [count for _, count in runs])
+    told = json.loads((folder / "oven_scan.prompts.json").read_text())["clicks"]
+    clicks = [Click(tuple(c["position"]), 1) for c in told if c["part"] == 1]
+    reached = [
+        iou(session.segment(Prompts(tuple(clicks[:n]))).labels == 1, labels == 1)
+        for n in (5, len(clicks))
+    ]
+    assert reached[0] < 0.6 and reached[1] > 0.85, np.round(reached, 2)
