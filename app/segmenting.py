@@ -206,15 +206,16 @@ class Segmenting:
         named = request.tool in ("same shape", "mirror")
         name = doc.part_names.get(request.part) if named else None
         source = doc.part(request.part) if named else None
-        like = source if source is None or source.like is None else doc.part(source.like)
+        like = None if source is None else source.id if source.like is None else source.like
         regions = []
         for offer in offers:
             part = offer.part
             if part == tool_tasks.NEW_PART:
                 part = _free(used)
                 used.add(part)
-            of = None if like is None or like.id == part else like.id
-            regions.append(ToolRegion(part, offer.elements, offer.positive, offer.count, name, of))
+            regions.append(
+                ToolRegion(part, offer.elements, offer.positive, offer.count, name, like)
+            )
         gone = (request.other,) if request.tool == "merge" and request.other else ()
         obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, gone), who)
         return len(offers)

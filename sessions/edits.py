@@ -239,13 +239,14 @@ def _name_part(document: Document, part: int, name: str | None) -> Document:
     known = _known_part(document, part)
     if known.name == name:
         return document
+    named = [known]
     if known.name is None:
         # Whoever says what one of six equal knobs is has said it of all that have no name yet.
         first = part if known.like is None else known.like
-        for other in document.parts:
-            if other.name is None and first in (other.id, other.like):
-                document = _with_part(document, replace(other, name=name))
-    return _with_part(document, replace(known, name=name))
+        named = [p for p in document.parts if p.name is None and first in (p.id, p.like)]
+    for one in named:
+        document = _with_part(document, replace(one, name=name))
+    return document
 
 
 def _delete_part(document: Document, part: int) -> Document:

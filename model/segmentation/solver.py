@@ -63,8 +63,6 @@ _RUN_FREE, _RUN_STALLS = 2, 0.5
 _FAR, _FAR_PENALTY, _FAR_MOST = 10.0, 0.3, 3.0
 """A mask that changes more than that times what is nearer to the click than the border before loses
 by the logarithm of it, up to the last."""
-
-
 _SPECK_NODES, _SPECK_PENALTY, _SPECK_MOST = 16.0, 3.0, 3.0
 """A mask that becomes smaller than that many nodes loses by the logarithm of it, up to the last."""
 

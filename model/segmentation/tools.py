@@ -27,7 +27,7 @@ _GAP = 3.0
 def hover(session: DefaultSession, position: Position, element: int | None = None) -> Bool:
     """(E,) what a first click at ``position`` would take; for showing under the pointer.
 
-    Small parts of a cloud take a close-up, a tenth of a second for each node that is pointed at.
+    Small parts take a close-up, a tenth of a second for each node that is pointed at.
     """
     found, node = locate(session.asset, session.encoding.nodes, position, element)
     cells = session.encoding.cells

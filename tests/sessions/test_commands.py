@@ -168,8 +168,9 @@ VERSION_1 = [
 
 
 NEWER_FIELDS = {"accept": {"override": ""}}
-NEWER_REGION = {"like": None}
 """What later versions added, with its default."""
+NEWER_REGION = {"like": None}
+"""The same for each region of a tool."""
 
 
 @pytest.mark.parametrize("data", VERSION_1, ids=lambda d: d["kind"])
