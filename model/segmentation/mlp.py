@@ -14,6 +14,8 @@ from model.segmentation.parallel import mapped
 
 FORMAT = 1
 _CHUNK = 65_536
+_CONSTANT = 1e-5
+"""Spread of an input that never varied in training, so that no weight of it was learned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +24,7 @@ class Mlp:
 
     Attributes:
         names: of the input features, checked against the code that makes them.
-        mean, scale: (D,) float32 of the training data.
+        mean, scale: (D,) float32 of the training data; what never varied there is left out.
         layers: (weight (out, in), bias (out,)) float32 pairs.
     """
 
@@ -34,9 +36,10 @@ class Mlp:
     def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """(N,) outputs of (N, D) features."""
         out = np.empty(len(features), np.float32)
+        scale = np.where(self.scale > _CONSTANT, self.scale, np.float32(np.inf))
 
         def answer(begin: int) -> None:
-            x = (features[begin : begin + _CHUNK] - self.mean) / self.scale
+            x = (features[begin : begin + _CHUNK] - self.mean) / scale
             x = np.clip(x, -8, 8)
             for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight.T + bias, 0)

@@ -270,6 +270,27 @@ def test_tab_shows_masks_that_differ_and_whole_drawers() -> None:
             assert all(overlap(mask, other) < 0.9 for other in shown[:i])
 
 
+def test_the_last_door_is_as_good_as_the_first() -> None:
+    """Clicks on other parts don't make a first click take all that is left."""
+    path = static_assets() / "examples" / "cabinet.glb"
+    truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
+    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
+    asset = read_asset(path)
+    assert asset.mesh is not None
+    area = asset.mesh.face_areas
+    spots = {
+        1: (-0.4201, -0.2324, 0.4439), 2: (-0.0170, -0.2400, 0.5951), 3: (-0.1106, -0.2400, 0.4426),
+        4: (-0.1107, -0.2400, 0.2302), 5: (0.4350, -0.2320, 0.4240),
+    }  # fmt: skip
+    session = DefaultSegmenter().encode(asset)
+    clicks = []
+    for part, spot in spots.items():
+        clicks.append(Click(spot, part))
+        own = session.segment(Prompts(tuple(clicks))).labels == part
+        taken = np.bincount(labels[own], area[own])
+        assert taken[part] > 0.97 * area[own].sum(), f"part {part} takes {taken}"
+
+
 @pytest.fixture
 def stubborn(session) -> PartSolver:
     """A solver whose scorer would rather keep the mask."""

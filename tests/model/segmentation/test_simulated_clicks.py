@@ -79,6 +79,20 @@ def test_mlp_round_trip(tmp_path):
         load_mlp(tmp_path / "none.npz", ())
 
 
+def test_what_never_varied_in_training_says_nothing():
+    """A first click in training knows no others; later ones must not be judged by chance weights."""
+    rng = np.random.default_rng(0)
+    layers = ((rng.normal(size=(1, 3)).astype(np.float32), np.zeros(1, np.float32)),)
+    scale = np.array([1, 1e-6, 1], np.float32)
+    mlp = Mlp(("a", "b", "c"), np.zeros(3, np.float32), scale, layers)
+    x = rng.normal(size=(10, 3)).astype(np.float32)
+    other = x.copy()
+    other[:, 1] += 3
+    assert np.array_equal(mlp(x), mlp(other))
+    other[:, 0] += 3
+    assert not np.array_equal(mlp(x), mlp(other))
+
+
 def test_area_under_curve_of_a_perfect_and_a_blind_score():
     truth = np.array([True, True, False, False])
     assert area_under_curve(np.array([4.0, 3.0, 2.0, 1.0]), truth) == 1.0
