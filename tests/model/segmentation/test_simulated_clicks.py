@@ -80,7 +80,7 @@ def test_mlp_round_trip(tmp_path):
 
 
 def test_what_never_varied_in_training_says_nothing():
-    """A first click in training knows no others; later ones must not be judged by chance weights."""
+    """Training knows no clicks on other parts; real ones must not be judged by chance weights."""
     rng = np.random.default_rng(0)
     layers = ((rng.normal(size=(1, 3)).astype(np.float32), np.zeros(1, np.float32)),)
     scale = np.array([1, 1e-6, 1], np.float32)
