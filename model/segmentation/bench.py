@@ -26,6 +26,7 @@ from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.proposal import propose
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
+from model.segmentation.seen_clicks import clicked_as_seen, picture_of
 from model.segmentation.simulate import deepest, next_click, next_part_click
 
 DataSet = Literal["partnet", "partnet-one-sided", "partnet-mesh", "procedural",
@@ -52,7 +53,8 @@ class BenchConfig:
         least: elements that a part needs to be asked for.
         cap: clicks at most.
         first: where the first click goes.
-        competing: also let all parts compete, one to three clicks each.
+        competing: also let all parts compete, one to three clicks each, and on meshes by clicks on
+            what is seen of them.
         json_path: where to write the report.
     """
 
@@ -78,6 +80,7 @@ class BenchRow:
     the other masks which the segmenter offers for it (Tab), in their order. ``proposed`` holds
     the best IoU of each part with a part of the proposal or its base, ``guesses`` for each object
     how many parts are proposed and how many of them overlap with a true one by over a half.
+    ``seen`` holds, for each mesh and round of clicks on what is seen, the IoU there and of all.
     ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
     """
 
@@ -91,6 +94,7 @@ class BenchRow:
     names: list[str] = field(default_factory=list)
     moves: list[bool] = field(default_factory=list)
     competing: list[list[float]] = field(default_factory=list)
+    seen: list[list[tuple[float, float]]] = field(default_factory=list)
     encode_seconds: list[float] = field(default_factory=list)
     click_seconds: list[float] = field(default_factory=list)
     undo_seconds: list[float] = field(default_factory=list)
@@ -105,6 +109,10 @@ class BenchRow:
         for number in range(3):
             done = [c[number] for c in self.competing]
             out[f"all@{number + 1}"] = float(np.mean(done)) if done else float("nan")
+            if self.seen:
+                there, whole = np.mean([s[number] for s in self.seen], axis=0)
+                out[f"seen all@{number + 1}"] = float(there)
+                out[f"seen, of all all@{number + 1}"] = float(whole)
         if self.guesses:
             number, right = np.sum(self.guesses, axis=0)
             out["proposed IoU"] = float(np.mean(self.proposed))
@@ -152,7 +160,7 @@ class BenchReport:
             table.add_column(f"{row.segmenter}\n{row.dataset}", justify="right")
         summaries = [r.summary() for r in self.rows]
         for name in dict.fromkeys(n for s in summaries for n in s):
-            digits = 3 if "IoU" in name or name.startswith("all@") else 1
+            digits = 3 if "IoU" in name or "all@" in name else 1
             cells = (f"{s[name]:.{digits}f}" if name in s else "" for s in summaries)
             table.add_row(name, *cells)
         Console().print(table)
@@ -175,6 +183,7 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
                 _one_against_the_rest(session, item, config, row, number)
                 if config.competing and item.whole:
                     _all_competing(session, item, row)
+                    _as_seen(session, item, row)
                 if isinstance(session, DefaultSession) and item.whole:
                     _proposal(session, item, row)
             row.peak_megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -288,6 +297,17 @@ def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRo
         if number % len(parts) == 0:
             result.append(float(np.mean([pointer.iou(labels == p, full == p) for p in parts])))
     row.competing.append(result)
+
+
+def _as_seen(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
+    """The same by what a person sees of a mesh; nobody clicks the base."""
+    if item.asset.mesh is None:
+        return
+    rounds = clicked_as_seen(
+        session, picture_of(item.asset), item.labels, item.asset.mesh.face_areas
+    )
+    if rounds:
+        row.seen.append(rounds)
 
 
 def _proposal(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:

@@ -238,16 +238,16 @@ class DefaultSession:
         return _State(parts, state.base, ranked)
 
     def _not_all(self, found: Ranked, state: _State, steps: tuple[Step, ...]) -> Bool:
-        """The best first answer that plates and shells don't make the whole mesh.
+        """The best first answer that plates and shells don't make all that is left of the mesh.
 
         The solver has none of the whole object, but faces may be far more than their cells.
         """
         masks, part = found.candidates.masks, steps[-1].part
+        left = self._all
+        if state.parts:
+            left = float(self._weight[self._labels(steps[:-1], state) == BASE].sum())
         for index in np.argsort(-found.scores, kind="stable")[:_TRIED]:
-            if (
-                self._weight @ self._taken(masks[index], part, state, steps)
-                <= NEARLY_ALL * self._all
-            ):
+            if self._weight @ self._taken(masks[index], part, state, steps) <= NEARLY_ALL * left:
                 return masks[index]
         return found.best
 

@@ -40,7 +40,7 @@ _CHOSEN = 5.0
 """How much more such a mask is worth keeping than one that clicks brought."""
 
 NEARLY_ALL = 0.9
-"""Of the object: a first answer takes no more, since a part moves against something."""
+"""Of what is left: a first answer takes no more, since a part moves against something."""
 _ALL_RAMP = 0.05
 _ALL_PENALTY = 12.0
 """For a first answer that takes that share of the object, and the ramp more."""
@@ -319,15 +319,16 @@ class PartSolver:
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
-        return Ranked(found, features, scores - self._everything(found.masks))
+        return Ranked(found, features, scores - self._everything(found.masks, blocked))
 
-    def _everything(self, masks: Bool) -> Float:
-        """(H,) what speaks against first answers of nearly the whole object.
+    def _everything(self, masks: Bool, blocked: Bool | None) -> Float:
+        """(H,) what speaks against first answers of nearly all that other parts have left.
 
         A part moves against something, and what nobody claims is the base without a click.
         """
         size = self.cells.size.astype(np.float32)
-        share = (masks.astype(np.float32) @ size) / size.sum()
+        free = size if blocked is None else size * ~blocked
+        share = (masks.astype(np.float32) @ size) / max(float(free.sum()), 1e-9)
         return _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
 
     def _region_hypotheses(

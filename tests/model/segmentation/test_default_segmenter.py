@@ -291,6 +291,22 @@ def test_the_last_door_is_as_good_as_the_first() -> None:
         assert taken[part] > 0.97 * area[own].sum(), f"part {part} takes {taken}"
 
 
+def test_a_first_click_leaves_something_of_what_others_left(session) -> None:
+    """However large the scorer wants it: what nobody claims is the base that the part moves on."""
+    weight = np.array([[3.0 * (n == "log_size") for n in FEATURE_NAMES]], np.float32)
+    zero = np.zeros(len(FEATURE_NAMES), np.float32)
+    greedy = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    encoding = session.encoding
+    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, greedy, None)
+    taken = encoding.cells.center[:, 0] < 0.5
+    free = float(encoding.cells.size[~taken].sum())
+    for x, y, z in ((0.75, -0.02, 0.4), (0.99, 0.25, 0.4), (0.75, 0.25, 0.8)):
+        cell = int(np.abs(encoding.cells.center - (x, y, z)).sum(1).argmin())
+        best = solver.answer(PartState(), cell, True, taken).best
+        assert not best[taken].any()
+        assert encoding.cells.size[best].sum() < 0.95 * free
+
+
 @pytest.fixture
 def stubborn(session) -> PartSolver:
     """A solver whose scorer would rather keep the mask."""

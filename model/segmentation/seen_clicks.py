@@ -1,0 +1,152 @@
+"""Clicks as a person makes them: on what is seen, all moving parts, nobody clicks the base.
+
+The field's protocol clicks the deepest point of a part wherever that is, inside a shut drawer too.
+Whoever looks at a mesh on a screen clicks the middle of the piece of the part that is seen, then
+the middle of the largest piece that looks wrong: as the part that it is, or with Shift where it is
+too much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt, label
+
+from model.geometry.asset import Asset
+from model.geometry.picking import Camera, Picker
+from model.segmentation.prompts import BASE, Click, Prompts
+from model.segmentation.protocol import SegmentationSession
+
+Bool = npt.NDArray[np.bool_]
+Labels = npt.NDArray[np.int16]
+
+_ROWS, _COLUMNS = 200, 240
+_FOV = 0.6
+_LEAST = 12
+"""Pixels that a part or an error has to have to be clicked."""
+_NOTHING = -1
+FRONT = (-1.0, 0.0, 0.0)
+"""Where PartNet-Mobility's objects and those made like them look to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What is seen of an asset from its front, the side and above.
+
+    Attributes:
+        element: (R, C) int64 the element in each pixel, -1 where there is none.
+        position: (R, C, 3) metres, where it is hit.
+    """
+
+    element: npt.NDArray[np.int64]
+    position: npt.NDArray[np.float64]
+
+    def of(self, labels: Labels) -> Labels:
+        """(R, C) the part in each pixel, -1 where there is nothing."""
+        return np.where(self.element < 0, np.int16(_NOTHING), labels[self.element])
+
+    def click(self, region: Bool, part: int, positive: bool = True) -> Click:
+        """A click into the middle of the largest piece of a region (R, C)."""
+        piece, _ = largest_piece(region)
+        row, column = middle_of(piece)
+        x, y, z = self.position[row, column].tolist()
+        return Click((x, y, z), part, positive, int(self.element[row, column]))
+
+
+def picture_of(asset: Asset, front: npt.ArrayLike = FRONT) -> Picture:
+    """What a person sees of ``asset`` when it is opened, 240 by 200 pixels."""
+    low, high = asset.bounds
+    middle = (low + high) / 2
+    ahead = np.asarray(front, np.float64)
+    toward = ahead + 0.5 * np.cross(ahead, (0.0, 0.0, 1.0)) + (0.0, 0.0, 0.45)
+    toward /= np.linalg.norm(toward)
+    right = np.cross(-toward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(-toward, right), -toward], axis=1)
+    away = 0.55 * float(np.linalg.norm(high - low)) / np.tan(_FOV / 2)
+    camera = Camera(middle + away * toward, turn, _FOV, _COLUMNS / _ROWS)
+    row, column = np.mgrid[:_ROWS, :_COLUMNS]
+    at = np.stack([(column.ravel() + 0.5) / _COLUMNS, (row.ravel() + 0.5) / _ROWS], axis=1)
+    picker = Picker(asset)
+    element = np.full(_ROWS * _COLUMNS, _NOTHING, np.int64)
+    position = np.zeros((_ROWS * _COLUMNS, 3))
+    for pixel, direction in enumerate(camera.directions(at)):
+        hit = picker.pick(camera.position, direction, pixel_angle=_FOV / _ROWS)
+        if hit is not None:
+            element[pixel], position[pixel] = hit.element, hit.position
+    return Picture(element.reshape(_ROWS, _COLUMNS), position.reshape(_ROWS, _COLUMNS, 3))
+
+
+def largest_piece(region: Bool) -> tuple[Bool, int]:
+    """The largest connected piece of a region, and how many pixels it has."""
+    number = np.zeros(region.shape, np.int32)
+    label(region, output=number)
+    size = np.bincount(number.ravel())[1:]
+    if not len(size):
+        return region, 0
+    return number == 1 + size.argmax(), int(size.max())
+
+
+def middle_of(piece: Bool) -> tuple[int, int]:
+    """Row and column of the pixel that is farthest from the piece's outline."""
+    depth = np.asarray(distance_transform_edt(np.pad(piece, 1)))
+    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    return int(row) - 1, int(column) - 1
+
+
+def clicked_as_seen(
+    session: SegmentationSession,
+    picture: Picture,
+    truth: Labels,
+    weight: npt.NDArray[np.floating],
+    rounds: int = 3,
+) -> list[tuple[float, float]]:
+    """Mean IoU of the moving parts that are seen, after each round of a click a part.
+
+    Args:
+        truth: (E,) the true part of each element, 0 the base.
+        weight: (E,) area of each element.
+
+    Returns:
+        For each round the IoU of what is seen, and by area of all elements; nothing where no moving
+        part is seen.
+    """
+    true = picture.of(truth)
+    parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= _LEAST]
+    clicks = [picture.click(true == part, part) for part in parts]
+    out: list[tuple[float, float]] = []
+    for number in range(rounds if parts else 0):
+        if number:
+            for _ in parts:
+                labels = session.segment(Prompts(tuple(clicks))).labels
+                more = _next(picture, true, picture.of(labels), parts)
+                if more is None:
+                    break
+                clicks.append(more)
+        labels = session.segment(Prompts(tuple(clicks))).labels
+        shown, one = picture.of(labels), np.ones(true.shape)
+        out.append(
+            (
+                float(np.mean([_iou(shown == p, true == p, one) for p in parts])),
+                float(np.mean([_iou(labels == p, truth == p, weight) for p in parts])),
+            )
+        )
+    return out
+
+
+def _next(picture: Picture, true: Labels, shown: Labels, parts: list[int]) -> Click | None:
+    """The click on the largest piece of one true part that looks wrong; None where all is right."""
+    pieces = [(largest_piece((true == p) & (shown != p)), p) for p in [BASE, *parts]]
+    (piece, size), part = max(pieces, key=lambda found: found[0][1])
+    if size < _LEAST:
+        return None
+    if part != BASE:
+        return picture.click(piece, part)
+    row, column = middle_of(piece)
+    return picture.click(piece, int(shown[row, column]), positive=False)
+
+
+def _iou(answer: Bool, truth: Bool, weight: npt.NDArray[np.floating]) -> float:
+    return float(weight[answer & truth].sum() / max(weight[answer | truth].sum(), 1e-12))
