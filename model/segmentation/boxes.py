@@ -29,7 +29,7 @@ from model.segmentation.mlp import Mlp
 from model.segmentation.parallel import together
 from model.segmentation.plane_boxes import STEPS as _STEPS
 from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
-from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.solver import LARGE_PENALTY, PartSolver, PartState
 from model.segmentation.walk import Walk
 
 BOX_FEATURES = (
@@ -352,6 +352,7 @@ class ObjectSolver(PartSolver):
         if self._mesh or of_mesh:
             # Whole shells come and go, however near to their border a click is.
             self._far_penalty = 0.0
+            self._large_penalty = LARGE_PENALTY
         self._shells = None
         if shell is not None and len(np.unique(shell)) > 1:
             self._shells = _Shells(shell, cells.size)

@@ -61,7 +61,7 @@ def _answers(session: DefaultSession, asked: npt.NDArray[np.int64]) -> tuple[Boo
     masks: list[Bool] = []
     said: list[tuple[int, int, float]] = []
     for row, cell in enumerate(asked.tolist()):
-        answer = session.solver.first_answer(cell)
+        answer = session.solver.first_answer(cell, of_a_part=False)
         best = np.argsort(-answer.scores, kind="stable")[:_ANSWERS]
         power = np.exp((answer.scores[best] - answer.scores[best[0]]) / _TEMPERATURE)
         for index, share in zip(best, power / power.sum(), strict=True):

@@ -43,7 +43,10 @@ NEARLY_ALL = 0.9
 """Of what is left: a first answer takes no more, since a part moves against something."""
 _ALL_RAMP = 0.05
 _ALL_PENALTY = 12.0
-"""For a first answer that takes that share of the object, and the ramp more."""
+"""For a first answer that takes that share of it, and the ramp more."""
+LARGE_PENALTY = 2.0
+_LARGE, _LARGE_RAMP = 0.5, 0.2
+"""On meshes the same for that share of the whole object: hardly any part that moves is so large."""
 
 _SIZE_PENALTY = 4.0
 """For a mask e times as large as one that was too large, or that much smaller."""
@@ -111,6 +114,7 @@ class PartSolver:
     """Finds the mask that a part's clicks mean."""
 
     _far_penalty = _FAR_PENALTY
+    _large_penalty = 0.0
     _run_stalls = _RUN_STALLS
     _stall_ball = _STALL_BALL
 
@@ -181,9 +185,16 @@ class PartSolver:
         """What a first click on a cell may mean."""
         return self.chain(cell)
 
-    def first_answer(self, cell: int) -> Ranked:
-        """Hypotheses for a first click on ``cell`` with nothing else said."""
-        return self.answer(PartState(), cell, True, None)
+    def first_answer(self, cell: int, *, of_a_part: bool = True) -> Ranked:
+        """Hypotheses for a first click on ``cell`` with nothing else said.
+
+        Args:
+            of_a_part: nobody clicks the base; without that the base, too, may be meant.
+        """
+        found = self.answer(PartState(), cell, True, None)
+        if of_a_part or not self._large_penalty:
+            return found
+        return replace(found, scores=found.scores + self._large(found.candidates.masks))
 
     def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
         """``mask`` without crumbs and pinholes that no click asked for.
@@ -322,14 +333,22 @@ class PartSolver:
         return Ranked(found, features, scores - self._everything(found.masks, blocked))
 
     def _everything(self, masks: Bool, blocked: Bool | None) -> Float:
-        """(H,) what speaks against first answers of nearly all that other parts have left.
+        """(H,) what speaks against first answers of nearly all that other parts have left, and on
+        meshes of most of the object.
 
         A part moves against something, and what nobody claims is the base without a click.
         """
         size = self.cells.size.astype(np.float32)
         free = size if blocked is None else size * ~blocked
         share = (masks.astype(np.float32) @ size) / max(float(free.sum()), 1e-9)
-        return _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
+        against = _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
+        return against + self._large(masks)
+
+    def _large(self, masks: Bool) -> Float:
+        """(H,) what speaks against first answers of most of a mesh."""
+        size = self.cells.size.astype(np.float32)
+        share = masks.astype(np.float32) @ size / size.sum()
+        return self._large_penalty * np.clip((share - _LARGE) / _LARGE_RAMP, 0, 1)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool
