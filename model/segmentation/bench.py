@@ -112,7 +112,7 @@ class BenchRow:
             if self.seen:
                 there, whole = np.mean([s[number] for s in self.seen], axis=0)
                 out[f"seen all@{number + 1}"] = float(there)
-                out[f"seen, of all all@{number + 1}"] = float(whole)
+                out[f"seen all@{number + 1}, hidden too"] = float(whole)
         if self.guesses:
             number, right = np.sum(self.guesses, axis=0)
             out["proposed IoU"] = float(np.mean(self.proposed))
