@@ -301,11 +301,10 @@ def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRo
 
 def _as_seen(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
     """The same by what a person sees of a mesh; nobody clicks the base."""
-    if item.asset.mesh is None:
+    mesh = item.asset.mesh
+    if mesh is None:
         return
-    rounds = clicked_as_seen(
-        session, picture_of(item.asset), item.labels, item.asset.mesh.face_areas
-    )
+    rounds = clicked_as_seen(session, picture_of(mesh), item.labels, mesh.face_areas)
     if rounds:
         row.seen.append(rounds)
 

@@ -243,17 +243,12 @@ class DefaultSession:
         The solver has none of the whole object, but faces may be far more than their cells.
         """
         masks, part = found.candidates.masks, steps[-1].part
-        left = self._all
-        if state.parts:
-            left = float(self._weight[self._labels(steps[:-1], state) == BASE].sum())
         for index in np.argsort(-found.scores, kind="stable")[:_TRIED]:
-            if self._weight @ self._taken(masks[index], part, state, steps) <= NEARLY_ALL * left:
+            labels = self._labels(steps, _with_mask(state, part, masks[index]))
+            taken, left = (self._weight[labels == p].sum() for p in (part, BASE))
+            if taken <= NEARLY_ALL * (taken + left):
                 return masks[index]
         return found.best
-
-    def _taken(self, mask: Bool, part: int, state: _State, steps: tuple[Step, ...]) -> Bool:
-        """(E,) the elements that would be those of ``part`` if its cells were ``mask``."""
-        return self._labels(steps, _with_mask(state, part, mask)) == part
 
     def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
         """``mask``, widened where yet another positive click beside it brought hardly anything.

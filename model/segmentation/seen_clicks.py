@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label
 
-from model.geometry.asset import Asset
-from model.geometry.picking import Camera, Picker
+from model.datasets.procedural.casting import Caster, camera_rays
+from model.geometry.mesh import Mesh
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.protocol import SegmentationSession
 
@@ -33,7 +33,7 @@ FRONT = (-1.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is seen of an asset from its front, the side and above.
+    """What is seen of a mesh from its front, the side and above.
 
     Attributes:
         element: (R, C) int64 the element in each pixel, -1 where there is none.
@@ -47,35 +47,26 @@ class Picture:
         """(R, C) the part in each pixel, -1 where there is nothing."""
         return np.where(self.element < 0, np.int16(_NOTHING), labels[self.element])
 
-    def click(self, region: Bool, part: int, positive: bool = True) -> Click:
-        """A click into the middle of the largest piece of a region (R, C)."""
-        piece, _ = largest_piece(region)
-        row, column = middle_of(piece)
-        x, y, z = self.position[row, column].tolist()
-        return Click((x, y, z), part, positive, int(self.element[row, column]))
+    def click(self, pixel: tuple[int, int], part: int, positive: bool = True) -> Click:
+        """A click on a pixel (row, column)."""
+        x, y, z = self.position[pixel].tolist()
+        return Click((x, y, z), part, positive, int(self.element[pixel]))
 
 
-def picture_of(asset: Asset, front: npt.ArrayLike = FRONT) -> Picture:
-    """What a person sees of ``asset`` when it is opened, 240 by 200 pixels."""
-    low, high = asset.bounds
+def picture_of(mesh: Mesh, front: npt.ArrayLike = FRONT) -> Picture:
+    """What a person sees of ``mesh`` when it is opened, 240 by 200 pixels."""
+    low, high = mesh.bounds
     middle = (low + high) / 2
     ahead = np.asarray(front, np.float64)
     toward = ahead + 0.5 * np.cross(ahead, (0.0, 0.0, 1.0)) + (0.0, 0.0, 0.45)
     toward /= np.linalg.norm(toward)
-    right = np.cross(-toward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    turn = np.stack([right, np.cross(-toward, right), -toward], axis=1)
-    away = 0.55 * float(np.linalg.norm(high - low)) / np.tan(_FOV / 2)
-    camera = Camera(middle + away * toward, turn, _FOV, _COLUMNS / _ROWS)
-    row, column = np.mgrid[:_ROWS, :_COLUMNS]
-    at = np.stack([(column.ravel() + 0.5) / _COLUMNS, (row.ravel() + 0.5) / _ROWS], axis=1)
-    picker = Picker(asset)
+    eye = middle + 0.55 * float(np.linalg.norm(high - low)) / np.tan(_FOV / 2) * toward
+    directions = camera_rays(eye, middle, _COLUMNS, _ROWS, _FOV)
+    origins = np.broadcast_to(eye, directions.shape)
+    hits = Caster([mesh]).cast(origins, directions, colors=False)
     element = np.full(_ROWS * _COLUMNS, _NOTHING, np.int64)
     position = np.zeros((_ROWS * _COLUMNS, 3))
-    for pixel, direction in enumerate(camera.directions(at)):
-        hit = picker.pick(camera.position, direction, pixel_angle=_FOV / _ROWS)
-        if hit is not None:
-            element[pixel], position[pixel] = hit.element, hit.position
+    element[hits.ray], position[hits.ray] = hits.face, hits.points
     return Picture(element.reshape(_ROWS, _COLUMNS), position.reshape(_ROWS, _COLUMNS, 3))
 
 
@@ -115,17 +106,19 @@ def clicked_as_seen(
     """
     true = picture.of(truth)
     parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= _LEAST]
-    clicks = [picture.click(true == part, part) for part in parts]
+    if not parts:
+        return []
+    middles = [middle_of(largest_piece(true == part)[0]) for part in parts]
+    clicks = [picture.click(at, part) for at, part in zip(middles, parts, strict=True)]
+    labels = session.segment(Prompts(tuple(clicks))).labels
     out: list[tuple[float, float]] = []
-    for number in range(rounds if parts else 0):
-        if number:
-            for _ in parts:
-                labels = session.segment(Prompts(tuple(clicks))).labels
-                more = _next(picture, true, picture.of(labels), parts)
-                if more is None:
-                    break
-                clicks.append(more)
-        labels = session.segment(Prompts(tuple(clicks))).labels
+    for number in range(rounds):
+        for _ in parts if number else ():
+            more = _next(picture, true, picture.of(labels), parts)
+            if more is None:
+                break
+            clicks.append(more)
+            labels = session.segment(Prompts(tuple(clicks))).labels
         shown, one = picture.of(labels), np.ones(true.shape)
         out.append(
             (
@@ -142,10 +135,9 @@ def _next(picture: Picture, true: Labels, shown: Labels, parts: list[int]) -> Cl
     (piece, size), part = max(pieces, key=lambda found: found[0][1])
     if size < _LEAST:
         return None
-    if part != BASE:
-        return picture.click(piece, part)
-    row, column = middle_of(piece)
-    return picture.click(piece, int(shown[row, column]), positive=False)
+    at = middle_of(piece)
+    wanted = part != BASE
+    return picture.click(at, part if wanted else int(shown[at]), wanted)
 
 
 def _iou(answer: Bool, truth: Bool, weight: npt.NDArray[np.floating]) -> float:

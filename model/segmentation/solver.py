@@ -194,7 +194,9 @@ class PartSolver:
         found = self.answer(PartState(), cell, True, None)
         if of_a_part or not self._large_penalty:
             return found
-        return replace(found, scores=found.scores + self._large(found.candidates.masks))
+        return replace(
+            found, scores=found.scores + self._large(self._nodes(found.candidates.masks))
+        )
 
     def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
         """``mask`` without crumbs and pinholes that no click asked for.
@@ -338,17 +340,19 @@ class PartSolver:
 
         A part moves against something, and what nobody claims is the base without a click.
         """
-        size = self.cells.size.astype(np.float32)
-        free = size if blocked is None else size * ~blocked
-        share = (masks.astype(np.float32) @ size) / max(float(free.sum()), 1e-9)
-        against = _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
-        return against + self._large(masks)
+        held, size = self._nodes(masks), self.cells.size
+        free = size if blocked is None else size[~blocked]
+        share = held / max(float(free.sum()), 1e-9)
+        return _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1) + self._large(held)
 
-    def _large(self, masks: Bool) -> Float:
-        """(H,) what speaks against first answers of most of a mesh."""
-        size = self.cells.size.astype(np.float32)
-        share = masks.astype(np.float32) @ size / size.sum()
+    def _large(self, held: Float) -> Float:
+        """(H,) what speaks against first answers of most of a mesh, by the nodes (H,) they hold."""
+        share = held / self.cells.size.sum()
         return self._large_penalty * np.clip((share - _LARGE) / _LARGE_RAMP, 0, 1)
+
+    def _nodes(self, masks: Bool) -> Float:
+        """(H,) nodes in each mask."""
+        return masks.astype(np.float32) @ self.cells.size.astype(np.float32)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool

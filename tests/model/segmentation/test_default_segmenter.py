@@ -238,15 +238,19 @@ def test_a_handle_goes_with_the_door_it_is_mounted_on() -> None:
     assert set(labels[of == 4]) == {2} and set(labels[of == 1]) == {1}
 
 
-def test_tab_shows_masks_that_differ_and_whole_drawers() -> None:
-    """A click on each drawer's front takes its handle along, and the tray is behind Tab."""
+@pytest.fixture(scope="module")
+def bundled() -> tuple[DefaultSession, np.ndarray, dict]:
+    """The bundled cabinet, encoded, the true part of each face, and what is told of the parts."""
     path = static_assets() / "examples" / "cabinet.glb"
     truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
-    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    asset = read_asset(path)
-    assert asset.mesh is not None
-    center, area = asset.element_centers, asset.mesh.face_areas
-    session = DefaultSegmenter().encode(asset)
+    labels = np.repeat([part for part, _ in truth["runs"]], [count for _, count in truth["runs"]])
+    return DefaultSegmenter().encode(read_asset(path)), labels, truth
+
+
+def test_tab_shows_masks_that_differ_and_whole_drawers(bundled) -> None:
+    """A click on each drawer's front takes its handle along, and the tray is behind Tab."""
+    session, labels, truth = bundled
+    center, area = session.asset.element_centers, session.asset.mesh.face_areas
 
     def overlap(one: np.ndarray, other: np.ndarray) -> float:
         return float(area[one & other].sum() / area[one | other].sum())
@@ -270,19 +274,14 @@ def test_tab_shows_masks_that_differ_and_whole_drawers() -> None:
             assert all(overlap(mask, other) < 0.9 for other in shown[:i])
 
 
-def test_the_last_door_is_as_good_as_the_first() -> None:
+def test_the_last_door_is_as_good_as_the_first(bundled) -> None:
     """Clicks on other parts don't make a first click take all that is left."""
-    path = static_assets() / "examples" / "cabinet.glb"
-    truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
-    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    asset = read_asset(path)
-    assert asset.mesh is not None
-    center, area = asset.element_centers, asset.mesh.face_areas
+    session, labels, _truth = bundled
+    center, area = session.asset.element_centers, session.asset.mesh.face_areas
     spots = (
         (-0.4201, -0.2324, 0.4439), (-0.0170, -0.2400, 0.5951), (-0.1106, -0.2400, 0.4426),
         (-0.1107, -0.2400, 0.2302), (0.4350, -0.2320, 0.4240),
     )  # fmt: skip
-    session = DefaultSegmenter().encode(asset)
     clicks, met = [], set()
     for part, spot in enumerate(spots, 1):
         clicks.append(Click(spot, part))

@@ -21,7 +21,7 @@ AHEAD = (0.0, -1.0, 0.0)
 
 @pytest.fixture(scope="module")
 def picture(mesh_cabinet) -> Picture:
-    return picture_of(mesh_cabinet.asset, AHEAD)
+    return picture_of(mesh_cabinet.asset.mesh, AHEAD)
 
 
 def test_the_middle_of_the_largest_piece() -> None:
@@ -64,18 +64,18 @@ def test_what_is_wrong_is_clicked_as_what_it_is(picture, mesh_cabinet) -> None:
     area = mesh_cabinet.asset.mesh.face_areas
     wrong = truth.copy()
     wrong[truth == 2] = 0
-    asked = Asked([wrong, wrong, truth])
+    asked = Asked([wrong, truth])
     rounds = clicked_as_seen(asked, picture, truth, area)
     assert rounds[0] == pytest.approx((0.5, 0.5)) and rounds[-1] == (1.0, 1.0)
-    first, more = asked.prompts[0].clicks, asked.prompts[2].clicks
+    first, more = asked.prompts[0].clicks, asked.prompts[1].clicks
     assert [(c.part, c.positive) for c in first] == [(1, True), (2, True)]
     assert (more[2].part, more[2].positive) == (2, True)
     assert all(truth[c.element] == c.part for c in more)
     # What is too much of a part is taken away from it.
     all_ = np.where(truth == 0, np.int16(1), truth)
-    asked = Asked([all_, all_, truth])
+    asked = Asked([all_, truth])
     clicked_as_seen(asked, picture, truth, area)
-    last = asked.prompts[2].clicks[-1]
+    last = asked.prompts[1].clicks[-1]
     assert (last.part, last.positive) == (1, False) and truth[last.element] == 0
 
 
