@@ -80,7 +80,7 @@ class BenchRow:
     the other masks which the segmenter offers for it (Tab), in their order. ``proposed`` holds
     the best IoU of each part with a part of the proposal or its base, ``guesses`` for each object
     how many parts are proposed and how many of them overlap with a true one by over a half.
-    ``seen`` holds, for each mesh and round of clicks on what is seen, the IoU there and of all.
+    ``seen`` holds, for each object and round of clicks on what is seen, the IoU there and of all.
     ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
     """
 
@@ -300,11 +300,9 @@ def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRo
 
 
 def _as_seen(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
-    """The same by what a person sees of a mesh; nobody clicks the base."""
-    mesh = item.asset.mesh
-    if mesh is None:
-        return
-    rounds = clicked_as_seen(session, picture_of(mesh), item.labels, mesh.face_areas)
+    """The same by what a person sees; nobody clicks the base."""
+    picture, weight = picture_of(item.asset, item.front), _Pointer(item).weight
+    rounds = clicked_as_seen(session, picture, item.labels, weight)
     if rounds:
         row.seen.append(rounds)
 

@@ -14,6 +14,7 @@ from model.errors import InputFileError
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
+from model.segmentation.seen_clicks import FRONT
 
 View = Literal["all", "one-sided", "mesh"]
 
@@ -31,6 +32,7 @@ class BenchObject:
         labels: (E,) int16; 0 is the base.
         parts: the parts to ask for, one against the rest.
         whole: whether the parts together cover the object, so that they can all compete.
+        front: the direction that it looks to.
     """
 
     name: str
@@ -39,6 +41,7 @@ class BenchObject:
     labels: npt.NDArray[np.int16]
     parts: tuple[int, ...]
     whole: bool = True
+    front: tuple[float, float, float] = FRONT
 
 
 def asked_parts(
@@ -167,7 +170,7 @@ def procedural_objects(
             continue
         made += 1
         asset = Asset(f"{data.family} {seed}", cloud=data.cloud)
-        yield BenchObject(asset.name, name, asset, data.labels, parts)
+        yield BenchObject(asset.name, name, asset, data.labels, parts, front=(0.0, -1.0, 0.0))
 
 
 def room_objects(folder: Path) -> Iterator[BenchObject]:

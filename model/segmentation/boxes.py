@@ -29,7 +29,7 @@ from model.segmentation.mlp import Mlp
 from model.segmentation.parallel import together
 from model.segmentation.plane_boxes import STEPS as _STEPS
 from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
-from model.segmentation.solver import LARGE_PENALTY, PartSolver, PartState
+from model.segmentation.solver import DETAIL_PENALTY, LARGE_PENALTY, PartSolver, PartState
 from model.segmentation.walk import Walk
 
 BOX_FEATURES = (
@@ -349,6 +349,9 @@ class ObjectSolver(PartSolver):
         """
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
+        self._large_beside = LARGE_PENALTY
+        if len(cells) < cells.size.sum():  # a close-up, of single nodes, is there for details
+            self._detail_penalty = DETAIL_PENALTY
         if self._mesh or of_mesh:
             # Whole shells come and go, however near to their border a click is.
             self._far_penalty = 0.0

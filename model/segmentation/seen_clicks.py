@@ -1,9 +1,9 @@
 """Clicks as a person makes them: on what is seen, all moving parts, nobody clicks the base.
 
 The field's protocol clicks the deepest point of a part wherever that is, inside a shut drawer too.
-Whoever looks at a mesh on a screen clicks the middle of the piece of the part that is seen, then
-the middle of the largest piece that looks wrong: as the part that it is, or with Shift where it is
-too much.
+Whoever looks at a mesh or a scan on a screen clicks the middle of the piece of the part that is
+seen, then the middle of the largest piece that looks wrong: as the part that it is, or with Shift
+where it is too much.
 """
 
 from __future__ import annotations
@@ -13,27 +13,34 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label
+from scipy.spatial import KDTree
 
-from model.datasets.procedural.casting import Caster, camera_rays
+from model.datasets.procedural.casting import Caster, camera_rays, look_at
+from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.protocol import SegmentationSession
 
 Bool = npt.NDArray[np.bool_]
 Labels = npt.NDArray[np.int16]
+Points = npt.NDArray[np.float64]
 
 _ROWS, _COLUMNS = 200, 240
 _FOV = 0.6
 _LEAST = 12
 """Pixels that a part or an error has to have to be clicked."""
 _NOTHING = -1
+_SOME, _AROUND = 2000, 6
+"""Points of a cloud, and neighbours of each, that tell how far it lies apart."""
+_LARGEST_DOT = 5.0
+"""Pixels: radius of a point's dot where the points lie far apart."""
 FRONT = (-1.0, 0.0, 0.0)
 """Where PartNet-Mobility's objects and those made like them look to."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is seen of a mesh from its front, the side and above.
+    """What is seen of an object from its front, the side and above.
 
     Attributes:
         element: (R, C) int64 the element in each pixel, -1 where there is none.
@@ -53,20 +60,68 @@ class Picture:
         return Click((x, y, z), part, positive, int(self.element[pixel]))
 
 
-def picture_of(mesh: Mesh, front: npt.ArrayLike = FRONT) -> Picture:
-    """What a person sees of ``mesh`` when it is opened, 240 by 200 pixels."""
-    low, high = mesh.bounds
+def picture_of(asset: Asset, front: npt.ArrayLike = FRONT) -> Picture:
+    """What a person sees of ``asset`` when it is opened, 240 by 200 pixels.
+
+    A mesh is seen as it is, a cloud as dots that are large enough to close its surfaces.
+
+    Args:
+        front: (3,) the direction that it looks to.
+    """
+    mesh, cloud = asset.mesh, asset.cloud
+    if mesh is not None:
+        low, high = mesh.bounds
+        return _of_mesh(mesh, *_camera(low, high, front))
+    assert cloud is not None
+    points = cloud.points.astype(np.float64)
+    return _of_points(points, *_camera(points.min(0), points.max(0), front))
+
+
+def _camera(low: Points, high: Points, front: npt.ArrayLike) -> tuple[Points, Points]:
+    """(3,) eye, and what it looks at."""
     middle = (low + high) / 2
     ahead = np.asarray(front, np.float64)
     toward = ahead + 0.5 * np.cross(ahead, (0.0, 0.0, 1.0)) + (0.0, 0.0, 0.45)
     toward /= np.linalg.norm(toward)
-    eye = middle + 0.55 * float(np.linalg.norm(high - low)) / np.tan(_FOV / 2) * toward
+    away = 0.55 * float(np.linalg.norm(high - low)) / np.tan(_FOV / 2)
+    return middle + away * toward, middle
+
+
+def _of_mesh(mesh: Mesh, eye: Points, middle: Points) -> Picture:
     directions = camera_rays(eye, middle, _COLUMNS, _ROWS, _FOV)
     origins = np.broadcast_to(eye, directions.shape)
     hits = Caster([mesh]).cast(origins, directions, colors=False)
     element = np.full(_ROWS * _COLUMNS, _NOTHING, np.int64)
     position = np.zeros((_ROWS * _COLUMNS, 3))
     element[hits.ray], position[hits.ray] = hits.face, hits.points
+    return Picture(element.reshape(_ROWS, _COLUMNS), position.reshape(_ROWS, _COLUMNS, 3))
+
+
+def _of_points(points: Points, eye: Points, middle: Points) -> Picture:
+    local = (points - eye) @ look_at(eye, middle).T
+    pixel = 2 * np.tan(_FOV / 2) / _ROWS
+    column = np.floor(local[:, 0] / local[:, 2] / pixel + _COLUMNS / 2).astype(np.int64)
+    row = np.floor(local[:, 1] / local[:, 2] / pixel + _ROWS / 2).astype(np.int64)
+    some = points[:: max(len(points) // _SOME, 1)]
+    apart, _ = KDTree(points).query(some, k=min(_AROUND + 1, len(points)))
+    spacing = float(np.median(np.atleast_2d(apart)[:, -1]))
+    radius = float(np.clip(spacing / (pixel * np.median(local[:, 2])), 1.0, _LARGEST_DOT))
+    far_first = np.argsort(-local[:, 2], kind="stable")
+    row, column, depth = row[far_first], column[far_first], local[far_first, 2]
+    element = np.full(_ROWS * _COLUMNS, _NOTHING, np.int64)
+    nearest = np.full(_ROWS * _COLUMNS, np.inf)
+    reach = range(-int(np.ceil(radius)), int(np.ceil(radius)) + 1)
+    for down, right in ((d, r) for d in reach for r in reach if d * d + r * r <= radius**2 + 0.25):
+        there = (row + down >= 0) & (row + down < _ROWS)
+        there &= (column + right >= 0) & (column + right < _COLUMNS)
+        at = (row[there] + down) * _COLUMNS + column[there] + right
+        drawn = np.full(_ROWS * _COLUMNS, _NOTHING, np.int64)
+        drawn[at] = np.flatnonzero(there)  # of several the last one stays, which is the nearest
+        # A dot's middle is in front of its rim, so that dots side by side share their border.
+        behind = depth[drawn] + 1e-3 * spacing * (down**2 + right**2)
+        nearer = (drawn >= 0) & (behind < nearest)
+        nearest[nearer], element[nearer] = behind[nearer], far_first[drawn[nearer]]
+    position = np.where((element >= 0)[:, None], points[element], 0.0)
     return Picture(element.reshape(_ROWS, _COLUMNS), position.reshape(_ROWS, _COLUMNS, 3))
 
 

@@ -46,7 +46,8 @@ _ALL_PENALTY = 12.0
 """For a first answer that takes that share of it, and the ramp more."""
 LARGE_PENALTY = 2.0
 _LARGE, _LARGE_RAMP = 0.5, 0.2
-"""On meshes the same for that share of the whole object: hardly any part that moves is so large."""
+"""The same for that share of the whole object, on meshes and beside other parts: hardly any part
+that moves is so large."""
 
 _SIZE_PENALTY = 4.0
 """For a mask e times as large as one that was too large, or that much smaller."""
@@ -68,6 +69,10 @@ _FAR, _FAR_PENALTY, _FAR_MOST = 10.0, 0.3, 3.0
 by the logarithm of it, up to the last."""
 _SPECK_NODES, _SPECK_PENALTY, _SPECK_MOST = 16.0, 3.0, 3.0
 """A mask that becomes smaller than that many nodes loses by the logarithm of it, up to the last."""
+_FIRST_SPECK = 32.0
+"""The same for first answers."""
+DETAIL_PENALTY, _DETAIL, _NO_DETAIL = 0.5, 2e-4, 0.02
+"""For a first answer of that share of the object, less by the logarithm of what it has more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +120,8 @@ class PartSolver:
 
     _far_penalty = _FAR_PENALTY
     _large_penalty = 0.0
+    _large_beside = 0.0
+    _detail_penalty = 0.0
     _run_stalls = _RUN_STALLS
     _stall_ball = _STALL_BALL
 
@@ -195,7 +202,8 @@ class PartSolver:
         if of_a_part or not self._large_penalty:
             return found
         return replace(
-            found, scores=found.scores + self._large(self._nodes(found.candidates.masks))
+            found,
+            scores=found.scores + self._large_penalty * self._large(found.candidates.masks),
         )
 
     def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
@@ -332,23 +340,32 @@ class PartSolver:
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
-        return Ranked(found, features, scores - self._everything(found.masks, blocked))
+        return Ranked(found, features, scores - self._no_part(found.masks, after, blocked))
 
-    def _everything(self, masks: Bool, blocked: Bool | None) -> Float:
-        """(H,) what speaks against first answers of nearly all that other parts have left, and on
-        meshes of most of the object.
+    def _no_part(self, masks: Bool, after: PartState, blocked: Bool | None) -> Float:
+        """(H,) what speaks against first answers whatever they look like: nobody clicks for nearly
+        all that other parts have left, most of the object, or a speck.
 
         A part moves against something, and what nobody claims is the base without a click.
         """
         held, size = self._nodes(masks), self.cells.size
         free = size if blocked is None else size[~blocked]
         share = held / max(float(free.sum()), 1e-9)
-        return _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1) + self._large(held)
+        against = _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
+        # Who has clicked other parts is after those that move, not after the base.
+        beside = bool(after.negative) or (blocked is not None and bool(blocked.any()))
+        against += (self._large_beside if beside else self._large_penalty) * self._large(masks)
+        speck = np.log(_FIRST_SPECK / np.maximum(held, 1.0))
+        against += _SPECK_PENALTY * np.clip(speck, 0, _SPECK_MOST)
+        larger = np.log(np.maximum(held, 1.0) / (_DETAIL * size.sum()))
+        return against + self._detail_penalty * (
+            1 - np.clip(larger / np.log(_NO_DETAIL / _DETAIL), 0, 1)
+        )
 
-    def _large(self, held: Float) -> Float:
-        """(H,) what speaks against first answers of most of a mesh, by the nodes (H,) they hold."""
-        share = held / self.cells.size.sum()
-        return self._large_penalty * np.clip((share - _LARGE) / _LARGE_RAMP, 0, 1)
+    def _large(self, masks: Bool) -> Float:
+        """(H,) 0..1 how much more than half of the object each mask holds."""
+        share = self._nodes(masks) / self.cells.size.sum()
+        return np.clip((share - _LARGE) / _LARGE_RAMP, 0, 1)
 
     def _nodes(self, masks: Bool) -> Float:
         """(H,) nodes in each mask."""

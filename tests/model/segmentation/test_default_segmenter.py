@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -320,6 +321,37 @@ def test_a_first_click_on_a_mesh_seldom_means_most_of_it(mesh_cabinet) -> None:
     door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
     best = solver.answer(PartState(), door, True, None).best
     assert best[door] and encoding.cells.size[best].sum() < 0.6 * encoding.cells.size.sum()
+
+
+def test_a_first_click_beside_others_seldom_means_most_of_a_scan(session) -> None:
+    """Alone it may: the base of a scan is asked for as well."""
+    encoding, solver = session.encoding, copy(session.solver)
+    names = solver.describe.names
+    weight = np.array([[1.0 * (n == "log_size") for n in names]], np.float32)
+    zero = np.zeros(len(names), np.float32)
+    solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    size, center = encoding.cells.size, encoding.cells.center
+    door = int(np.abs(center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    alone = solver.answer(PartState(), door, True, None).best
+    assert size[alone].sum() > 0.7 * size.sum()
+    taken = np.zeros(len(size), bool)
+    taken[np.abs(center - (0.9, 0.5, 0.1)).sum(1).argmin()] = True
+    best = solver.answer(PartState(), door, True, taken).best
+    assert best[door] and size[best].sum() < 0.6 * size.sum()
+
+
+def test_a_first_click_means_no_speck(session) -> None:
+    """However much the scorer likes small masks: nobody clicks for a handful of points."""
+    encoding, solver = session.encoding, copy(session.solver)
+    names = solver.describe.names
+    weight = np.array([[-0.5 * (n == "log_size") for n in names]], np.float32)
+    zero = np.zeros(len(names), np.float32)
+    solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    size = encoding.cells.size
+    door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    found = solver.answer(PartState(), door, True, None)
+    held = found.candidates.masks @ size
+    assert held.min() < 16 < size[found.best].sum() < 0.1 * size.sum()
 
 
 @pytest.fixture
