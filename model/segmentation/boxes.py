@@ -29,7 +29,13 @@ from model.segmentation.mlp import Mlp
 from model.segmentation.parallel import together
 from model.segmentation.plane_boxes import STEPS as _STEPS
 from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
-from model.segmentation.solver import DETAIL_PENALTY, LARGE_PENALTY, PartSolver, PartState
+from model.segmentation.solver import (
+    CLOSE_SPECK,
+    DETAIL_PENALTY,
+    LARGE_PENALTY,
+    PartSolver,
+    PartState,
+)
 from model.segmentation.walk import Walk
 
 BOX_FEATURES = (
@@ -350,8 +356,10 @@ class ObjectSolver(PartSolver):
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
-        if len(cells) < cells.size.sum():  # a close-up, of single nodes, is there for details
+        if len(cells) < cells.size.sum():
             self._detail_penalty = DETAIL_PENALTY
+        else:  # a close-up, of single nodes, is there for details
+            self._first_speck = CLOSE_SPECK
         if self._mesh or of_mesh:
             # Whole shells come and go, however near to their border a click is.
             self._far_penalty = 0.0

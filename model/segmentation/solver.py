@@ -69,9 +69,9 @@ _FAR, _FAR_PENALTY, _FAR_MOST = 10.0, 0.3, 3.0
 by the logarithm of it, up to the last."""
 _SPECK_NODES, _SPECK_PENALTY, _SPECK_MOST = 16.0, 3.0, 3.0
 """A mask that becomes smaller than that many nodes loses by the logarithm of it, up to the last."""
-_FIRST_SPECK = 32.0
-"""The same for first answers."""
-DETAIL_PENALTY, _DETAIL, _NO_DETAIL = 0.5, 2e-4, 0.02
+_FIRST_SPECK, CLOSE_SPECK = 32.0, 10.0
+"""The same for first answers, and for those in a close-up."""
+DETAIL_PENALTY, _DETAIL, _NO_DETAIL = 1.0, 2e-4, 0.02
 """For a first answer of that share of the object, less by the logarithm of what it has more."""
 
 
@@ -121,6 +121,7 @@ class PartSolver:
     _far_penalty = _FAR_PENALTY
     _large_penalty = 0.0
     _large_beside = 0.0
+    _first_speck = _FIRST_SPECK
     _detail_penalty = 0.0
     _run_stalls = _RUN_STALLS
     _stall_ball = _STALL_BALL
@@ -355,7 +356,7 @@ class PartSolver:
         # Who has clicked other parts is after those that move, not after the base.
         beside = bool(after.negative) or (blocked is not None and bool(blocked.any()))
         against += (self._large_beside if beside else self._large_penalty) * self._large(masks)
-        speck = np.log(_FIRST_SPECK / np.maximum(held, 1.0))
+        speck = np.log(self._first_speck / np.maximum(held, 1.0))
         against += _SPECK_PENALTY * np.clip(speck, 0, _SPECK_MOST)
         larger = np.log(np.maximum(held, 1.0) / (_DETAIL * size.sum()))
         return against + self._detail_penalty * (
