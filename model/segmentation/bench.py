@@ -14,9 +14,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.datasets.registry import DatasetOptions, open_dataset
 from model.progress import Progress, no_progress
 from model.segmentation.bench_data import (
     BenchObject,
+    View,
+    dataset_objects,
     partnet_objects,
     procedural_objects,
     room_objects,
@@ -29,8 +32,11 @@ from model.segmentation.registry import DEFAULT, load_segmenter
 from model.segmentation.seen_clicks import clicked_as_seen, picture_of
 from model.segmentation.simulate import deepest, next_click, next_part_click
 
-DataSet = Literal["partnet", "partnet-one-sided", "partnet-mesh", "procedural",
-                  "procedural-noisy", "procedural-one-sided", "room"]  # fmt: skip
+DataSet = Literal["partnet", "partnet-one-sided", "partnet-scan", "partnet-mesh",
+                  "procedural", "procedural-noisy", "procedural-one-sided", "room",
+                  "urdf", "urdf-one-sided", "urdf-scan", "urdf-mesh",
+                  "mjcf", "mjcf-one-sided", "mjcf-scan", "mjcf-mesh",
+                  "physxnet", "physxnet-one-sided", "physxnet-scan", "physxnet-mesh"]  # fmt: skip
 MARKS = (1, 3, 5, 10)
 TARGETS = (0.80, 0.85, 0.90)
 TABS = (1, 2, 5)
@@ -43,11 +49,13 @@ class BenchConfig:
     """What to measure.
 
     Attributes:
-        data: folder with ``partnet_mobility`` and ``scans/scannet``, or one of these two.
+        data: folder with ``partnet_mobility`` and ``scans/scannet``, or one of these two; for the
+            sets of URDFs, of MJCFs and of PhysXNet the folder of those.
         sets: which data sets.
         segmenters: names in the table of segmenters.
         limit: objects of each set, 0 for all (40 procedural ones).
-        offset: which PartNet object the subset begins with; other offsets, other objects.
+        offset: which object the subset begins with, but of rooms and procedural ones; other
+            offsets, other objects.
         points: of each cloud.
         parts: asked for in each object at most.
         least: elements that a part needs to be asked for.
@@ -82,6 +90,7 @@ class BenchRow:
     how many parts are proposed and how many of them overlap with a true one by over a half.
     ``seen`` holds, for each object and round of clicks on what is seen, the IoU there and of all.
     ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
+    ``left_out`` says which objects could not be read, and why.
     """
 
     segmenter: str
@@ -101,6 +110,7 @@ class BenchRow:
     encode_cpu: list[float] = field(default_factory=list)
     click_cpu: list[float] = field(default_factory=list)
     peak_megabytes: float = 0.0
+    left_out: list[str] = field(default_factory=list)
 
     def summary(self) -> dict[str, float]:
         """The figures that people compare."""
@@ -163,7 +173,10 @@ class BenchReport:
             digits = 3 if "IoU" in name or "all@" in name else 1
             cells = (f"{s[name]:.{digits}f}" if name in s else "" for s in summaries)
             table.add_row(name, *cells)
-        Console().print(table)
+        console = Console()
+        console.print(table)
+        for line in dict.fromkeys(line for row in self.rows for line in row.left_out):
+            console.print(f"left out: {line}", markup=False, highlight=False)
 
 
 def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
@@ -173,7 +186,7 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
         segmenter = load_segmenter(name)
         for data in config.sets:
             row = BenchRow(name, data)
-            for number, item in enumerate(_objects(config, data)):
+            for number, item in enumerate(_objects(config, data, row.left_out)):
                 progress(number / max(config.limit or 79, 1) % 1.0, f"{name}: {item.name}")
                 begin, busy = time.perf_counter(), time.process_time()
                 session = segmenter.encode(item.asset)
@@ -194,20 +207,20 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
     return report
 
 
-def _objects(config: BenchConfig, data: DataSet) -> Iterator[BenchObject]:
+def _objects(config: BenchConfig, data: DataSet, left_out: list[str]) -> Iterator[BenchObject]:
     common = (config.points, config.limit, config.least, config.parts)
-    partnet = config.data / "partnet_mobility"
-    if not partnet.is_dir():
-        partnet = config.data
-    if data == "partnet":
-        return partnet_objects(partnet, "all", *common, config.offset)
-    if data == "partnet-one-sided":
-        return partnet_objects(partnet, "one-sided", *common, config.offset)
-    if data == "partnet-mesh":
-        return partnet_objects(partnet, "mesh", *common, config.offset)
     if data == "room":
         rooms = config.data / "scans" / "scannet"
         return room_objects(rooms if rooms.is_dir() else config.data)
+    if not data.startswith("procedural"):
+        name, _, view = data.partition("-")
+        seen: View = view or "all"  # type: ignore[assignment]
+        if name != "partnet":
+            source = open_dataset(DatasetOptions(name, config.data))
+            return dataset_objects(source, seen, *common, config.offset, left_out=left_out)
+        root = config.data / "partnet_mobility"
+        root = root if root.is_dir() else config.data
+        return partnet_objects(root, seen, *common, config.offset)
     if data == "procedural":
         return procedural_objects("all", *common)
     if data == "procedural-noisy":
@@ -216,7 +229,10 @@ def _objects(config: BenchConfig, data: DataSet) -> Iterator[BenchObject]:
 
 
 class _Pointer:
-    """Turns elements into clicks, and thins very large clouds for finding the next one."""
+    """Turns elements into clicks, and thins very large clouds for finding the next one.
+
+    Elements that are part of nothing (a scan's stray points) are neither clicked nor counted.
+    """
 
     def __init__(self, item: BenchObject) -> None:
         self.centers = item.asset.element_centers
@@ -224,9 +240,10 @@ class _Pointer:
             item.asset.mesh.face_areas
             if item.asset.mesh is not None
             else np.ones(len(self.centers))
-        )
+        ) * (item.labels >= 0)
         step = max(len(self.centers) // _SPEAK, 1)
         self.shown = np.arange(0, len(self.centers), step)
+        self.shown = self.shown[item.labels[self.shown] >= 0]
         self.points = self.centers[self.shown]
 
     def click(self, shown: int, part: int, positive: bool = True) -> Click:

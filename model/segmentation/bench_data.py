@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.datasets.protocol import Dataset
+from model.errors import ArtiworldError, InputFileError
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
-from model.segmentation.seen_clicks import FRONT
+from model.kinematics.articulated_object import ArticulatedObject
+from model.segmentation.seen_clicks import FRONT, picture_of
 
-View = Literal["all", "one-sided", "mesh"]
+View = Literal["all", "one-sided", "mesh", "scan"]
+"""All surfaces as points; those seen from the front, with noise; the mesh; what depth cameras in
+front of it see, with all their faults."""
+Direction = tuple[float, float, float]
+
+_CAMERAS = ((-0.6, 0.25), (-0.2, 0.5), (0.2, 0.25), (0.6, 0.5))
+"""Radians beside and above the front: somebody walks past with a scanner."""
+_DEPTH_NOISE, _MISALIGNED = 0.001, 0.0003
+"""Of a scan, in diagonals."""
+_SIDES: tuple[Direction, ...] = (FRONT, (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 ROOM_CLASSES = {2: "cabinet", 7: "door", 14: "refrigerator"}
 """ScanNet's 20 classes, counted from 0, that a person would pick out of a room."""
@@ -29,7 +40,7 @@ class BenchObject:
     """An asset with the true part of every element.
 
     Attributes:
-        labels: (E,) int16; 0 is the base.
+        labels: (E,) int16; 0 is the base, -1 what is part of nothing.
         parts: the parts to ask for, one against the rest.
         whole: whether the parts together cover the object, so that they can all compete.
         front: the direction that it looks to.
@@ -41,7 +52,7 @@ class BenchObject:
     labels: npt.NDArray[np.int16]
     parts: tuple[int, ...]
     whole: bool = True
-    front: tuple[float, float, float] = FRONT
+    front: Direction = FRONT
 
 
 def asked_parts(
@@ -55,34 +66,80 @@ def asked_parts(
     return tuple(int(i) for i in ids)
 
 
-def partnet_objects(
-    root: Path, view: View, points: int, limit: int, least: int, most: int, offset: int = 0
+def dataset_objects(
+    source: Dataset,
+    view: View,
+    points: int,
+    limit: int,
+    least: int,
+    most: int,
+    offset: int = 0,
+    *,
+    front: Direction | None = None,
+    left_out: list[str] | None = None,
 ) -> Iterator[BenchObject]:
-    """PartNet-Mobility objects, each link a part, the tree's root the base.
+    """Objects of a data set, each link a part, the tree's root the base.
 
-    ``limit`` takes every n-th object, so that all categories are there, and ``offset`` says with
-    which to begin: other offsets give other objects. Clouds have colours and no normals.
+    ``limit`` takes every n-th object, so that all kinds are there, and ``offset`` says with which
+    to begin: other offsets give other objects. Clouds have colours and no normals.
+
+    Args:
+        front: where all objects look to; None for the side that shows most of the moving parts.
+        left_out: takes a line for each object that can't be read; without it that is an error.
+
+    Raises:
+        ArtiworldError: where an object can't be read and there is no ``left_out``.
     """
-    from model.datasets.partnet_mobility import PartNetMobility
-
-    source = PartNetMobility(root)
     ids = source.ids()
     step = max(len(ids) // limit, 1) if limit else 1
     chosen = ids[offset::step][: limit or None]
     for number, object_id in enumerate(chosen):
-        truth = source.load(object_id).object
+        try:
+            truth = source.load(object_id).object
+        except ArtiworldError as error:
+            if left_out is None:
+                raise
+            left_out.append(f"{object_id}: {error}")
+            continue
         links = [truth.tree.root, *(p.link for p in truth.parts if p.link != truth.tree.root)]
         by_link = {p.link: p.mesh for p in truth.parts if p.mesh is not None}
         pieces = [(i, by_link[n]) for i, n in enumerate(links) if n in by_link]
         if len(pieces) < 2:
             continue
-        asset, labels = _assembled(object_id, pieces, view, points, number)
+        ahead = _front_of(pieces) if front is None else front
+        if view == "scan":
+            asset, labels = _scanned(truth, {n: i for i, n in enumerate(links)}, points, ahead)
+        else:
+            asset, labels = _assembled(object_id, pieces, view, points, number, ahead)
         parts = asked_parts(labels, least, most, number)
-        yield BenchObject(object_id, f"partnet {view}", asset, labels, parts)
+        yield BenchObject(object_id, f"{source.name} {view}", asset, labels, parts, front=ahead)
+
+
+def partnet_objects(
+    root: Path, view: View, points: int, limit: int, least: int, most: int, offset: int = 0
+) -> Iterator[BenchObject]:
+    """PartNet-Mobility objects, see :func:`dataset_objects`."""
+    from model.datasets.partnet_mobility import PartNetMobility
+
+    source = PartNetMobility(root)
+    return dataset_objects(source, view, points, limit, least, most, offset, front=FRONT)
+
+
+def _front_of(pieces: list[tuple[int, Mesh]]) -> Direction:
+    """The side from which most of the moving parts is seen."""
+    mesh, labels = _joined(pieces)
+    asset = Asset("sides", mesh=mesh)
+    seen = [int((picture_of(asset, side).of(labels) > 0).sum()) for side in _SIDES]
+    return _SIDES[int(np.argmax(seen))]
 
 
 def _assembled(
-    name: str, pieces: list[tuple[int, Mesh]], view: View, points: int, seed: int
+    name: str,
+    pieces: list[tuple[int, Mesh]],
+    view: View,
+    points: int,
+    seed: int,
+    front: Direction,
 ) -> tuple[Asset, npt.NDArray[np.int16]]:
     from model.geometry.sampling import sample_surface
 
@@ -103,7 +160,7 @@ def _assembled(
     normal = np.concatenate([np.asarray(c.normals) for _, c in there])
     labels = np.repeat([p for p, _ in there], [len(c) for _, c in there]).astype(np.int16)
     if view == "one-sided":
-        keep = _seen_from_the_front(xyz, normal, rng, points)
+        keep = _seen_from_the_front(xyz, normal, rng, points, front)
         diagonal = float(np.linalg.norm(np.ptp(xyz, axis=0)))
         xyz = xyz[keep] + rng.normal(0, 0.001 * diagonal, (len(keep), 3)).astype(np.float32)
         noisy = rgb[keep].astype(float) + rng.normal(0, 8, (len(keep), 3))
@@ -113,16 +170,44 @@ def _assembled(
     return Asset(name, cloud=cloud), labels[order]
 
 
+def _scanned(
+    truth: ArticulatedObject, number: dict[str, int], points: int, front: Direction
+) -> tuple[Asset, npt.NDArray[np.int16]]:
+    """What simulated depth cameras see; points on no surface are labelled -1.
+
+    Args:
+        number: the label of each link.
+    """
+    from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+
+    there = replace(truth, parts=tuple(p for p in truth.parts if p.mesh is not None))
+    bounds = np.concatenate([p.bounds for p in there.parts])
+    diagonal = float(np.linalg.norm(bounds.max(0) - bounds.min(0)))
+    ahead = float(np.arctan2(front[0], -front[1]))
+    views = tuple(View(ahead + aside, above, 1.6 * diagonal) for aside, above in _CAMERAS)
+    settings = ScanSettings(
+        views,
+        points,
+        depth_noise=_DEPTH_NOISE * diagonal / (1.6 * diagonal) ** 2,
+        misalignment=_MISALIGNED * diagonal,
+    )
+    scan = simulate_scan(there, settings, np.random.default_rng(len(there.parts)))
+    links = np.array([number[p.link] for p in there.parts], np.int16)
+    labels = np.where((scan.part < 0) | scan.smeared, np.int16(-1), links[scan.part])
+    return Asset(truth.name, cloud=scan.cloud), labels
+
+
 def _seen_from_the_front(
     xyz: npt.NDArray[np.float32],
     normal: npt.NDArray[np.float32],
     rng: np.random.Generator,
     points: int,
+    front: Direction,
 ) -> npt.NDArray[np.int64]:
-    """Two views from the front (-x) and above, as a person would hold the scanner."""
+    """Two views from the front and above, as a person would hold the scanner."""
     from model.segmentation.training.scans import visible_from
 
-    azimuth = np.pi + rng.uniform(-0.4, 0.4) + np.array([-0.4, 0.4])
+    azimuth = np.arctan2(front[1], front[0]) + rng.uniform(-0.4, 0.4) + np.array([-0.4, 0.4])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(2, 0.5)], axis=1)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     diagonal = float(np.linalg.norm(np.ptp(xyz, axis=0)))

@@ -30,7 +30,14 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.fittings import Fittings, fittings_of
 from model.segmentation.plates import Plates, plates_of
-from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, resolve
+from model.segmentation.prompt_steps import (
+    ClickStep,
+    RegionStep,
+    Step,
+    enforce,
+    resolve,
+    telling,
+)
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_scorers, solver_of
 from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
@@ -174,6 +181,7 @@ class DefaultSession:
     # The state after each prompt ---------------------------------------------------------
 
     def _state(self, steps: tuple[Step, ...]) -> _State:
+        steps = telling(steps)
         keys = [hashlib.sha256(b"start").digest()]
         for step in steps:
             keys.append(hashlib.sha256(keys[-1] + _digest(step)).digest())
@@ -319,9 +327,10 @@ class DefaultSession:
     # Labels --------------------------------------------------------------------------
 
     def _labels(self, steps: tuple[Step, ...], state: _State) -> npt.NDArray[np.int16]:
-        of_cell = self._of_cells(state, steps)
+        told = telling(steps)
+        of_cell = self._of_cells(state, told)
         of_node = of_cell[self.encoding.cells.of_node]
-        self._split_cells(of_node, of_cell, steps)
+        self._split_cells(of_node, of_cell, told)
         if self.closeups is not None:
             self.closeups.place(of_node, state.close)
         labels = self.encoding.nodes.elements.to_elements(of_node)

@@ -6,11 +6,13 @@ Everything after this file works on nodes, so its cost does not depend on the si
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
@@ -23,6 +25,12 @@ TARGET_NODES = 100_000
 _MIN_SHELL_NODES = 12
 _NODES_PER_FACE = 12
 _LEAST_MESH_NODES = 30_000
+_STRAY_NEIGHBOR, _STRAY = 6, 5.0
+"""A node of a cloud that is that many times as far from its n-th neighbour as most may be stray."""
+_STRAY_LINK, _STRAY_GROUP = 10.0, 20
+"""Unless it is one of so many, that many usual distances apart: a surface seen at a slant."""
+_MOST_STRAY = 0.1
+"""Of all nodes: a cloud with more has no usual distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +41,14 @@ class ElementMap:
         node_of_element: (E,) int32 the node that stands for each element.
         vote_element, vote_node: (K,) int32 further (element, node) pairs for faces that hold
             several nodes; all the nodes of such a face vote.
+        stray: (S,) int32 ascending, elements that lie on no surface and go with what is nearest.
     """
 
     node_of_element: npt.NDArray[np.int32]
     vote_element: npt.NDArray[np.int32]
     vote_node: npt.NDArray[np.int32]
     node_count: int
+    stray: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
 
     @cached_property
     def _by_node(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
@@ -46,7 +56,9 @@ class ElementMap:
             [np.arange(len(self.node_of_element), dtype=np.int32), self.vote_element]
         )
         node = np.concatenate([self.node_of_element, self.vote_node])
-        order = np.argsort(node, kind="stable")
+        last = np.zeros(len(element), bool)
+        last[self.stray] = True  # no stray point represents a node
+        order = np.lexsort((last, node))
         start = np.searchsorted(node[order], np.arange(self.node_count + 1))
         return element[order], start
 
@@ -59,6 +71,11 @@ class ElementMap:
     def prepare(self) -> None:
         """Build the way from nodes to elements now, so that no click pays for it."""
         _ = self._by_node, self._multi
+
+    def is_stray(self, element: int) -> bool:
+        """Whether an element lies on no surface."""
+        at = int(np.searchsorted(self.stray, element))
+        return at < len(self.stray) and int(self.stray[at]) == element
 
     def elements_of(self, nodes: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """(K,) unique elements that the nodes stand for."""
@@ -135,7 +152,44 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
         enough = max(_NODES_PER_FACE * len(asset.mesh.faces), _LEAST_MESH_NODES)
         return _mesh_nodes(asset.mesh, min(target, enough))
     assert asset.cloud is not None
-    return _cloud_nodes(asset.cloud, target)
+    return _without_strays(_cloud_nodes(asset.cloud, target))
+
+
+def _without_strays(nodes: Nodes) -> Nodes:
+    """``nodes`` of a cloud but for those that float alone: their points go with what is nearest.
+
+    A depth camera leaves points in the air and between what is near and what is far; they would
+    join surfaces that don't touch, and a click on one would be about much more than itself.
+    """
+    if len(nodes) <= _STRAY_GROUP:
+        return nodes
+    distance, _ = nodes.tree.query(nodes.points, k=_STRAY_NEIGHBOR + 1, workers=2)
+    apart = np.asarray(distance)[:, -1]
+    usual = float(np.median(apart))
+    at = np.flatnonzero(apart > _STRAY * usual)
+    if not 0 < len(at) <= _MOST_STRAY * len(nodes):
+        return nodes
+    pairs = KDTree(nodes.points[at]).query_pairs(_STRAY_LINK * usual, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(at), len(at)))
+    _, group = connected_components(links, directed=False)
+    at = at[np.bincount(group)[group] <= _STRAY_GROUP]
+    stray = np.zeros(len(nodes), bool)
+    stray[at] = True
+    kept = np.flatnonzero(~stray)
+    if not len(at):
+        return nodes
+    became = np.zeros(len(nodes), np.int32)
+    became[kept] = np.arange(len(kept), dtype=np.int32)
+    _, near = KDTree(nodes.points[kept]).query(nodes.points[at])
+    became[at] = near
+    of_element = nodes.elements.node_of_element
+    floating = np.flatnonzero(stray[of_element]).astype(np.int32)
+    none = np.zeros(0, np.int32)
+    elements = ElementMap(became[of_element], none, none, len(kept), floating)
+    normals = None if nodes.normals is None else nodes.normals[kept]
+    colors = None if nodes.colors is None else nodes.colors[kept]
+    zero = np.zeros(len(kept), np.int32)
+    return Nodes(nodes.points[kept], normals, colors, zero, zero, elements)
 
 
 def voxel_keys(

@@ -16,12 +16,17 @@ from model.segmentation.prompts import BASE, UNASSIGNED, Click, Prompts, Region
 
 @dataclass(frozen=True, eq=False)
 class ClickStep:
-    """A click with the element that was clicked and the node that stands for it."""
+    """A click with the element that was clicked and the node that stands for it.
+
+    Attributes:
+        stray: whether the element lies on no surface; ``node`` is the nearest one then.
+    """
 
     part: int
     positive: bool
     element: int
     node: int
+    stray: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +91,28 @@ def resolve(asset: Asset, nodes: Nodes, prompts: Prompts) -> tuple[Step, ...]:
     for item in prompts.items:
         if isinstance(item, Click):
             element, node = locate(asset, nodes, item.position, item.element)
-            steps.append(ClickStep(item.part, item.positive, element, node))
+            stray = nodes.elements.is_stray(element)
+            steps.append(ClickStep(item.part, item.positive, element, node, stray))
         else:
             steps.append(_region(asset, nodes, item))
     return tuple(steps)
+
+
+def telling(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """The steps that say something of surfaces, in order.
+
+    A click on a stray point is about that point alone, but for the first one on a part: that is
+    about what lies nearest.
+    """
+    begun = {BASE}
+    told: list[Step] = []
+    for step in steps:
+        if isinstance(step, ClickStep) and step.stray and (not step.positive or step.part in begun):
+            continue
+        if step.positive:
+            begun.add(step.part)
+        told.append(step)
+    return tuple(told)
 
 
 def _region(asset: Asset, nodes: Nodes, item: Region) -> RegionStep:

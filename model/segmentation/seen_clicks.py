@@ -152,8 +152,8 @@ def clicked_as_seen(
     """Mean IoU of the moving parts that are seen, after each round of a click a part.
 
     Args:
-        truth: (E,) the true part of each element, 0 the base.
-        weight: (E,) area of each element.
+        truth: (E,) the true part of each element, 0 the base, -1 where it is part of nothing.
+        weight: (E,) area of each element, 0 there.
 
     Returns:
         For each round the IoU of what is seen, and by area of all elements; nothing where no moving
@@ -174,7 +174,7 @@ def clicked_as_seen(
                 break
             clicks.append(more)
             labels = session.segment(Prompts(tuple(clicks))).labels
-        shown, one = picture.of(labels), np.ones(true.shape)
+        shown, one = picture.of(labels), (true >= BASE).astype(float)
         out.append(
             (
                 float(np.mean([_iou(shown == p, true == p, one) for p in parts])),

@@ -77,10 +77,12 @@ class LabelledScan:
     Attributes:
         cloud: points and colours, object frame.
         part: (N,) int32 index of the part in the object's order; -1 for stray points.
+        smeared: (N,) whether a point was drawn into the gap behind an edge: it lies on no surface.
     """
 
     cloud: PointCloud
     part: npt.NDArray[np.int32]
+    smeared: npt.NDArray[np.bool_]
 
 
 def simulate_scan(
@@ -97,18 +99,19 @@ def simulate_scan(
     each = [
         _view(caster, view, settings, (low + high) / 2, diagonal, rng) for view in settings.views
     ]
-    points, colors, part = (np.concatenate([e[k] for e in each]) for k in range(3))
+    points, colors, part, smeared = (np.concatenate([e[k] for e in each]) for k in range(4))
     if len(points) > settings.points:
         kept = np.sort(rng.choice(len(points), settings.points, replace=False))
-        points, colors, part = points[kept], colors[kept], part[kept]
+        points, colors, part, smeared = points[kept], colors[kept], part[kept], smeared[kept]
     stray = int(settings.outliers * len(points))
     if stray:
         spots = rng.uniform(low - 0.05 * diagonal, high + 0.05 * diagonal, (stray, 3))
         points = np.concatenate([points, spots])
         colors = np.concatenate([colors, rng.integers(40, 220, (stray, 3))])
         part = np.concatenate([part, np.full(stray, -1)])
+        smeared = np.concatenate([smeared, np.zeros(stray, bool)])
     cloud = PointCloud(points.astype(np.float32), None, np.clip(colors, 0, 255).astype(np.uint8))
-    return LabelledScan(cloud, part.astype(np.int32))
+    return LabelledScan(cloud, part.astype(np.int32), smeared.astype(bool))
 
 
 def _view(
@@ -118,7 +121,7 @@ def _view(
     middle: Array,
     diagonal: float,
     rng: np.random.Generator,
-) -> tuple[Array, Array, npt.NDArray[np.int32]]:
+) -> tuple[Array, Array, npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
     # About a quarter of the picture is the object; more rays than points are cast.
     side = int(np.sqrt(5.5 * settings.points / len(settings.views))) + 8
     eye, directions = _camera(view, middle, diagonal, side)
@@ -127,7 +130,7 @@ def _view(
     sigma = settings.depth_noise * hits.distance**2
     slant = np.abs(np.einsum("ij,ij->i", hits.normals, directions[hits.ray]))
     depth = hits.distance + sigma * rng.standard_normal(len(sigma)) / np.clip(slant, 0.25, 1)
-    depth = _smeared(hits, depth, side, settings.smear, diagonal, rng)
+    depth, smeared = _smeared(hits, depth, side, settings.smear, diagonal, rng)
     kept = rng.random(len(depth)) < np.clip(slant / 0.3, 0.02, 1)
     kept &= ~_holes(hits, settings, diagonal, rng)
     points = eye + depth[:, None] * directions[hits.ray]
@@ -136,7 +139,7 @@ def _view(
     colors = hits.colors * light[:, None] * exposure + rng.normal(
         0, settings.color_noise, points.shape
     )
-    return points[kept], colors[kept], hits.part[kept]
+    return points[kept], colors[kept], hits.part[kept], smeared[kept]
 
 
 def _camera(view: View, middle: Array, diagonal: float, side: int) -> tuple[Array, Array]:
@@ -152,8 +155,8 @@ def _camera(view: View, middle: Array, diagonal: float, side: int) -> tuple[Arra
 
 def _smeared(
     hits: Hits, depth: Array, side: int, share: float, diagonal: float, rng: np.random.Generator
-) -> Array:
-    """Points beside a jump in depth, drawn part of the way into it."""
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Depths with points beside a jump drawn part of the way into it, and which those are."""
     image = np.full(side * side, np.nan)
     image[hits.ray] = hits.distance
     image = image.reshape(side, side)
@@ -164,7 +167,7 @@ def _smeared(
     edge &= rng.random(len(edge)) < share
     out = depth.copy()
     out[edge] += jump[edge] * rng.random(int(edge.sum())) * 0.6
-    return out
+    return out, edge
 
 
 def _holes(

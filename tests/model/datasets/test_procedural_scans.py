@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import open3d as o3d
 import pytest
 
 from app.prompt_file import read_prompts
@@ -37,6 +38,23 @@ def test_a_scan_sees_the_near_side_only() -> None:
     above = scan.cloud.points[real, 2] < corners[:, 2].max() - 0.03
     assert (behind & above).mean() < 0.05
     assert scan.cloud.colors is not None and scan.cloud.colors.std() > 5
+
+
+def test_a_scan_says_which_points_hang_in_a_gap() -> None:
+    obj = make("Refrigerator", 2).object
+    quiet = {"depth_noise": 0.0, "outliers": 0.0, "misalignment": 0.0, "holes": 0}
+    views = (View(0.4, 0.2),)
+    scan = simulate_scan(obj, ScanSettings(views, 20_000, **quiet), np.random.default_rng(0))
+    scene = o3d.t.geometry.RaycastingScene()
+    for part in obj.parts:
+        faces = part.mesh.faces.astype(np.uint32)
+        scene.add_triangles(part.mesh.vertices.astype(np.float32), faces)
+    off = scene.compute_distance(scan.cloud.points).numpy().copy()
+    assert 0.001 < scan.smeared.mean() < 0.05
+    assert off[~scan.smeared].max() < 1e-3
+    assert np.median(off[scan.smeared]) > 1e-3
+    clean = ScanSettings(views, 20_000, smear=0.0, **quiet)
+    assert not simulate_scan(obj, clean, np.random.default_rng(0)).smeared.any()
 
 
 def test_depth_noise_grows_with_distance() -> None:

@@ -354,6 +354,25 @@ def test_a_first_click_means_no_speck(session) -> None:
     assert held.min() < 16 < size[found.best].sum() < 0.1 * size.sum()
 
 
+def test_of_equally_likely_masks_no_detail_is_meant(session) -> None:
+    """But in a close-up, which is there for details, all but specks are equal."""
+    encoding, solver = session.encoding, copy(session.solver)
+    names = solver.describe.names
+    zero = np.zeros(len(names), np.float32)
+    same = Mlp(names, zero, np.ones_like(zero), ((zero[None], np.zeros(1, np.float32)),))
+    solver._first = same
+    door = int(np.abs(encoding.nodes.points - (0.25, -0.02, 0.4)).sum(1).argmin())
+    best = solver.answer(PartState(), int(encoding.cells.of_node[door]), True, None).best
+    assert encoding.cells.size[best].sum() > 0.018 * encoding.cells.size.sum()
+    closeup = session.closeups[door]
+    near = copy(closeup._solver)
+    near._first = same
+    found = near.answer(PartState(), int(np.searchsorted(closeup.nodes, door)), True, None)
+    held = found.candidates.masks.sum(1)
+    assert held.min() < 10 <= found.best.sum()
+    assert (found.scores[(held >= 10) & (held <= 0.9 * len(closeup.nodes))] == 0).all()
+
+
 @pytest.fixture
 def stubborn(session) -> PartSolver:
     """A solver whose scorer would rather keep the mask."""
@@ -411,7 +430,7 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
         return Click((x, y, z), 1, positive, int(index))
 
     after, refused = [], 0
-    for _ in range(11):
+    for _ in range(16):
         items: list[Click | Region] = [click(central(points, door, rng))]
         first = session.segment(Prompts(tuple(items))).labels == 1
         others = session.candidates(Prompts(tuple(items)), 1)

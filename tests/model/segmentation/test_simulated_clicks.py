@@ -8,9 +8,21 @@ import numpy as np
 import pytest
 
 from model.datasets.procedural.families import HELD_OUT
+from model.datasets.procedural.generate import GenerateSettings, generate
+from model.datasets.urdf_folders import UrdfFolders
 from model.errors import InputFileError
-from model.segmentation.bench import BenchConfig, BenchRow, run
+from model.geometry.asset import Asset
+from model.geometry.point_cloud import PointCloud
+from model.segmentation.bench import (
+    BenchConfig,
+    BenchRow,
+    _all_competing,
+    _one_against_the_rest,
+    run,
+)
+from model.segmentation.bench_data import BenchObject, dataset_objects
 from model.segmentation.mlp import Mlp, load_mlp, save_mlp
+from model.segmentation.prompts import PartSegmentation, Prompts
 from model.segmentation.scorers import read_scorers
 from model.segmentation.simulate import deepest, next_click, next_part_click
 from model.segmentation.training.clicks import ClickTraining, train_scorers
@@ -147,6 +159,72 @@ def test_bench_on_real_objects(shared_data):
         )
     )
     assert report.rows[0].summary()["parts"] >= 2
+
+
+def test_bench_on_objects_of_ones_own(tmp_path, capsys):
+    """Any data set with a tree of links will do; what can't be read is named, and left out."""
+    generate(GenerateSettings(tmp_path, ("Safe", "Refrigerator"), n=1))
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "broken.urdf").write_text("<robot")
+    config = BenchConfig(
+        data=tmp_path,
+        sets=("urdf-mesh", "urdf-scan"),
+        segmenters=("nearest",),
+        limit=0,
+        points=5000,
+        parts=3,
+        cap=3,
+    )
+    report = run(config)
+    for row in report.rows:
+        assert row.objects == len(row.seen) == 2
+        assert 0 < row.summary()["IoU@1"] <= 1 and 0 < row.summary()["seen all@3"] <= 1
+        assert [line.split(":")[0] for line in row.left_out] == ["broken"]
+    report.print_table()
+    assert capsys.readouterr().out.count("left out: broken") == 1
+    with pytest.raises(InputFileError, match="broken"):
+        list(dataset_objects(UrdfFolders(tmp_path), "mesh", 1, 0, 20, 5))
+
+
+def test_a_scan_for_the_benchmark_is_seen_from_where_the_parts_are(tmp_path):
+    generate(GenerateSettings(tmp_path, ("Refrigerator",), n=1))
+    made = dataset_objects(UrdfFolders(tmp_path), "scan", 20_000, 0, 20, 5)
+    (item,) = list(made)
+    assert item.front == (-1.0, 0.0, 0.0)  # as all generated objects stand
+    points, of_surface = item.asset.element_centers, item.labels >= 0
+    middle = points[of_surface].mean(0)
+    assert 0.02 < 1 - of_surface.mean() < 0.15
+    # Nothing of the back wall but what is seen through the door's gaps.
+    back = points[of_surface, 0] > np.quantile(points[:, 0], 0.999) - 0.01
+    assert back.mean() < 0.02 and middle[0] < np.ptp(points[:, 0]) / 2 + points[:, 0].min()
+
+
+def test_strays_are_neither_clicked_nor_counted():
+    rng = np.random.default_rng(0)
+    flat = np.c_[rng.random((400, 2)), np.zeros(400)]
+    air = rng.random((40, 3)) + (0, 0, 2)
+    cloud = PointCloud(np.concatenate([flat, air]).astype(np.float32))
+    labels = np.r_[(flat[:, 0] > 0.5).astype(np.int16), np.full(40, -1, np.int16)]
+    item = BenchObject("plate", "some", Asset("plate", cloud=cloud), labels, (0, 1))
+    clicked: list[int] = []
+
+    class All:
+        """Says that all is part 1, stray points too."""
+
+        asset = item.asset
+
+        def segment(self, prompts: Prompts) -> PartSegmentation:
+            clicked.extend(c.element for c in prompts.clicks)
+            return PartSegmentation(np.ones(len(labels), np.int16), "all", 0.0)
+
+        def candidates(self, prompts: Prompts, part: int) -> list:
+            return []
+
+    row = BenchRow("all", "some")
+    _one_against_the_rest(All(), item, BenchConfig(cap=3), row, 0)
+    _all_competing(All(), item, row)
+    assert len(clicked) > 6 and max(clicked) < 400
+    assert row.curves[1][0] == pytest.approx((labels == 1).sum() / 400)
 
 
 def test_the_scorers_can_be_trained_again(tmp_path):
