@@ -28,7 +28,10 @@ _LEAST_MESH_NODES = 30_000
 _STRAY_NEIGHBOR, _STRAY = 6, 5.0
 """A node of a cloud that is that many times as far from its n-th neighbour as most may be stray."""
 _STRAY_LINK, _STRAY_GROUP = 10.0, 20
-"""Unless it is one of so many, that many usual distances apart: a surface seen at a slant."""
+"""Unless it is one of more than so many, that many usual distances apart,"""
+_STRAY_ALIKE, _STRAY_AROUND, _STRAY_FLAT = 2.0, 10, 0.03
+"""or all neighbours but one lie no more than so many times as near to theirs, and so many on a
+plane but for that share of their spread: a surface that was seen at a slant, or from afar."""
 _MOST_STRAY = 0.1
 """Of all nodes: a cloud with more has no usual distance."""
 
@@ -169,15 +172,12 @@ def _without_strays(nodes: Nodes) -> Nodes:
     at = np.flatnonzero(apart > _STRAY * usual)
     if not 0 < len(at) <= _MOST_STRAY * len(nodes):
         return nodes
-    pairs = KDTree(nodes.points[at]).query_pairs(_STRAY_LINK * usual, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(at), len(at)))
-    _, group = connected_components(links, directed=False)
-    at = at[np.bincount(group)[group] <= _STRAY_GROUP]
+    at = at[_alone(nodes, at, _STRAY_LINK * usual) & ~_sparse_surface(nodes, at, apart)]
+    if not len(at):
+        return nodes
     stray = np.zeros(len(nodes), bool)
     stray[at] = True
     kept = np.flatnonzero(~stray)
-    if not len(at):
-        return nodes
     became = np.zeros(len(nodes), np.int32)
     became[kept] = np.arange(len(kept), dtype=np.int32)
     _, near = KDTree(nodes.points[kept]).query(nodes.points[at])
@@ -190,6 +190,32 @@ def _without_strays(nodes: Nodes) -> Nodes:
     colors = None if nodes.colors is None else nodes.colors[kept]
     zero = np.zeros(len(kept), np.int32)
     return Nodes(nodes.points[kept], normals, colors, zero, zero, elements)
+
+
+def _alone(nodes: Nodes, at: npt.NDArray[np.integer], reach: float) -> npt.NDArray[np.bool_]:
+    """(K,) whether few of the nodes ``at`` (K,) hang together, by steps of at most ``reach``."""
+    pairs = KDTree(nodes.points[at]).query_pairs(reach, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(at), len(at)))
+    _, group = connected_components(links, directed=False)
+    return np.bincount(group)[group] <= _STRAY_GROUP
+
+
+def _sparse_surface(
+    nodes: Nodes, at: npt.NDArray[np.integer], apart: npt.NDArray[np.floating]
+) -> npt.NDArray[np.bool_]:
+    """(K,) whether the nodes ``at`` (K,) lie among others that are as far apart, on a plane.
+
+    Args:
+        apart: (N,) metres from each node to its n-th neighbour.
+    """
+    _, near = nodes.tree.query(nodes.points[at], k=min(_STRAY_AROUND + 1, len(nodes)))
+    near = np.asarray(near)  # with the node itself
+    others = np.sort(apart[near[:, 1 : _STRAY_NEIGHBOR + 1]], axis=1)
+    alike = apart[at] < _STRAY_ALIKE * others[:, 1]  # but for one that may lie on a denser surface
+    offset = nodes.points[near].astype(np.float64)
+    offset -= offset.mean(1, keepdims=True)
+    spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", offset, offset))
+    return alike & (spread[:, 0] < _STRAY_FLAT * spread.sum(1))
 
 
 def voxel_keys(
