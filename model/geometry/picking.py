@@ -10,9 +10,13 @@ import numpy.typing as npt
 
 from model.errors import GeometryError
 from model.geometry.asset import Asset
+from model.geometry.strays import Strays
 from model.geometry.strokes import Stroke, covered
 
 Array = npt.NDArray[Any]
+
+_PASSED = 100
+"""Stray points that a ray passes at most."""
 
 DEFAULT_PIXEL_ANGLE = 1.5e-3
 """Radians a pixel: 60 degrees over 700 pixels."""
@@ -117,6 +121,7 @@ class Picker:
             self._points = np.asarray(asset.cloud.points)
             self._tree = KDTree(self._points, balanced_tree=False, compact_nodes=True)
             self._spacing = self._measure_spacing()
+            self._strays = Strays(self._points, self._tree)
 
     def _measure_spacing(self) -> float:
         """Metres between neighbours, as most points have it."""
@@ -203,12 +208,16 @@ class Picker:
         ball = np.hypot(step / 2, self._radius(middle + step / 2, angle))
         centers = o + middle[:, None] * d
         nearest = self._tree.query(centers, distance_upper_bound=float(ball.max()))[0]
+        passed: list[int] = []
         for i in np.flatnonzero(nearest <= ball):
             found = np.asarray(self._tree.query_ball_point(centers[i], ball[i]), np.int64)
-            element = self._front(o, d, found, angle)
-            if element is not None:
-                return self._point_pick(element, d)
-        return None
+            while (element := self._front(o, d, found, angle)) is not None:
+                # A stray point is meant only where nothing is behind it.
+                if len(passed) == _PASSED or not self._strays.holds(element):
+                    return self._point_pick(element, d)
+                passed.append(element)
+                found = found[found != element]
+        return self._point_pick(passed[0], d) if passed else None
 
     def _radius(self, depth: Array, angle: float) -> Array:
         """The cone's radius: a few pixels, but never so thin that it slips between the points.

@@ -11,13 +11,12 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
+from model.geometry.strays import stray_points
 
 TARGET_NODES = 100_000
 """Nodes per asset: 6 mm spacing on a 1 m cabinet, and a graph that answers within a click."""
@@ -25,15 +24,6 @@ TARGET_NODES = 100_000
 _MIN_SHELL_NODES = 12
 _NODES_PER_FACE = 12
 _LEAST_MESH_NODES = 30_000
-_STRAY_NEIGHBOR, _STRAY = 6, 5.0
-"""A node of a cloud that is that many times as far from its n-th neighbour as most may be stray."""
-_STRAY_LINK, _STRAY_GROUP = 10.0, 20
-"""Unless it is one of more than so many, that many usual distances apart,"""
-_STRAY_ALIKE, _STRAY_AROUND, _STRAY_FLAT = 2.0, 10, 0.03
-"""or all neighbours but one lie no more than so many times as near to theirs, and so many on a
-plane but for that share of their spread: a surface that was seen at a slant, or from afar."""
-_MOST_STRAY = 0.1
-"""Of all nodes: a cloud with more has no usual distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,20 +149,8 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
 
 
 def _without_strays(nodes: Nodes) -> Nodes:
-    """``nodes`` of a cloud but for those that float alone: their points go with what is nearest.
-
-    A depth camera leaves points in the air and between what is near and what is far; they would
-    join surfaces that don't touch, and a click on one would be about much more than itself.
-    """
-    if len(nodes) <= _STRAY_GROUP:
-        return nodes
-    distance, _ = nodes.tree.query(nodes.points, k=_STRAY_NEIGHBOR + 1, workers=2)
-    apart = np.asarray(distance)[:, -1]
-    usual = float(np.median(apart))
-    at = np.flatnonzero(apart > _STRAY * usual)
-    if not 0 < len(at) <= _MOST_STRAY * len(nodes):
-        return nodes
-    at = at[_alone(nodes, at, _STRAY_LINK * usual) & ~_sparse_surface(nodes, at, apart)]
+    """``nodes`` of a cloud but for those on no surface: their points go with what is nearest."""
+    at = stray_points(nodes.points, nodes.tree)
     if not len(at):
         return nodes
     stray = np.zeros(len(nodes), bool)
@@ -190,32 +168,6 @@ def _without_strays(nodes: Nodes) -> Nodes:
     colors = None if nodes.colors is None else nodes.colors[kept]
     zero = np.zeros(len(kept), np.int32)
     return Nodes(nodes.points[kept], normals, colors, zero, zero, elements)
-
-
-def _alone(nodes: Nodes, at: npt.NDArray[np.integer], reach: float) -> npt.NDArray[np.bool_]:
-    """(K,) whether few of the nodes ``at`` (K,) hang together, by steps of at most ``reach``."""
-    pairs = KDTree(nodes.points[at]).query_pairs(reach, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(at), len(at)))
-    _, group = connected_components(links, directed=False)
-    return np.bincount(group)[group] <= _STRAY_GROUP
-
-
-def _sparse_surface(
-    nodes: Nodes, at: npt.NDArray[np.integer], apart: npt.NDArray[np.floating]
-) -> npt.NDArray[np.bool_]:
-    """(K,) whether the nodes ``at`` (K,) lie among others that are as far apart, on a plane.
-
-    Args:
-        apart: (N,) metres from each node to its n-th neighbour.
-    """
-    _, near = nodes.tree.query(nodes.points[at], k=min(_STRAY_AROUND + 1, len(nodes)))
-    near = np.asarray(near)  # with the node itself
-    others = np.sort(apart[near[:, 1 : _STRAY_NEIGHBOR + 1]], axis=1)
-    alike = apart[at] < _STRAY_ALIKE * others[:, 1]  # but for one that may lie on a denser surface
-    offset = nodes.points[near].astype(np.float64)
-    offset -= offset.mean(1, keepdims=True)
-    spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", offset, offset))
-    return alike & (spread[:, 0] < _STRAY_FLAT * spread.sum(1))
 
 
 def voxel_keys(
