@@ -26,7 +26,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("what", choices=("ui", "scene", "segment", "predict"))
     add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
-    add("--sets", nargs="+", metavar="NAME", help="segment: which data sets")
+    add("--sets", nargs="+", metavar="NAME",
+        help="segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs")  # fmt: skip
     add("--segmenter", action="append", metavar="NAME",
         help="segment: may be repeated; ui: who answers the clicks")  # fmt: skip
     add("--points", type=count, nargs="+", metavar="N", help="ui: sizes of the clouds")
