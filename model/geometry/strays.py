@@ -37,7 +37,7 @@ def stray_points(points: Points, tree: KDTree) -> npt.NDArray[np.int64]:
     apart = np.asarray(distance)[:, -1]
     usual = float(np.median(apart))
     at = np.flatnonzero(apart > _FAR * usual)
-    if not 0 < len(at) <= _MOST * len(points):
+    if not usual or not 0 < len(at) <= _MOST * len(points):
         return none
     return at[_alone(points[at], _LINK * usual) & ~_sparse_surface(points, tree, at)]
 
@@ -49,8 +49,10 @@ class Strays:
         self._points, self._tree = points, tree
         self._far = np.inf
         if len(points) > _GROUP:
-            some = points[:: max(len(points) // _SAMPLE, 1)]
-            self._far = _FAR * float(np.median(_apart(tree, some)))
+            apart = _apart(tree, points[:: max(len(points) // _SAMPLE, 1)])
+            far = _FAR * float(np.median(apart))
+            if far and (apart > far).mean() <= _MOST:
+                self._far = far
 
     def holds(self, index: int) -> bool:
         """Whether a point lies on no surface; of small groups some may pass for one."""

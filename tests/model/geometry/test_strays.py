@@ -48,6 +48,17 @@ def test_points_at_one_place_are_no_strays(same) -> None:
     assert not Strays(same, tree).holds(0)
 
 
+def test_where_no_distance_is_usual_nothing_is_stray() -> None:
+    rng = np.random.default_rng(0)
+    twice = np.concatenate([np.repeat(rng.random((100, 3)), 12, axis=0), rng.random((90, 3))])
+    dense = np.concatenate([rng.random((900, 3)) * 1e-3, rng.random((300, 3))])
+    for points in (twice, dense):
+        tree = KDTree(points)
+        one = Strays(points, tree)
+        assert len(stray_points(points, tree)) == 0
+        assert not any(one.holds(i) for i in range(0, len(points), 7))
+
+
 def test_a_click_passes_strays_to_what_is_behind(points) -> None:
     pick = Picker(Asset("wall", cloud=PointCloud(points))).pick
     eye = np.array([0.5, -3.0, 0.5])
