@@ -213,7 +213,7 @@ def for_picking(
     item: SceneItem, workspace: Path, progress: Progress = no_progress
 ) -> room_tasks.Removal | None:
     """Lay down a working copy to pick objects out of; floor and walls where it is a room."""
-    from model.segmentation.crop import ROOM_METRES
+    from model.segmentation.nodes import ROOM_METRES
 
     assert item.copy is not None
     lay_down(item)

@@ -12,7 +12,7 @@ from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
 from app.viewer.quick_names import QuickNames
 from app.viewer.widgets import NONE, put
-from model.segmentation.crop import ROOM_METRES
+from model.segmentation.nodes import ROOM_METRES
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document

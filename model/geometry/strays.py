@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-_NEIGHBOR, _FAR = 6, 5.0
+_NEIGHBOR, _FAR = 6, 4.5
 """A point that is that many times as far from its n-th neighbour as most may be stray."""
 _LINK, _GROUP = 10.0, 20
 """Unless it is one of more than so many, that many usual distances apart,"""

@@ -9,11 +9,10 @@ from scipy.spatial import KDTree
 from model.errors import GeometryError
 from model.geometry.asset import Asset
 from model.segmentation.cells import groups
+from model.segmentation.nodes import ROOM_METRES
 
 Bool = npt.NDArray[np.bool_]
 
-ROOM_METRES = 2.5
-"""A scan that is wider than this may be a room."""
 MOST_THICKNESS = 0.06
 """Metres: more is no unevenness of a wall."""
 GAP = 0.06

@@ -21,6 +21,9 @@ from model.geometry.strays import stray_points
 TARGET_NODES = 100_000
 """Nodes per asset: 6 mm spacing on a 1 m cabinet, and a graph that answers within a click."""
 
+ROOM_METRES = 2.5
+"""A scan that is wider than this may be a room."""
+
 _MIN_SHELL_NODES = 12
 _NODES_PER_FACE = 12
 _LEAST_MESH_NODES = 30_000
@@ -145,7 +148,10 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
         enough = max(_NODES_PER_FACE * len(asset.mesh.faces), _LEAST_MESH_NODES)
         return _mesh_nodes(asset.mesh, min(target, enough))
     assert asset.cloud is not None
-    return _without_strays(_cloud_nodes(asset.cloud, target))
+    nodes = _cloud_nodes(asset.cloud, target)
+    if np.ptp(nodes.points[:, :2], axis=0).max() >= ROOM_METRES:
+        return nodes  # a room's strays are left out with its floor and walls, where a person asks
+    return _without_strays(nodes)
 
 
 def _without_strays(nodes: Nodes) -> Nodes:

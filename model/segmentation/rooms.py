@@ -14,11 +14,11 @@ import numpy.typing as npt
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.cells import Cells
-from model.segmentation.crop import ROOM_METRES, floor_and_walls, largest_piece
+from model.segmentation.crop import floor_and_walls, largest_piece
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import FEATURE_NAMES, Candidates, Clicked, MaskDescriber, joined
 from model.segmentation.mlp import Mlp
-from model.segmentation.nodes import Nodes
+from model.segmentation.nodes import ROOM_METRES, Nodes
 from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.walk import Walk
 
