@@ -33,8 +33,7 @@ def stray_points(points: Points, tree: KDTree) -> npt.NDArray[np.int64]:
     none = np.zeros(0, np.int64)
     if len(points) <= _GROUP:
         return none
-    distance, _ = tree.query(points, k=_NEIGHBOR + 1, workers=2)
-    apart = np.asarray(distance)[:, -1]
+    apart = _apart(tree, points, workers=2)
     usual = float(np.median(apart))
     at = np.flatnonzero(apart > _FAR * usual)
     if not usual or not 0 < len(at) <= _MOST * len(points):
@@ -62,9 +61,9 @@ class Strays:
         return not _sparse_surface(self._points, self._tree, at)[0]
 
 
-def _apart(tree: KDTree, points: Points) -> npt.NDArray[np.float64]:
+def _apart(tree: KDTree, points: Points, workers: int = 1) -> npt.NDArray[np.float64]:
     """(K,) metres from each of ``points`` (K, 3) to its n-th neighbour."""
-    distance, _ = tree.query(points, k=_NEIGHBOR + 1)
+    distance, _ = tree.query(points, k=_NEIGHBOR + 1, workers=workers)
     return np.asarray(distance)[:, -1]
 
 

@@ -48,13 +48,12 @@ class ElementMap:
 
     @cached_property
     def _by_node(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
-        element = np.concatenate(
-            [np.arange(len(self.node_of_element), dtype=np.int32), self.vote_element]
-        )
-        node = np.concatenate([self.node_of_element, self.vote_node])
-        last = np.zeros(len(element), bool)
-        last[self.stray] = True  # no stray point represents a node
-        order = np.lexsort((last, node))
+        own = np.arange(len(self.node_of_element), dtype=np.int32)
+        if len(self.stray):  # last, so that none represents a node
+            own = np.concatenate([np.delete(own, self.stray), self.stray])
+        element = np.concatenate([own, self.vote_element])
+        node = np.concatenate([self.node_of_element[own], self.vote_node])
+        order = np.argsort(node, kind="stable")
         start = np.searchsorted(node[order], np.arange(self.node_count + 1))
         return element[order], start
 
@@ -149,7 +148,7 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
         return _mesh_nodes(asset.mesh, min(target, enough))
     assert asset.cloud is not None
     nodes = _cloud_nodes(asset.cloud, target)
-    if np.ptp(nodes.points[:, :2], axis=0).max() >= ROOM_METRES:
+    if len(nodes) and np.ptp(nodes.points[:, :2], axis=0).max() >= ROOM_METRES:
         return nodes  # a room's strays are left out with its floor and walls, where a person asks
     return _without_strays(nodes)
 

@@ -204,7 +204,8 @@ class PartSolver:
             return found
         return replace(
             found,
-            scores=found.scores + self._large_penalty * self._large(found.candidates.masks),
+            scores=found.scores
+            + self._large_penalty * self._large(self._nodes(found.candidates.masks)),
         )
 
     def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
@@ -355,7 +356,7 @@ class PartSolver:
         against = _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
         # Who has clicked other parts is after those that move, not after the base.
         beside = bool(after.negative) or (blocked is not None and bool(blocked.any()))
-        against += (self._large_beside if beside else self._large_penalty) * self._large(masks)
+        against += (self._large_beside if beside else self._large_penalty) * self._large(held)
         speck = np.log(self._first_speck / np.maximum(held, 1.0))
         against += _SPECK_PENALTY * np.clip(speck, 0, _SPECK_MOST)
         larger = np.log(np.maximum(held, 1.0) / (_DETAIL * size.sum()))
@@ -363,9 +364,9 @@ class PartSolver:
             1 - np.clip(larger / np.log(_NO_DETAIL / _DETAIL), 0, 1)
         )
 
-    def _large(self, masks: Bool) -> Float:
-        """(H,) 0..1 how much more than half of the object each mask holds."""
-        share = self._nodes(masks) / self.cells.size.sum()
+    def _large(self, held: Float) -> Float:
+        """(H,) 0..1 how much more than half of the object masks of ``held`` (H,) nodes are."""
+        share = held / self.cells.size.sum()
         return np.clip((share - _LARGE) / _LARGE_RAMP, 0, 1)
 
     def _nodes(self, masks: Bool) -> Float:
