@@ -72,8 +72,8 @@ class Commands:
         app.set_stage("Review")  # where a reason is asked for, and the next object follows
         panel = app.review_panel
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        accept(app.need_object(), panel.comment_text, app.who, now, panel.override_text)
-        panel.decided()
+        with panel.deciding():
+            accept(app.need_object(), panel.comment_text, app.who, now, panel.override_text)
 
     def reject(self) -> None:
         """Send the object back to its annotator."""
@@ -83,8 +83,8 @@ class Commands:
             return
         app.set_stage("Review")
         panel = app.review_panel
-        app.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
-        panel.decided()
+        with panel.deciding():
+            app.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
         panel.clear()
         app.notify("Rejected", "It is back with its annotator", "orange")
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +44,7 @@ class ReviewPanel:
     def __init__(self, app: ClientApp) -> None:
         self._app = app
         self._drawn: Any = None
-        self._decided_here: int | None = None
+        self._asked: tuple[int, int] | None = None  # the object, and its state at that time
         gui = app.client.gui
         self.gate = GateView(app)
         self._summary = gui.add_markdown("")
@@ -84,9 +86,19 @@ class ReviewPanel:
         """The chosen reason to reject."""
         return REASONS[self._reason.value]
 
-    def decided(self) -> None:
-        """This tab asked for a decision: go on once it is made."""
-        self._decided_here = self._app.need_object().record.id
+    @contextmanager
+    def deciding(self) -> Iterator[None]:
+        """Go on once what is asked for within is decided; not where it is refused.
+
+        Told beforehand: the tab may draw the decision before asking for it returns.
+        """
+        obj = self._app.need_object()
+        self._asked = (obj.record.id, obj.state.seq)
+        try:
+            yield
+        except BaseException:
+            self._asked = None
+            raise
 
     def clear(self) -> None:
         """Empty what was typed."""
@@ -141,8 +153,9 @@ class ReviewPanel:
         if doc.saved is not None:
             put(self._saved, "content", f"Saved in {plain(doc.saved.folder, 200)}")
         self._draw_history()
-        if decided and self._decided_here == obj.record.id and "save" not in obj.busy:
-            self._decided_here = None
+        id, before = self._asked or (None, 0)
+        if decided and id == obj.record.id and obj.state.seq > before and "save" not in obj.busy:
+            self._asked = None
             if self._go_on.value:
                 self._app.act(self._app.commands.go_on)
 

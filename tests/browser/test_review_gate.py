@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -161,7 +162,7 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
 
 
 def test_the_least_sure_prediction_follows_a_decision(
-    start: Any, open_tab: Any, tmp_path: Path
+    start: Any, open_tab: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = start(*(write_cupboard(tmp_path / name) for name in ("a", "b", "c")))
     tab = open_tab(server)
@@ -170,6 +171,13 @@ def test_the_least_sure_prediction_follows_a_decision(
         record_prediction(obj, sure)
     assert tab.app.object is objects[0]
     tab.step("Review")
+    carry_out = tab.app.do
+
+    def slowly(command: cmd.Command) -> None:
+        carry_out(command)
+        time.sleep(1)  # the tab draws the decision meanwhile
+
+    monkeypatch.setattr(tab.app, "do", slowly)
     tab.page.evaluate("document.activeElement?.blur()")
     tab.key("x")
     wait_until(lambda: objects[0].document.review.state == "rejected", "rejected")
