@@ -16,6 +16,8 @@ from scipy.spatial import KDTree
 from model.segmentation.box_scores import Believed, BoxBeliefs, shipped_box_model
 from model.segmentation.cells import Cells
 from model.segmentation.depths import Depths
+from model.segmentation.front_features import FRONT_FEATURES, front_features
+from model.segmentation.fronts import Fronts
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import (
     FEATURE_NAMES,
@@ -45,6 +47,8 @@ BOX_FEATURES = (
     "first_deepest", "near_negatives", "between_positives",
 )  # fmt: skip
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES)
+MOVING_FEATURE_NAMES = (*OBJECT_FEATURE_NAMES, *FRONT_FEATURES)
+"""Of first clicks on parts that move."""
 _FROM_BOX = len(SOURCES)
 _LOG_SIZE, _FIRST_DEPTH = (
     [n for n in FEATURE_NAMES if n not in MaskDescriber.among].index(n)
@@ -353,6 +357,8 @@ class ObjectSolver(PartSolver):
         """``shell`` (C,): of a mesh, the shell of each cell; ``axes`` (3, 3): the main directions,
         where they are known; ``of_mesh``: whether the cells are of faces, with ``shell`` or not.
         """
+        self.fronts: Fronts | None = None
+        self.moving_scorer: Mlp | None = None
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
@@ -390,6 +396,31 @@ class ObjectSolver(PartSolver):
         deep = boxes.contents(*boxes.behind(low, high, _FRONTS))
         round_all = boxes.contents(low, high) | regions
         return self._with(chain, [round_all, deep, self._between((cell,), (), self._most)])
+
+    def part_regions(self, cell: int, outside: tuple[int, ...]) -> Candidates:
+        """The same, and rectangles of the front that was clicked, with what is behind them."""
+        found = self.first_regions(cell)
+        if self.fronts is None:
+            return found
+        made = [self.fronts.masks(f, self.fronts.rectangles(f, cell, outside))
+                for f in self.fronts.of(cell)]  # fmt: skip
+        if not made:
+            return found
+        likely = np.concatenate([m[:_FRONTS] for m in made])
+        boxes = self._boxes
+        deep = boxes.contents(*boxes.behind(*boxes.bounds(likely[likely.any(1)]), _FRONTS))
+        return self._with(found, [*made, deep])
+
+    def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
+        if self.fronts is None:
+            return super()._as_part(found, features, clicked)
+        fronts = self.fronts.of(clicked.last)
+        front = fronts[-1] if fronts else None
+        shown = front_features(found.masks, self.cells, self.axes, front)
+        both = np.concatenate([features, shown], axis=1)
+        if self.moving_scorer is None:
+            return both, super()._as_part(found, features, clicked)[1]
+        return both, self.moving_scorer(both)
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool

@@ -39,7 +39,7 @@ from model.segmentation.prompt_steps import (
     telling,
 )
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
-from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.scorers import shipped_moving_scorer, shipped_scorers, solver_of
 from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
 
 _STATES = 256
@@ -91,12 +91,16 @@ class DefaultSession:
         groups: faces of a mesh that belong together.
         fittings: what the small shells of a mesh are fastened to.
         closeups: small parts of an object on the nodes themselves; None in a room.
+        of_parts: first clicks mean parts that move, see :meth:`of_anything`.
     """
 
-    def __init__(self, asset: Asset, encoding: Encoding, solver: PartSolver) -> None:
+    def __init__(
+        self, asset: Asset, encoding: Encoding, solver: PartSolver, *, of_parts: bool = True
+    ) -> None:
         self.asset = asset
         self.encoding = encoding
         self.solver = solver
+        self.of_parts = of_parts
         # An object's own hypotheses reach far enough; a room's objects are many regions.
         self._joins = encoding.room is not None
         # On meshes shells tell what is fastened; in a room what lies on a table is no handle of it.
@@ -117,6 +121,14 @@ class DefaultSession:
             self.fittings = fittings_of(mesh, a, b)
             self.groups = (plates_of(mesh), self.fittings.shells)
         self._states: OrderedDict[bytes, _State] = OrderedDict()
+
+    def of_anything(self) -> DefaultSession:
+        """The same for clicks that may mean the base, too, whatever part they are said to be of.
+
+        People don't click the base: it is what they leave. Protocols that ask for every link in
+        turn do.
+        """
+        return DefaultSession(self.asset, self.encoding, self.solver, of_parts=False)
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
         """Labels for all elements; see the protocol."""
@@ -169,7 +181,7 @@ class DefaultSession:
 
     def preview(self, cell: int) -> Bool:
         """(C,) the cells that a first click on ``cell`` would take."""
-        found = self.solver.first_answer(cell)
+        found = self.solver.first_answer(cell, of_a_part=self.of_parts)
         best = found.best
         if self.fittings is not None:
             node = int(np.argmax(self.encoding.cells.of_node == cell))
@@ -221,7 +233,9 @@ class DefaultSession:
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
             self.encoding.walk.ask(cell)
-            found = self.solver.answer(own, cell, step.positive, blocked)
+            found = self.solver.answer(
+                own, cell, step.positive, blocked, of_a_part=self.of_parts
+            )
             best = found.best
             if step.positive and own.mask is None and self.fittings is not None:
                 best = self._not_all(found, state, steps)
@@ -528,4 +542,5 @@ class DefaultSegmenter:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
         scorers = shipped_scorers(rooms=encoding.room is not None)
-        return DefaultSession(asset, encoding, solver_of(encoding, *scorers))
+        solver = solver_of(encoding, *scorers, shipped_moving_scorer())
+        return DefaultSession(asset, encoding, solver)

@@ -9,12 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.resources import static_assets
-from model.segmentation.boxes import OBJECT_FEATURE_NAMES, ObjectSolver
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES, ObjectSolver
 from model.segmentation.encoding import Encoding
+from model.segmentation.fronts import Fronts
 from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
 from model.segmentation.solver import PartSolver
 
+MOVING_SCORER = "first_click_moving.npz"
 PART_SCORERS = ("first_click.npz", "later_click.npz")
 ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
 
@@ -28,6 +30,13 @@ def shipped_scorers(*, rooms: bool = False) -> Scorers:
     return read_scorers(static_assets() / "segmentation", rooms=rooms)
 
 
+@lru_cache(maxsize=1)
+def shipped_moving_scorer() -> Mlp | None:
+    """The scorer of first clicks on parts that move, for objects; None where it is not there."""
+    path = static_assets() / "segmentation" / MOVING_SCORER
+    return load_mlp(path, MOVING_FEATURE_NAMES) if path.is_file() else None
+
+
 def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
     """The scorers in ``folder``."""
     first, later = (folder / name for name in (ROOM_SCORERS if rooms else PART_SCORERS))
@@ -38,11 +47,17 @@ def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
     )
 
 
-def solver_of(encoding: Encoding, first: Mlp | None, later: Mlp | None) -> PartSolver:
+def solver_of(
+    encoding: Encoding, first: Mlp | None, later: Mlp | None, moving: Mlp | None = None
+) -> PartSolver:
     """The solver for what was encoded, an object or a room."""
     cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
     if room is None:
-        return ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
+        solver = ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
+        nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
+        solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
+        solver.moving_scorer = moving
+        return solver
     return RoomSolver(cells, hierarchy, walk, room, first, later)
 
 

@@ -135,11 +135,16 @@ def largest_piece(region: Bool) -> tuple[Bool, int]:
     return number == 1 + size.argmax(), int(size.max())
 
 
+def depths(piece: Bool) -> Points:
+    """(R, C) pixels from each pixel to the piece's outline, 0 outside."""
+    return np.asarray(distance_transform_edt(np.pad(piece, 1)))[1:-1, 1:-1]
+
+
 def middle_of(piece: Bool) -> tuple[int, int]:
     """Row and column of the pixel that is farthest from the piece's outline."""
-    depth = np.asarray(distance_transform_edt(np.pad(piece, 1)))
+    depth = depths(piece)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-    return int(row) - 1, int(column) - 1
+    return int(row), int(column)
 
 
 def clicked_as_seen(

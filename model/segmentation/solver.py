@@ -193,20 +193,23 @@ class PartSolver:
         """What a first click on a cell may mean."""
         return self.chain(cell)
 
+    def part_regions(self, cell: int, outside: tuple[int, ...]) -> Candidates:
+        """What a first click on a cell may mean if that is a part that moves, without others."""
+        del outside
+        return self.first_regions(cell)
+
+    def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
+        """(H, F) features and (H,) scores of what a first click may mean as a part that moves."""
+        scores = self._rule(found, clicked) if self._first is None else self._first(features)
+        return features, scores
+
     def first_answer(self, cell: int, *, of_a_part: bool = True) -> Ranked:
         """Hypotheses for a first click on ``cell`` with nothing else said.
 
         Args:
-            of_a_part: nobody clicks the base; without that the base, too, may be meant.
+            of_a_part: see :meth:`answer`.
         """
-        found = self.answer(PartState(), cell, True, None)
-        if of_a_part or not self._large_penalty:
-            return found
-        return replace(
-            found,
-            scores=found.scores
-            + self._large_penalty * self._large(self._nodes(found.candidates.masks)),
-        )
+        return self.answer(PartState(), cell, True, None, of_a_part=of_a_part)
 
     def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
         """``mask`` without crumbs and pinholes that no click asked for.
@@ -224,7 +227,15 @@ class PartSolver:
 
     # Hypotheses ----------------------------------------------------------------------
 
-    def answer(self, state: PartState, cell: int, positive: bool, blocked: Bool | None) -> Ranked:
+    def answer(
+        self,
+        state: PartState,
+        cell: int,
+        positive: bool,
+        blocked: Bool | None,
+        *,
+        of_a_part: bool = True,
+    ) -> Ranked:
         """Hypotheses for a new click, scored.
 
         Args:
@@ -232,10 +243,12 @@ class PartSolver:
             cell: the clicked cell.
             positive: whether the part should hold it.
             blocked: (C,) cells of other parts that this part may not take.
+            of_a_part: a first click means a part that moves, as people's do: what they don't click
+                is the base. Without that the base, too, may be meant.
         """
         after = with_click(state, cell, positive)
         if state.mask is None or not state.mask.any():
-            return self._first_answer(after, cell, blocked)
+            return self._first_answer(after, cell, blocked, of_a_part)
         clicked = Clicked(after.positive, after.negative, cell, positive, state.mask, state.agreed)
         found = self._finish(self._region_hypotheses(state, after, cell, positive), after, blocked)
         if self._later is None:
@@ -327,12 +340,14 @@ class PartSolver:
             against += _STALL_PENALTY * np.clip(1 - changed / max(wanted, 1.0), 0, 1)
         return against
 
-    def _first_answer(self, after: PartState, cell: int, blocked: Bool | None) -> Ranked:
+    def _first_answer(
+        self, after: PartState, cell: int, blocked: Bool | None, of_a_part: bool
+    ) -> Ranked:
         clicked = Clicked(after.positive, after.negative, cell, True)
         if not after.positive:
             empty = Candidates.of([np.zeros(len(self.cells), bool)], "keep")
             return Ranked(empty, self.describe(empty, clicked), np.zeros(1, np.float32))
-        found = self.first_regions(cell)
+        found = self.part_regions(cell, after.negative) if of_a_part else self.first_regions(cell)
         if blocked is not None:
             found = replace(found, masks=found.masks & ~blocked)
         if after.negative:
@@ -341,10 +356,18 @@ class PartSolver:
                 found = found.take(np.nonzero(clean)[0])
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
-        scores = self._rule(found, clicked) if self._first is None else self._first(features)
-        return Ranked(found, features, scores - self._no_part(found.masks, after, blocked))
+        if of_a_part:
+            features, scores = self._as_part(found, features, clicked)
+        elif self._first is not None:
+            scores = self._first(features)
+        else:
+            scores = self._rule(found, clicked)
+        against = self._no_part(found.masks, after, blocked, of_a_part)
+        return Ranked(found, features, scores - against)
 
-    def _no_part(self, masks: Bool, after: PartState, blocked: Bool | None) -> Float:
+    def _no_part(
+        self, masks: Bool, after: PartState, blocked: Bool | None, of_a_part: bool
+    ) -> Float:
         """(H,) what speaks against first answers whatever they look like: nobody clicks for nearly
         all that other parts have left, most of the object, or a speck.
 
@@ -356,7 +379,8 @@ class PartSolver:
         against = _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
         # Who has clicked other parts is after those that move, not after the base.
         beside = bool(after.negative) or (blocked is not None and bool(blocked.any()))
-        against += (self._large_beside if beside else self._large_penalty) * self._large(held)
+        if beside or of_a_part:
+            against += (self._large_beside if beside else self._large_penalty) * self._large(held)
         speck = np.log(self._first_speck / np.maximum(held, 1.0))
         against += _SPECK_PENALTY * np.clip(speck, 0, _SPECK_MOST)
         larger = np.log(np.maximum(held, 1.0) / (_DETAIL * size.sum()))

@@ -102,7 +102,8 @@ class Rows:
     share: Float
 
 
-def _joined(parts: list[Rows]) -> Rows:
+def joined_rows(parts: list[Rows]) -> Rows:
+    """One after the other."""
     begin = np.cumsum([0, *(len(r.share) for r in parts)])
     return Rows(
         np.concatenate([r.features for r in parts]),
@@ -121,15 +122,19 @@ def overlaps(encoding: Encoding, ranked: Ranked, truth: npt.NDArray[np.bool_]) -
     return common / np.maximum(masks @ cells.size.astype(np.float32) + own.sum() - common, 1)
 
 
-class _Log:
+class Log:
+    """Collects the rows of clicks; ``names`` are of the features."""
+
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
         self._rows: list[tuple[Float, Float, float]] = []
 
     def add(self, ranked: Ranked, overlap: Float, share: float) -> None:
+        """One click: its hypotheses, their IoU (H,), and what the part is of the surface."""
         self._rows.append((ranked.features, overlap.astype(np.float32), share))
 
     def rows(self) -> Rows:
+        """All of them."""
         none = np.zeros((0, len(self._names)), np.float32)
         counts = [len(o) for _, o, _ in self._rows]
         return Rows(
@@ -193,7 +198,7 @@ def play(
     encoding, points = scene.encoding, scene.encoding.nodes.points
     solver = solver_of(encoding, first, later)
     of_node = encoding.cells.of_node
-    first_log, later_log = _Log(solver.describe.names), _Log(solver.describe.names)
+    first_log, later_log = Log(solver.describe.names), Log(solver.describe.names)
     rooms = kind == "rooms"
     if rooms and encoding.room is None:
         return first_log.rows(), later_log.rows()  # too little of its floor and walls was seen
@@ -205,7 +210,7 @@ def play(
         starts += rng.choice(inside, config.first_clicks - 2).tolist()
         answers = []
         for start in starts:
-            ranked = solver.answer(PartState(), int(of_node[start]), True, None)
+            ranked = solver.answer(PartState(), int(of_node[start]), True, None, of_a_part=False)
             first_log.add(ranked, overlaps(encoding, ranked, truth), truth.mean())
             answers.append(ranked)
         # Half of the sessions begin on the deepest point.
@@ -225,7 +230,7 @@ def _session(
     clicks: int,
     explore: float,
     rng: np.random.Generator,
-    log: _Log,
+    log: Log,
 ) -> None:
     of_node, points = encoding.cells.of_node, encoding.nodes.points
     state, cell, positive = PartState(), int(of_node[start]), True
@@ -338,7 +343,7 @@ def _rounds(
     for index, (kind, seeds) in enumerate(rounds):
         if index:
             names = ROOM_FEATURE_NAMES if kind == "rooms" else OBJECT_FEATURE_NAMES
-            first, later = (_joined([p[k] for p in played]) for k in (0, 1))
+            first, later = (joined_rows([p[k] for p in played]) for k in (0, 1))
             scorers = (fit_scorer(first, config.networks, names),
                        fit_scorer(later, config.networks, names))  # fmt: skip
         played += collect(seeds, config, kind, *scorers)
@@ -357,11 +362,11 @@ def _fitted(
     models = []
     for k, name in enumerate(("first", "later")):
         rows = [p[k] for p in played]
-        test = _joined(rows[:: config.held_out])
-        rest = _joined([r for i, r in enumerate(rows) if i % config.held_out])
+        test = joined_rows(rows[:: config.held_out])
+        rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
         model = fit_scorer(rest, config.networks, names)
         scores[f"{name}_iou"], scores[f"{name}_best_possible"] = chosen_overlap(model, test)
-        models.append(fit_scorer(_joined(rows), config.networks, names))
+        models.append(fit_scorer(joined_rows(rows), config.networks, names))
     notes: dict[str, object] = {
         "training": {**asdict(config), "start": config.start and config.start.name},
         "scores": scores,

@@ -1,0 +1,89 @@
+"""What a mask shows on the flat front that was clicked: lines along its sides and within it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from model.segmentation.cells import Cells
+from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, Front, support
+
+FRONT_FEATURES = (
+    "front", "front_share", "front_filled", "side_1", "side_2", "side_3", "side_4",
+    *(f"sides_{name}" for name in CHANNELS),
+    "within_upright", "within_level", "sides_of_front", "front_area", "front_wide", "front_high",
+    "even_wide", "even_high", "front_support", "front_support_behind_best", "knobs", "knobs_of_front",
+    "front_full",
+)  # fmt: skip
+
+Bool = npt.NDArray[np.bool_]
+Float = npt.NDArray[np.floating]
+
+_TRIM = 0.01
+_REACH = 2
+_KNOBS = 4
+
+
+def front_features(
+    masks: Bool, cells: Cells, axes: Float, front: Front | None
+) -> npt.NDArray[np.float32]:
+    """(H, F) features, in the order of ``FRONT_FEATURES``; zeros where there is no front.
+
+    Args:
+        masks: (H, C). axes: (3, 3) the object's main directions, in rows.
+    """
+    out = np.zeros((len(masks), len(FRONT_FEATURES)), np.float32)
+    if front is None:
+        return out
+    at = cells.center @ axes.T
+    layer = np.flatnonzero(np.abs(front.outward * at[:, front.axis] - front.depth) < front.reach)
+    flat = (at[layer][:, list(front.across)] - front.low) / front.side
+    size = cells.size[layer].astype(np.float32)
+    half = 0.5 * np.sqrt(size) / NODES_A_SQUARE
+    held = masks[:, layer] * size
+    own = held.sum(1)
+    there = np.flatnonzero(own > 0)
+    if not len(there):
+        return out
+    held, own = held[there], own[there]
+    rects = np.concatenate(
+        [_bounds(held, flat[:, k], half, front.shape[k]) for k in (0, 1)], axis=1
+    )
+    total = masks[there].astype(np.float32) @ cells.size.astype(np.float32)
+    whole = np.array(front.bounds)
+    wide, high = whole[1] + 1 - whole[0], whole[3] + 1 - whole[2]
+    w, h = rects[:, 1] + 1 - rects[:, 0], rects[:, 3] + 1 - rects[:, 2]
+    lines, inner = front.sides(rects, _REACH), front.within(rects)
+    worth = support(lines[..., -1], inner)
+    knobs = front.knobs[None]
+    among = (knobs >= rects[:, None, ::2]) & (knobs <= rects[:, None, 1::2])
+    full = float(front.region.sum()) / (wide * high)
+    columns = [
+        np.ones(len(own)), own / np.maximum(total, 1e-9),
+        np.minimum(own / np.maximum(front.held(rects), 1), 2.0),
+        *np.sort(lines[..., -1], axis=1).T, *lines[..., :-1].mean(1).T, *inner.T,
+        (np.abs(rects - whole) <= _REACH).mean(1), np.log(w * h / (wide * high)),
+        w / wide, h / high, _uneven(wide / w), _uneven(high / h), worth, worth - worth.max(),
+        np.minimum(among.all(2).sum(1), _KNOBS),
+        np.full(len(own), min(len(front.knobs), 2 * _KNOBS)), np.full(len(own), full),
+    ]  # fmt: skip
+    out[there] = np.stack(columns, axis=1)
+    return out
+
+
+def _uneven(times: Float) -> Float:
+    return np.abs(times - np.round(times))
+
+
+def _bounds(
+    held: npt.NDArray[np.float32], at: Float, half: Float, most: int
+) -> npt.NDArray[np.int64]:
+    """(H, 2) first and last square along one direction, but for a hundredth at each end."""
+    order = np.argsort(at, kind="stable")
+    passed = np.cumsum(held[:, order], axis=1)
+    total = passed[:, -1:]
+    first = (passed > _TRIM * total).argmax(1)
+    last = (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(1)
+    low, high = at[order] - half[order], at[order] + half[order]
+    bounds = np.stack([low[first], high[last]], axis=1)
+    return np.clip(np.floor(bounds), 0, most - 1).astype(np.int64)

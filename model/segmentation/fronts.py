@@ -1,0 +1,522 @@
+"""Rectangles on a flat front: doors and drawers that are told apart by faint lines alone.
+
+A gap between two flush doors is narrower than the points lie apart, and no edge of the graph is
+strong there by itself. But the line is as long as the door: along it a little darkness, a dent, a
+step and missing points add up. So a front is laid out as a picture of small squares, what looks
+like a line is summed over whole sides of rectangles, and rectangles are found by cutting the front
+again and again at the strongest lines on either side of a click, as pages are cut into columns
+and paragraphs (recursive X-Y cuts; Nagy and Seth, *Hierarchical representation of optically
+scanned documents*, 1984).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import binary_closing, center_of_mass, label, uniform_filter1d
+
+from model.segmentation.cells import Cells
+from model.segmentation.features import lab_colors
+from model.segmentation.graph import Graph
+from model.segmentation.nodes import Nodes
+
+Bool = npt.NDArray[np.bool_]
+Float = npt.NDArray[np.floating]
+Rect = tuple[int, int, int, int]
+"""First and last column, first and last row, of squares."""
+Rects = npt.NDArray[np.int64]
+"""(R, 4) the same of many."""
+
+CHANNELS = ("strength", "gap", "dark", "dent", "step", "tilt", "hue")
+"""What a line shows: strong edges, missing points, darkness, a dent, a step in depth, slanting
+normals, a step in colour."""
+_WEIGHT = np.array([0.3, 0.25, 0.25, 0.2, 0.2, 0.1, 0.2], np.float32)
+
+NODES_A_SQUARE = 1.5
+"""Side of a square, in node spacings."""
+_ALONG = 0.8
+"""Least cosine between a clicked cell's normal and a main direction."""
+_DEEP, _DEEP_SPACINGS = 0.02, 4.0
+"""How far before and behind the click a front reaches, in diagonals and in spacings."""
+_LEAST_SIDE = 4
+_MOST_SIDE = 600
+_AROUND = 3
+_CLIP = 4.0
+_CUTS, _EXPANDED, _AT_ONCE, _MOST = 3, 20, 4, 20
+"""Cuts tried on each side, rectangles that are cut further, a few at once, and kept."""
+_EVENLY = 1.0
+"""What speaks against a rectangle that no line tells."""
+_APART = 3
+_ALIKE = 0.85
+_KEPT = 32
+_PARTS = (2, 3, 4, 5)
+_BEFORE = 4.0
+"""How far handles stand out before a front, in its reach."""
+_STANDS_OUT = 0.6
+"""How far before a front something has to be to stand out, in its reach."""
+_KNOB, _KNOB_MOST = 4, 0.1
+"""Squares that a knob or handle has at least, and what share of the front it is at most."""
+_LARGER = 4.0
+"""How much more surface a front behind a handle has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """The picture of a flat front.
+
+    Attributes:
+        axis: main direction that it faces along; across: the two others.
+        low: (2,) metres of the picture's corner; side: metres of a square.
+        outward: 1 or -1, to which side along ``axis`` it faces.
+        depth: metres along ``outward`` of its middle; reach: how far before and behind that is it.
+        shape: columns and rows; region: (U, V) squares of the connected front.
+        nodes: (U + 1, V + 1) int64 how many lie before each column and row.
+        knobs: (B, 2) column and row of the middle of each thing that stands out before it.
+        columns, rows: (U, V + 1, K), (U + 1, V, K) evidence of upright lines, summed along the
+            second place, and of level ones, summed along the first; K channels and their mean.
+    """
+
+    axis: int
+    across: tuple[int, int]
+    low: Float
+    side: float
+    outward: float
+    depth: float
+    reach: float
+    region: Bool
+    nodes: npt.NDArray[np.int64]
+    knobs: Float
+    columns: Float
+    rows: Float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return self.region.shape  # type: ignore[return-value]
+
+    @cached_property
+    def bounds(self) -> Rect:
+        """What the region fills."""
+        u, v = np.flatnonzero(self.region.any(1)), np.flatnonzero(self.region.any(0))
+        return int(u[0]), int(u[-1]), int(v[0]), int(v[-1])
+
+    def upright(self, v0: int, v1: int) -> Float:
+        """(U,) mean evidence of an upright line at each column, between rows ``v0`` and ``v1``."""
+        held = self.columns[:, v1 + 1, -1] - self.columns[:, v0, -1]
+        return held / max(v1 + 1 - v0, 1)
+
+    def level(self, u0: int, u1: int) -> Float:
+        """(V,) the same of level lines."""
+        return (self.rows[u1 + 1, :, -1] - self.rows[u0, :, -1]) / max(u1 + 1 - u0, 1)
+
+    def sides(self, rects: Rects, reach: int = 1) -> npt.NDArray[np.float32]:
+        """(R, 4, K) evidence along the sides of rectangles, the best within ``reach`` squares.
+
+        The sides of the front itself are certain.
+        """
+        whole = self.bounds
+        out = np.empty((len(rects), 4, self.columns.shape[2]), np.float32)
+        number, shift = np.arange(len(rects)), np.arange(-reach, reach + 1)
+        for side in range(4):
+            axis = side // 2
+            at = rects[:, side] + side % 2
+            begin, end = rects[:, 2 - 2 * axis], rects[:, 3 - 2 * axis] + 1
+            places = np.clip(at[:, None] + shift, 0, self.shape[axis] - 1)
+            if axis == 0:
+                held = self.columns[places, end[:, None]] - self.columns[places, begin[:, None]]
+            else:
+                held = self.rows[end[:, None], places] - self.rows[begin[:, None], places]
+            held = held / np.maximum(end - begin, 1)[:, None, None]
+            out[:, side] = held[number, held[..., -1].argmax(1)]
+            out[np.abs(at - whole[side] - side % 2) <= 1 + reach, side] = _CLIP / 2
+        return out
+
+    def within(self, rects: Rects) -> npt.NDArray[np.float32]:
+        """(R, 2) the strongest upright and level line within each rectangle."""
+        out = np.empty((len(rects), 2), np.float32)
+        for i, (u0, u1, v0, v1) in enumerate(rects.tolist()):
+            out[i] = (
+                self.upright(v0, v1)[u0 + 3 : u1 - 1].max(initial=-1.0),
+                self.level(u0, u1)[v0 + 3 : v1 - 1].max(initial=-1.0),
+            )
+        return out
+
+    def held(self, rects: Rects) -> npt.NDArray[np.int64]:
+        """(R,) nodes in each rectangle."""
+        u0, u1, v0, v1 = rects.T
+        n = self.nodes
+        return n[u1 + 1, v1 + 1] - n[u0, v1 + 1] - n[u1 + 1, v0] + n[u0, v0]
+
+
+class Fronts:
+    """The fronts of an encoded object, laid out where they are clicked."""
+
+    def __init__(
+        self, nodes: Nodes, graph: Graph, strength: npt.NDArray[np.float32], cells: Cells,
+        axes: Float,
+    ) -> None:  # fmt: skip
+        self._cells, self._axes = cells, axes
+        self._at = nodes.points.astype(np.float64) @ axes.T
+        self._facing = graph.normals.astype(np.float64) @ axes.T
+        self._center = cells.center @ axes.T
+        self._graph, self._strength = graph, strength
+        colors = nodes.colors
+        self._lab = None if colors is None else lab_colors(colors)
+        self._side = NODES_A_SQUARE * graph.spacing
+        diagonal = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
+        self._reach = max(_DEEP * diagonal, _DEEP_SPACINGS * graph.spacing)
+        unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
+        self._turn = unit @ axes.T
+        self._fronts: OrderedDict[tuple[int, float, float, int], Front] = OrderedDict()
+
+    def of(self, cell: int) -> list[Front]:
+        """The fronts that a cell lies on or stands before, the nearest first.
+
+        Nothing where the cell faces along no main direction.
+        """
+        axis = int(np.abs(self._turn[cell]).argmax())
+        if abs(self._turn[cell, axis]) < _ALONG:
+            return []
+        outward = float(np.sign(self._turn[cell, axis]))
+        own = outward * float(self._center[cell, axis])
+        depths = [own]
+        behind = self._behind(cell, axis, outward, own)
+        if behind is not None:
+            depths.append(behind)
+        fronts = [self._at_depth(cell, axis, outward, depth) for depth in depths]
+        return [f for f in fronts if f is not None]
+
+    def _behind(self, cell: int, axis: int, outward: float, own: float) -> float | None:
+        """Depth of a much larger front a little behind a cell: that of the door behind a handle."""
+        facing = outward * self._turn[:, axis] > _ALONG
+        depth = outward * self._center[facing, axis]
+        size = self._cells.size[facing]
+        near = (depth < own + self._reach / 2) & (depth > own - _BEFORE * self._reach)
+        if not near.any():
+            return None
+        step = self._reach / 2
+        bins = ((own + step - depth[near]) / step).astype(int)
+        held = np.bincount(bins, size[near])
+        best = int(held.argmax())
+        if best < 3 or held[best] < _LARGER * held[:3].max():
+            return None
+        return float(np.average(depth[near][bins == best], weights=size[near][bins == best]))
+
+    def _at_depth(self, cell: int, axis: int, outward: float, depth: float) -> Front | None:
+        for key, known in self._fronts.items():
+            if (
+                key[:2] == (axis, outward)
+                and abs(known.depth - depth) < known.reach / 4
+                and known.region[self._square(known, cell)]
+            ):
+                self._fronts.move_to_end(key)
+                return known
+        front = self._laid_out(cell, axis, outward, depth)
+        if front is not None:
+            self._fronts[axis, outward, depth, cell] = front
+            if len(self._fronts) > _KEPT:
+                self._fronts.popitem(last=False)
+        return front
+
+    def _square(self, front: Front, cell: int) -> tuple[int, int]:
+        at = (self._center[cell, list(front.across)] - front.low) / front.side
+        u, v = np.clip(at.astype(int), 0, np.array(front.shape) - 1).tolist()
+        return u, v
+
+    def _laid_out(self, cell: int, axis: int, outward: float, depth: float) -> Front | None:
+        across = (1, 2) if axis == 0 else (0, 2) if axis == 1 else (0, 1)
+        near = np.abs(outward * self._at[:, axis] - depth) < self._reach
+        chosen = np.flatnonzero(near)
+        if len(chosen) < _LEAST_SIDE**2:
+            return None
+        flat = self._at[chosen][:, list(across)]
+        low = flat.min(0) - self._side
+        side = max(self._side, float(np.ptp(flat, axis=0).max()) / (_MOST_SIDE - 3))
+        place = ((flat - low) / side).astype(np.int64)
+        shape = tuple((place.max(0) + 2).tolist())
+        key = place[:, 0] * shape[1] + place[:, 1]
+        size = shape[0] * shape[1]
+
+        def of(values: Float) -> Float:
+            return np.bincount(key, values, size).reshape(shape)
+
+        count = np.bincount(key, minlength=size).reshape(shape).astype(np.float64)
+        there = count > 0
+        region = self._region(there, np.clip(((self._center[cell, list(across)] - low) / side)
+                                             .astype(int), 0, np.array(shape) - 1))  # fmt: skip
+        if region is None:
+            return None
+        maps = {
+            "depth": of(outward * self._at[chosen, axis] - depth) / np.maximum(count, 1) / side,
+            "tilt": of(1 - np.abs(self._facing[chosen, axis])) / np.maximum(count, 1),
+            "strength": self._edges(near, across, low, side, shape),
+        }  # fmt: skip
+        if self._lab is not None:
+            lab = self._lab[chosen]
+            maps |= {n: of(lab[:, k]) / np.maximum(count, 1) for k, n in enumerate("Lab")}
+        columns = _evidence(maps, there, region)
+        rows = _evidence({n: m.T for n, m in maps.items()}, there.T, region.T)
+        return Front(
+            axis, across, low, side, outward, depth, self._reach, region,
+            np.pad(count.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0))),
+            self._knobs(axis, across, outward, depth, low, side, region),
+            np.concatenate([np.zeros_like(columns[:, :1]), np.cumsum(columns, axis=1)], axis=1),
+            np.concatenate([np.zeros_like(rows[:, :1]), np.cumsum(rows, axis=1)], axis=1)
+            .transpose(1, 0, 2),
+        )  # fmt: skip
+
+    def _region(self, there: Bool, at: npt.NDArray[np.int64]) -> Bool | None:
+        closed = binary_closing(np.pad(there, 3), iterations=2)[3:-3, 3:-3] | there
+        piece = np.zeros(closed.shape, np.int32)
+        label(closed, output=piece)
+        own = piece[tuple(at)]
+        if own == 0:
+            return None
+        region = piece == own
+        return region if region.sum() >= _LEAST_SIDE**2 else None
+
+    def _knobs(
+        self, axis: int, across: tuple[int, int], outward: float, depth: float, low: Float,
+        side: float, region: Bool,
+    ) -> Float:  # fmt: skip
+        deep = outward * self._at[:, axis] - depth
+        out = (deep > _STANDS_OUT * self._reach) & (deep < _BEFORE * self._reach)
+        place = ((self._at[out][:, list(across)] - low) / side).astype(int)
+        inside = ((place >= 0) & (place < region.shape)).all(1)
+        there = np.zeros(region.shape, bool)
+        there[tuple(place[inside].T)] = True
+        piece = np.zeros(region.shape, np.int32)
+        number = label(binary_closing(np.pad(there, 2), iterations=1)[2:-2, 2:-2], output=piece)
+        size = np.bincount((piece * region).ravel(), minlength=number + 1)
+        size[0] = 0
+        small = np.flatnonzero((size >= _KNOB) & (size < _KNOB_MOST * region.sum()))
+        if not len(small):
+            return np.zeros((0, 2))
+        return np.array(center_of_mass(there, piece, small))
+
+    def _edges(
+        self, near: Bool, across: tuple[int, int], low: Float, side: float, shape: tuple[int, int]
+    ) -> Float:
+        """(U, V) mean strength of the edges in each square."""
+        graph = self._graph
+        edges = np.flatnonzero(near[graph.a] & near[graph.b])
+        a, b = graph.a[edges], graph.b[edges]
+        u, v = (
+            ((0.5 * (self._at[a, k] + self._at[b, k]) - begin) / side).astype(np.int64)
+            for k, begin in zip(across, low, strict=True)
+        )
+        key, size = u * shape[1] + v, shape[0] * shape[1]
+        total = np.bincount(key, self._strength[edges], size)
+        count = np.bincount(key, minlength=size)
+        return (total / np.maximum(count, 1)).reshape(shape)
+
+    # Rectangles ----------------------------------------------------------------------
+
+    def rectangles(self, front: Front, cell: int, outside: tuple[int, ...] = ()) -> Rects:
+        """(R, 4) rectangles of a front that hold a cell, and not others; the likeliest first."""
+        before = self._before(front)
+        others = [self._square(front, c) for c in outside if before[c]]
+        return _cut(front, self._square(front, cell), others)
+
+    def _before(self, front: Front) -> Bool:
+        """(C,) the cells of a front, and what stands out before it."""
+        deep = front.outward * self._center[:, front.axis] - front.depth
+        return (deep > -front.reach) & (deep < _BEFORE * front.reach)
+
+    def masks(self, front: Front, rects: Rects) -> Bool:
+        """(H, C) the cells in rectangles, with what stands out before them."""
+        out = np.zeros((len(rects), len(self._center)), bool)
+        near = np.flatnonzero(self._before(front))
+        u, v = ((self._center[near][:, list(front.across)] - front.low) / front.side).T
+        u0, u1, v0, v1 = rects.T[:, :, None]
+        out[:, near] = (u >= u0) & (u < u1 + 1) & (v >= v0) & (v < v1 + 1)
+        return out
+
+
+def _smooth(values: Float, there: Bool, offset: int, width: int) -> Float:
+    """Mean over ``width`` squares from ``offset`` on along the first place; where there are any."""
+    w = there.astype(np.float64)
+    shift = offset + width // 2
+
+    def run(x: Float) -> Float:
+        mean = uniform_filter1d(x, width, axis=0, mode="constant")
+        return _shifted(mean, shift)
+
+    return run(values * w) / np.maximum(run(w), 1e-9) * (run(w) > 1e-9)
+
+
+def _shifted(x: Float, shift: int) -> Float:
+    """``x[i + shift]`` at i, zero beyond."""
+    out = np.zeros_like(x)
+    if shift >= 0:
+        out[: len(x) - shift] = x[shift:]
+    else:
+        out[-shift:] = x[:shift]
+    return out
+
+
+def _evidence(maps: dict[str, Float], there: Bool, region: Bool) -> npt.NDArray[np.float32]:
+    """(U, V, K) how much each square looks like one of an upright line, channel by channel.
+
+    Every channel is what stands out against the squares beside it, in robust deviations of the
+    region.
+    """
+    shape = there.shape
+    out = np.zeros((*shape, len(CHANNELS) + 1), np.float32)
+
+    def sides(name: str) -> tuple[Float, Float]:
+        m = maps[name]
+        return _smooth(m, there, -_AROUND - 1, _AROUND), _smooth(m, there, 2, _AROUND)
+
+    def ridge(name: str) -> Float:
+        before, after = sides(name)
+        return np.where(there, maps[name] - (before + after) / 2, 0.0)
+
+    held = uniform_filter1d(there.astype(float), _AROUND, axis=0, mode="constant")
+    beside = np.minimum(_shifted(held, -3), _shifted(held, 3))
+    before, after = sides("depth")
+    found = {
+        "strength": ridge("strength"),
+        "dent": np.where(there, np.minimum(before, after) - maps["depth"], 0.0),
+        "step": np.abs(_smooth(maps["depth"], there, -_AROUND, _AROUND)
+                       - _smooth(maps["depth"], there, 1, _AROUND)),
+        "tilt": ridge("tilt"),
+    }  # fmt: skip
+    if "L" in maps:
+        found["dark"] = -ridge("L")
+        found["hue"] = np.sqrt(sum(
+            (_smooth(maps[n], there, -_AROUND, _AROUND) - _smooth(maps[n], there, 1, _AROUND)) ** 2
+            for n in "Lab"))  # fmt: skip
+    for k, name in enumerate(CHANNELS):
+        if name == "gap":
+            out[..., k] = np.where(there, 0.0, beside) * region * 2
+            continue
+        if name not in found:
+            continue
+        x = found[name]
+        inside = x[region & there]
+        middle = np.median(inside)
+        spread = 1.4826 * np.median(np.abs(inside - middle)) + 1e-6
+        out[..., k] = np.clip((x - middle) / spread, -1.5, _CLIP) * region
+    out[..., -1] = out[..., :-1] @ _WEIGHT
+    return out
+
+
+def _cut(front: Front, spot: tuple[int, int], others: list[tuple[int, int]]) -> Rects:
+    """(R, 4) rectangles round a square, found by cutting at the strongest lines; the likeliest
+    first.
+    """
+    whole = front.bounds
+    known: dict[Rect, float] = {whole: 0.0}
+    queue, left = [whole], _EXPANDED
+    while queue and left:
+        found: dict[Rect, None] = {}
+        for rect in queue[:_AT_ONCE][:left]:
+            left -= 1
+            found |= dict.fromkeys(_children(front, rect, spot, others))
+        queue = queue[_AT_ONCE:]
+        queue += _scored(front, [r for r in found if r not in known], known)
+        queue.sort(key=lambda r: -known[r])
+    best = sorted(known, key=lambda r: -known[r])[:2]
+    even = [r for rect in [whole, *best] for r in _even(rect, spot) if r not in known]
+    for rect in _scored(front, list(dict.fromkeys(even)), known):
+        known[rect] -= _EVENLY
+    right = [r for r in known if not any(_holds(r, o) for o in others)]
+    right.sort(key=lambda r: -known[r])
+    return _apart(np.array(right, np.int64).reshape(-1, 4))
+
+
+def _scored(front: Front, rects: list[Rect], known: dict[Rect, float]) -> list[Rect]:
+    if rects:
+        each = np.array(rects)
+        known.update(zip(rects, support(front.sides(each)[..., -1], front.within(each)).tolist()))
+    return rects
+
+
+def support(sides: Float, inner: Float) -> Float:
+    """(R,) how much rectangles look like parts of their own: by the (R, 4) lines along their sides
+    and the (R, 2) strongest within them.
+    """
+    return np.minimum(sides, 2.0).mean(1) + 0.5 * sides.min(1) - 0.5 * inner.max(1)
+
+
+def _apart(rects: Rects) -> Rects:
+    """The first ones that are not alike."""
+    kept: list[int] = []
+    area = (rects[:, 1] - rects[:, 0] + 1) * (rects[:, 3] - rects[:, 2] + 1)
+    free = np.ones(len(rects), bool)
+    for i in range(len(rects)):
+        if not free[i]:
+            continue
+        kept.append(i)
+        if len(kept) == _MOST:
+            break
+        low = np.maximum(rects[i, ::2], rects[:, ::2])
+        high = np.minimum(rects[i, 1::2], rects[:, 1::2])
+        common = np.maximum(high - low + 1, 0).prod(1)
+        free &= common < _ALIKE * (area + area[i] - common)
+    return rects[kept]
+
+
+def _holds(rect: Rect, spot: tuple[int, int]) -> bool:
+    return rect[0] <= spot[0] <= rect[1] and rect[2] <= spot[1] <= rect[3]
+
+
+def _even(rect: Rect, spot: tuple[int, int]) -> list[Rect]:
+    """The pieces that hold a square if a rectangle is cut evenly."""
+    out: list[Rect] = []
+    u0, u1, v0, v1 = rect
+    for parts in _PARTS:
+        wide, high = (u1 + 1 - u0) / parts, (v1 + 1 - v0) / parts
+        if wide >= _LEAST_SIDE:
+            k = int((spot[0] - u0) / wide)
+            out.append((round(u0 + k * wide), round(u0 + (k + 1) * wide) - 1, v0, v1))
+        if high >= _LEAST_SIDE:
+            k = int((spot[1] - v0) / high)
+            out.append((u0, u1, round(v0 + k * high), round(v0 + (k + 1) * high) - 1))
+    return [r for r in out if _holds(r, spot)]
+
+
+def _children(
+    front: Front, rect: Rect, spot: tuple[int, int], others: list[tuple[int, int]]
+) -> list[Rect]:
+    """What is left round ``spot`` of a rectangle after one cut at a strong line."""
+    u0, u1, v0, v1 = rect
+    out: list[Rect] = []
+    for axis in (0, 1):
+        profile = front.upright(v0, v1) if axis == 0 else front.level(u0, u1)
+        begin, end, at = (u0, u1, spot[0]) if axis == 0 else (v0, v1, spot[1])
+        between = [o[axis] for o in others if _holds(rect, o)]
+        ranges = ((begin + _LEAST_SIDE, at - 2, False), (at + 3, end + 1 - _LEAST_SIDE, True))
+        for low, high, after in ranges:
+            lines = _peaks(profile, low, high, _CUTS)
+            for other in between:
+                if other != at and (other > at) == after:
+                    near = (low, min(high, other)) if after else (max(low, other + 1), high)
+                    lines += _peaks(profile, *near, 1)
+            for line in lines:
+                if axis == 0:
+                    out.append((u0, line - 1, v0, v1) if after else (line, u1, v0, v1))
+                else:
+                    out.append((u0, u1, v0, line - 1) if after else (u0, u1, line, v1))
+    least = _LEAST_SIDE - 1
+    return [r for r in out if r[1] - r[0] >= least and r[3] - r[2] >= least]
+
+
+def _peaks(profile: Float, low: int, high: int, most: int) -> list[int]:
+    """The highest places of a profile in a range, apart from one another."""
+    if high <= low:
+        return []
+    part = profile[low:high].copy()
+    out: list[int] = []
+    for _ in range(most):
+        best = int(part.argmax())
+        if part[best] == -np.inf:
+            break
+        out.append(low + best)
+        part[max(best - _APART, 0) : best + _APART + 1] = -np.inf
+    return out

@@ -1,0 +1,251 @@
+"""The scorer of first clicks on parts that move, as people make them.
+
+Nobody clicks the base: what no click claims is the base. So this scorer learns from parts that
+move alone, clicked where they are seen, with and without clicks on other parts, on objects with
+relief within their parts, most of them met as depth cameras see them.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+from model.geometry.asset import Asset
+from model.kinematics.articulated_object import Part, SegmentedObject
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import Encoding, encode
+from model.segmentation.mlp import save_mlp
+from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.seen_clicks import Picture, depths, largest_piece, picture_of
+from model.segmentation.solver import PartState
+from model.segmentation.training.clicks import (
+    Log,
+    Rows,
+    asked_by_size,
+    chosen_overlap,
+    fit_scorer,
+    joined_rows,
+    overlaps,
+)
+from model.segmentation.training.ornaments import ornamented
+from model.segmentation.training.scans import SQUARE, Shape, build, scan
+
+_COUNTS, _COUNT_CHANCE = (100_000, 60_000, 30_000), (0.6, 0.2, 0.2)
+_CLOSE = 0.35
+"""Of the greatest depth of what is seen of a part: where clicks land."""
+_LEAST_PIXELS = 12
+_SIDES = 8
+_NOISE = (0.0003, 0.001, 0.002)
+
+
+@dataclass(frozen=True)
+class MovingTraining:
+    """What is needed to train ``first_click_moving.npz`` again.
+
+    Attributes:
+        objects: to learn from; first_seed: of them.
+        square: share of them that are furniture, appliances and the like.
+        ornaments: share of them that get relief.
+        camera, one_sided, mesh: shares that are met as depth cameras see them, as one-sided clouds
+            and as meshes; the rest as clouds seen from all around.
+        parts: asked for in each, spread over the logarithm of their sizes.
+        clicks: first clicks on each.
+        held_out: every n-th object measures in a fit of its own.
+        networks: that are fitted and averaged.
+        workers: processes.
+    """
+
+    objects: int = 1200
+    first_seed: int = 200_000
+    square: float = 0.4
+    ornaments: float = 0.5
+    camera: float = 0.4
+    one_sided: float = 0.15
+    mesh: float = 0.25
+    parts: int = 5
+    clicks: int = 3
+    held_out: int = 6
+    networks: int = 3
+    workers: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a person has before them: an encoded object with the true part of every node.
+
+    Attributes:
+        base: the part that does not move.
+    """
+
+    encoding: Encoding
+    labels: npt.NDArray[np.int16]
+    base: int
+    picture: Picture
+    shown: npt.NDArray[np.int16]
+
+
+def _base_of(shape: Shape) -> int:
+    """The part that does not move; of assemblies the first."""
+    if shape.object is None:
+        return 0
+    links = [p.link for p in shape.object.parts]
+    return links.index(shape.object.tree.root)
+
+
+def _pieces(shape: Shape) -> tuple[SegmentedObject, npt.NDArray[np.int16]]:
+    """The parts of a shape as what a camera sees, and the number of each."""
+    mesh, numbers = shape.mesh, np.unique(shape.part)
+    faces = [shape.part == number for number in numbers]
+    parts = tuple(
+        Part(f"link_{n}", replace(mesh, faces=mesh.faces[own],
+                                  face_material=mesh.face_material[own]))
+        for n, own in zip(numbers.tolist(), faces, strict=True)
+    )  # fmt: skip
+    return SegmentedObject(shape.family, parts), numbers
+
+
+def _photographed(
+    shape: Shape, count: int, rng: np.random.Generator
+) -> tuple[Asset, npt.NDArray[np.int16]]:
+    """What one to five depth cameras before a shape see, and the part of each point, -1: none."""
+    seen, numbers = _pieces(shape)
+    ahead = rng.uniform(-np.pi, np.pi) if rng.random() < 0.1 else _ahead(shape)
+    around = ahead + rng.uniform(-0.9, 0.9, rng.integers(1, 6))
+    size = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
+    noise = float(rng.choice(_NOISE)) * size
+    settings = ScanSettings(
+        tuple(View(float(a), float(rng.uniform(0.05, 0.7))) for a in around),
+        count,
+        # Depths are about 1.6 diagonals, and the noise grows with their square.
+        depth_noise=noise / (1.6 * size) ** 2,
+        color_noise=float(rng.choice([3, 6, 10])),
+        outliers=float(rng.choice([0, 0.0005, 0.002])),
+        misalignment=0.3 * noise,
+    )
+    found = simulate_scan(seen, settings, rng)
+    labels = np.where((found.part < 0) | found.smeared, -1, numbers[found.part])
+    return Asset(shape.family, cloud=found.cloud), labels.astype(np.int16)
+
+
+def _ahead(shape: Shape) -> float:
+    """Azimuth (of a camera) from which most of the moving parts is seen."""
+    asset, base = Asset("sides", mesh=shape.mesh), _base_of(shape)
+    best, most = 0.0, -1
+    for azimuth in np.linspace(-np.pi, np.pi, _SIDES, endpoint=False):
+        front = (np.sin(azimuth), -np.cos(azimuth), 0.0)
+        part = picture_of(asset, front).of(shape.part)
+        number = int(((part >= 0) & (part != base)).sum())
+        if number > most:
+            best, most = float(azimuth), number
+    return best
+
+
+def _seen(seed: int, config: MovingTraining, rng: np.random.Generator) -> _Seen:
+    shape = build(seed, SQUARE if rng.random() < config.square else None)
+    base = _base_of(shape)
+    if rng.random() < config.ornaments:
+        bare = shape.object
+        shape = replace(ornamented(shape, rng), object=bare)
+    count = int(rng.choice(_COUNTS, p=_COUNT_CHANCE))
+    chance = rng.random()
+    if chance < config.mesh:
+        asset, labels = Asset(shape.family, mesh=shape.mesh), shape.part
+    elif chance < config.mesh + config.camera:
+        asset, labels = _photographed(shape, count, rng)
+    else:
+        aside = chance < config.mesh + config.camera + config.one_sided
+        made = scan(shape, count, "one-sided" if aside else "surface",
+                    float(rng.choice((0.0, *_NOISE))), seed)  # fmt: skip
+        asset, labels = Asset(shape.family, cloud=made.cloud), made.labels
+    azimuth = _ahead(shape) + rng.uniform(-0.3, 0.3)
+    picture = picture_of(asset, (np.sin(azimuth), -np.cos(azimuth), 0.0))
+    encoding = encode(asset, shipped_edge_model())
+    of_node = labels[encoding.nodes.elements.element_of_node]
+    return _Seen(encoding, of_node, base, picture, picture.of(labels))
+
+
+def play(seed: int, config: MovingTraining) -> Rows:
+    """First clicks on the moving parts of one object; rows of their hypotheses."""
+    rng = np.random.default_rng([seed, 7])
+    seen = _seen(seed, config, rng)
+    encoding, of_node = seen.encoding, seen.encoding.cells.of_node
+    solver = solver_of(encoding, *shipped_scorers())
+    log = Log(MOVING_FEATURE_NAMES)
+    if encoding.room is not None:
+        return log.rows()
+    pixels = {
+        part: _clicks(seen.shown == part, config.clicks, rng)
+        for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
+        if part != seen.base and (seen.shown == part).sum() >= _LEAST_PIXELS
+    }
+    cells = {
+        part: of_node[encoding.nodes.tree.query([seen.picture.position[at] for at in spots])[1]]
+        for part, spots in pixels.items()
+    }
+    size = np.bincount(of_node)
+    there = np.where(np.isin(seen.labels, list(cells)), seen.labels, np.int16(-1))
+    for part in asked_by_size(rng, there, config.parts):
+        truth = seen.labels == part
+        others = np.array([q for q in cells if q != part])
+        for cell in cells[part].tolist():
+            state, blocked = PartState(), None
+            if len(others) and rng.random() < 0.5:
+                chosen = rng.choice(others, int(rng.integers(1, len(others) + 1)), replace=False)
+                foreign = tuple(dict.fromkeys(int(cells[q][0]) for q in chosen.tolist()))
+                foreign = tuple(c for c in foreign if c != cell)
+                state = PartState(negative=foreign, agreed=(0, len(foreign)))
+                taken = np.bincount(of_node, np.isin(seen.labels, chosen), len(size))
+                blocked = taken > 0.5 * size
+                blocked[cell] = False
+            ranked = solver.answer(state, cell, True, blocked)
+            log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
+    return log.rows()
+
+
+def _clicks(
+    region: npt.NDArray[np.bool_], number: int, rng: np.random.Generator
+) -> list[tuple[int, int]]:
+    """Pixels in the middle of what is seen of a part, or not far from it."""
+    depth = depths(largest_piece(region)[0])
+    close = np.argwhere(depth > _CLOSE * depth.max())
+    picked = close[rng.integers(len(close), size=number - 1)]
+    first = np.unravel_index(int(depth.argmax()), depth.shape)
+    return [(int(r), int(c)) for r, c in [first, *picked]]
+
+
+def collect_moving(config: MovingTraining, seeds: range) -> list[Rows]:
+    """Rows of each object; they do not depend on ``workers``."""
+    if config.workers <= 1:
+        return [play(seed, config) for seed in seeds]
+    with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(play, seeds, [config] * len(seeds), chunksize=4))
+
+
+def train_moving(config: MovingTraining, path: Path) -> dict[str, float]:
+    """Play, fit, measure and write; returns the scores of a fit without every n-th object."""
+    seeds = range(config.first_seed, config.first_seed + config.objects)
+    return fit_moving(collect_moving(config, seeds), config, path)
+
+
+def fit_moving(rows: list[Rows], config: MovingTraining, path: Path) -> dict[str, float]:
+    """Fit, measure and write what :func:`collect_moving` found."""
+    test = joined_rows(rows[:: config.held_out])
+    rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
+    chosen, best = chosen_overlap(fit_scorer(rest, config.networks), test)
+    before, _ = chosen_overlap(shipped_scorers()[0], test)  # type: ignore[arg-type]
+    scores = {
+        "moving clicks": float(sum(len(r.share) for r in rows)),
+        "moving IoU": chosen, "moving IoU of the first scorer": before, "moving best": best,
+    }  # fmt: skip
+    whole = fit_scorer(joined_rows(rows), config.networks)
+    assert whole.names == OBJECT_FEATURE_NAMES
+    save_mlp(whole, path, {**asdict(config), **scores})
+    return scores
+
