@@ -441,6 +441,15 @@ class ObjectSolver(PartSolver):
             without = mask & ~boxes.contents(low, high)
             outside = mask & ~self._tight(cell, after.positive, self._most)
             made = [without, outside, self._cut(mask, low, high, after, cell)]
+        import os
+        if os.environ.get("AW_RECT") and self.fronts is not None and after.positive:
+            base = cell if positive else after.positive[-1]
+            for f in self.fronts.of(base):
+                m = self.fronts.masks(f, self.fronts.rectangles(f, base, after.negative))
+                if positive:
+                    made.append(m | mask)
+                m = m[m[:, list(after.positive)].all(1)]
+                made.append(m)
         if after.positive:
             made.append(self._between(after.positive, after.negative, self._most))
             made.append(self._alike(mask, after.positive, after.negative))

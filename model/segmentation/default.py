@@ -233,6 +233,13 @@ class DefaultSession:
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
             self.encoding.walk.ask(cell)
+            import os
+            if os.environ.get("AW_SHIFT") and not step.positive and own.mask is not None:
+                rest = _union([s.mask for r, s in parts.items() if r != step.part], len(self.encoding.cells))
+                parts[step.part], ranked[step.part] = self._without(own, cell, rest)
+                if parts[step.part].run == 0:
+                    parts[step.part] = replace(parts[step.part], run=-1)
+                return _State(parts, state.base, ranked)
             found = self.solver.answer(
                 own, cell, step.positive, blocked, of_a_part=self.of_parts
             )
@@ -252,12 +259,29 @@ class DefaultSession:
                 if other.mask[cell]:
                     # The click says that this part was too large: ask again what it is.
                     rest = _union([s.mask for r, s in parts.items() if r != q], len(taken))
-                    found = self.solver.answer(other, cell, False, rest)
-                    ranked[q] = found
-                    parts[q] = self.solver.moved(other, cell, False, found.best & ~rest)
+                    parts[q], ranked[q] = self._without(other, cell, rest)
                 else:
                     parts[q] = replace(agreeing(other, cell, False), mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
+
+    def _without(self, own: PartState, cell: int, rest: Bool) -> tuple[PartState, Ranked]:
+        """A part after a click on something else that it had taken, and its hypotheses.
+
+        One click so far: what that meant is asked anew, knowing more. Else the mask is mended.
+
+        Args:
+            rest: (C,) what other parts have now.
+        """
+        if not self.of_parts or len(own.positive) != 1 or own.drawn or own.run:
+            found = self.solver.answer(own, cell, False, rest)
+            return self.solver.moved(own, cell, False, found.best & ~rest), found
+        (first,) = own.positive
+        begun = agreeing(PartState(negative=own.negative, agreed=(0, own.agreed[1])), cell, False)
+        free = rest.copy()
+        free[first] = False
+        found = self.solver.answer(begun, first, True, free)
+        mask = self.solver.tidy(found.best, begun, first) & ~free
+        return self.solver.moved(begun, first, True, mask), found
 
     def _not_all(self, found: Ranked, state: _State, steps: tuple[Step, ...]) -> Bool:
         """The best first answer that plates and shells don't make all that is left of the mesh.
@@ -310,9 +334,8 @@ class DefaultSession:
         parts, ranked = dict(state.parts), dict(state.ranked)
         for part, own in state.parts.items():
             if own.mask is not None and own.mask[cell]:
-                found = self.solver.answer(own, cell, False, None)
-                ranked[part] = found
-                parts[part] = self.solver.moved(own, cell, False, found.best)
+                none = np.zeros(len(own.mask), bool)
+                parts[part], ranked[part] = self._without(own, cell, none)
             else:
                 parts[part] = agreeing(own, cell, False)
         base = (*(c for c in state.base if c != cell), cell)

@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.cells import Cells
-from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, Front, support
+from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, Front, Rects, support
 
 FRONT_FEATURES = (
     "front", "front_share", "front_filled", "side_1", "side_2", "side_3", "side_4",
     *(f"sides_{name}" for name in CHANNELS),
     "within_upright", "within_level", "sides_of_front", "front_area", "front_wide", "front_high",
     "even_wide", "even_high", "front_support", "front_support_behind_best", "knobs", "knobs_of_front",
-    "front_full",
+    "front_full", "framed_by", "frame_of", "repeat_1", "repeat_2", "split_upright", "split_level",
 )  # fmt: skip
 
 Bool = npt.NDArray[np.bool_]
@@ -22,6 +22,11 @@ Float = npt.NDArray[np.floating]
 _TRIM = 0.01
 _REACH = 2
 _KNOBS = 4
+_MARGIN, _UNEQUAL = 0.35, 3.0
+"""A frame's width at most, of the shorter side of what it frames, and how much wider one side of it
+is than another."""
+_NONE = -3.0
+_PIECES = (2, 3, 4, 5)
 
 
 def front_features(
@@ -66,9 +71,63 @@ def front_features(
         w / wide, h / high, _uneven(wide / w), _uneven(high / h), worth, worth - worth.max(),
         np.minimum(among.all(2).sum(1), _KNOBS),
         np.full(len(own), min(len(front.knobs), 2 * _KNOBS)), np.full(len(own), full),
+        *_framing(rects, worth, (own > 0.5 * total) & (own > 0.7 * front.held(rects))),
+        *_repeats(front, rects), *_splits(front, rects),
     ]  # fmt: skip
     out[there] = np.stack(columns, axis=1)
     return out
+
+
+def _framing(rects: Rects, worth: Float, filled: Bool) -> tuple[Float, Float]:
+    """(R,) of each rectangle the worth of the best one that frames it, and of the best one that it
+    frames: a door's panel is no part of its own.
+    """
+    low, high = rects[:, ::2], rects[:, 1::2]
+    before, after = low[:, None] - low[None], high[None] - high[:, None]
+    margin = np.concatenate([before, after], axis=2)
+    short = (high - low + 1).min(1)
+    ok = (margin.min(2) >= 2) & (margin.max(2) <= _MARGIN * short[None])
+    ok &= margin.max(2) <= _UNEQUAL * margin.min(2) + 2
+    ok &= filled[:, None] & filled[None]
+    framed_by = np.where(ok, worth[None], _NONE).max(1)
+    frame_of = np.where(ok, worth[:, None], _NONE).max(0)
+    return framed_by, frame_of
+
+
+def _repeats(front: Front, rects: Rects) -> tuple[Float, Float]:
+    """(R,) how clearly the two best neighbours of the same size end: doors come in rows."""
+    whole, found = front.bounds, []
+    for axis in (0, 1):
+        length = rects[:, 2 * axis + 1] + 1 - rects[:, 2 * axis]
+        for way in (-1, 1):
+            beside = rects.copy()
+            beside[:, 2 * axis : 2 * axis + 2] += way * length[:, None]
+            inside = beside[:, 2 * axis] >= whole[2 * axis] - _REACH
+            inside &= beside[:, 2 * axis + 1] <= whole[2 * axis + 1] + _REACH
+            beside = np.clip(beside, np.repeat(whole[::2], 2), np.repeat(whole[1::2], 2))
+            far = front.sides(beside, _REACH)[:, 2 * axis + (way > 0), -1]
+            found.append(np.where(inside, far, -1.0))
+    ordered = np.sort(np.stack(found), axis=0)
+    return ordered[-1], ordered[-2]
+
+
+def _splits(front: Front, rects: Rects) -> tuple[Float, Float]:
+    """(R,) how clearly upright, and level, lines cut each rectangle into equal pieces: a row of
+    drawers is not one.
+    """
+    best = []
+    for axis in (0, 1):
+        lines = []
+        for pieces in _PIECES:
+            each = []
+            for k in range(1, pieces):
+                cut = rects.copy()
+                length = rects[:, 2 * axis + 1] + 1 - rects[:, 2 * axis]
+                cut[:, 2 * axis] += np.round(k * length / pieces).astype(np.int64)
+                each.append(front.sides(cut, _REACH)[:, 2 * axis, -1])
+            lines.append(np.min(each, axis=0))
+        best.append(np.max(lines, axis=0))
+    return best[0], best[1]
 
 
 def _uneven(times: Float) -> Float:

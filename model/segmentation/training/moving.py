@@ -65,7 +65,7 @@ class MovingTraining:
     objects: int = 1200
     first_seed: int = 200_000
     square: float = 0.4
-    ornaments: float = 0.5
+    ornaments: float = 0.6
     camera: float = 0.4
     one_sided: float = 0.15
     mesh: float = 0.25

@@ -244,5 +244,6 @@ def _disc(size: Float, depth: float, rng: np.random.Generator) -> list[Triangles
 
 
 _KINDS: tuple[Callable[[Float, float, np.random.Generator], list[Triangles]], ...] = (
-    _frame, _panel, _framed_panel, _framed_panel, _ribs, _label, _studs, _disc,
+    _frame, _frame, _panel, _panel, _framed_panel, _framed_panel, _framed_panel,
+    _ribs, _label, _studs, _disc,
 )  # fmt: skip

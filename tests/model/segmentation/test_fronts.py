@@ -1,0 +1,163 @@
+"""Faint lines on a flat front: flush doors and drawers are told apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model.geometry.asset import Asset
+from model.geometry.point_cloud import PointCloud
+from model.segmentation.boxes import MOVING_FEATURE_NAMES
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import encode
+from model.segmentation.front_features import FRONT_FEATURES, front_features
+from model.segmentation.fronts import Fronts, support
+from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.solver import PartState
+
+WIDE, HIGH, DEEP = 1.2, 0.8, 0.4
+COLUMNS, ROWS = (0.0, 0.5, 1.2), (0.0, 0.3, 0.8)
+"""Where the four fronts of different sizes meet."""
+LINE, NOISE = 0.004, 0.001
+
+
+def flush_fronts(count: int = 50_000, *, dark: float = 40.0) -> tuple[PointCloud, np.ndarray]:
+    """A block whose front holds four panels that nothing but thin dark lines tell apart, a knob on
+    each; the scan is noisy. The part of each point: 0 the rest, 1 to 4 the panels.
+    """
+    rng = np.random.default_rng(3)
+    front = rng.uniform((0, 0), (WIDE, HIGH), (count, 2))
+    xyz = np.stack([front[:, 0], np.zeros(count), front[:, 1]], axis=1)
+    column = np.searchsorted(COLUMNS[1:-1], front[:, 0])
+    row = np.searchsorted(ROWS[1:-1], front[:, 1])
+    part = 1 + column + 2 * row
+    near = np.min([np.abs(front[:, 0] - COLUMNS[1]), np.abs(front[:, 1] - ROWS[1])], axis=0)
+    shade = np.where(near < LINE / 2, 150 - dark, 150.0)
+    number = count // 5
+    side = rng.uniform((0, 0), (DEEP, HIGH), (number, 2))
+    top = rng.uniform((0, 0), (WIDE, DEEP), (2 * number, 2))
+    sides = np.stack([np.full(number, WIDE), side[:, 0], side[:, 1]], axis=1)
+    tops = np.stack([top[:, 0], top[:, 1], np.full(2 * number, HIGH)], axis=1)
+    pieces, parts, shades = [xyz, sides, tops], [part, np.zeros(3 * number, int)], [shade]
+    shades.append(np.full(3 * number, 150.0))
+    for index, (x, z) in enumerate(((0.25, 0.15), (0.85, 0.15), (0.25, 0.55), (0.85, 0.55))):
+        knob = rng.uniform((x - 0.03, -0.05, z - 0.03), (x + 0.03, -0.05, z + 0.03), (400, 3))
+        pieces.append(knob)
+        parts.append(np.full(400, 1 + index))
+        shades.append(np.full(400, 60.0))
+    points = np.concatenate(pieces)
+    points += rng.normal(0, NOISE, points.shape)
+    grey = np.concatenate(shades) + rng.normal(0, 6, len(points))
+    colors = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[:, None], 3, axis=1)
+    return PointCloud(points.astype(np.float32), colors=colors), np.concatenate(parts)
+
+
+@pytest.fixture(scope="module")
+def panels():
+    cloud, part = flush_fronts()
+    encoding = encode(Asset("panels", cloud=cloud), shipped_edge_model())
+    return encoding, part[encoding.nodes.elements.element_of_node]
+
+
+@pytest.fixture(scope="module")
+def fronts(panels) -> Fronts:
+    encoding, _ = panels
+    return Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
+
+
+def cell_at(encoding, spot) -> int:
+    return int(encoding.cells.of_node[encoding.nodes.tree.query(spot)[1]])
+
+
+def best_overlap(encoding, masks, truth) -> float:
+    own = np.bincount(encoding.cells.of_node, truth, len(encoding.cells))
+    common = masks @ own
+    return float((common / (masks @ encoding.cells.size + own.sum() - common)).max())
+
+
+@pytest.mark.parametrize(("part", "spot"), [
+    (1, (0.12, 0, 0.1)), (2, (1.0, 0, 0.2)), (3, (0.4, 0, 0.7)), (4, (0.7, 0, 0.4)),
+])  # fmt: skip
+def test_flush_panels_are_found_by_the_lines_between_them(fronts, panels, part, spot) -> None:
+    encoding, labels = panels
+    cell = cell_at(encoding, spot)
+    (front,) = fronts.of(cell)
+    rects = fronts.rectangles(front, cell)
+    masks = fronts.masks(front, rects)
+    assert masks[:, cell].all(), "each holds what was clicked"
+    assert best_overlap(encoding, masks[:6], labels == part) > 0.85, "among the likeliest"
+    whole = np.isin(labels, (1, 2, 3, 4))
+    assert best_overlap(encoding, masks, whole) > 0.85, "and the whole front is there, too"
+
+
+def test_a_line_that_nothing_shows_is_no_line(panels) -> None:
+    cloud, _ = flush_fronts(dark=0.0)
+    plain = encode(Asset("plain", cloud=cloud), shipped_edge_model())
+    worth = []
+    for there in (plain, panels[0]):
+        of = Fronts(there.nodes, there.graph, there.strength, there.cells, np.eye(3))
+        (front,) = of.of(cell_at(there, (1.0, 0, 0.2)))
+        ends = np.array([(COLUMNS[1], ROWS[0]), (COLUMNS[2], ROWS[1])])
+        (u0, v0), (u1, v1) = np.round((ends - front.low) / front.side).astype(int)
+        rect = np.array([(u0, u1 - 1, max(v0, front.bounds[2]), v1 - 1)])
+        worth.append(float(support(front.sides(rect)[..., -1], front.within(rect))[0]))
+    assert worth[1] > worth[0] + 0.3
+
+
+def test_what_other_clicks_hold_is_left_out(fronts, panels) -> None:
+    encoding, _ = panels
+    cell, other = cell_at(encoding, (0.12, 0, 0.1)), cell_at(encoding, (0.12, 0, 0.7))
+    (front,) = fronts.of(cell)
+    masks = fronts.masks(front, fronts.rectangles(front, cell, (other,)))
+    assert len(masks) and not masks[:, other].any() and masks[:, cell].all()
+
+
+def test_a_knob_is_clicked_for_the_panel_behind_it(fronts, panels) -> None:
+    encoding, labels = panels
+    cell = cell_at(encoding, (0.85, -0.05, 0.55))
+    own, behind = fronts.of(cell)
+    assert behind.region.sum() > 10 * own.region.sum()
+    assert len(behind.knobs) == 4
+    masks = fronts.masks(behind, fronts.rectangles(behind, cell))
+    assert masks[:, cell].all()
+    assert best_overlap(encoding, masks, labels == 4) > 0.85, "with its knob"
+
+
+def test_a_round_thing_has_no_front() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(20_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    encoding = encode(Asset("ball", cloud=PointCloud(points.astype(np.float32))), None)
+    of = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
+    assert of.of(cell_at(encoding, np.ones(3) / 3**0.5)) == []
+
+
+def test_features_tell_a_panel_from_its_half(fronts, panels) -> None:
+    encoding, labels = panels
+    cells = encoding.cells
+    cell = cell_at(encoding, (1.0, 0, 0.2))
+    (front,) = fronts.of(cell)
+    of_cell = np.bincount(cells.of_node, labels == 2, len(cells)) > 0.5 * cells.size
+    right = of_cell & (cells.center[:, 0] > 0.85)
+    shown = front_features(np.stack([of_cell, right, ~of_cell]), cells, np.eye(3), front)
+    assert shown.shape == (3, len(FRONT_FEATURES)) and np.isfinite(shown).all()
+    column = {name: shown[:, i] for i, name in enumerate(FRONT_FEATURES)}
+    assert column["side_1"][0] > column["side_1"][1] + 0.2, "the half ends where no line is"
+    assert column["front_filled"][0] > 0.9 > column["front_filled"][2]
+    assert column["knobs"][0] == 1 and column["knobs_of_front"][0] == 4
+    nothing = front_features(np.stack([of_cell]), cells, np.eye(3), None)
+    assert not nothing.any()
+
+
+def test_the_solver_offers_rectangles_for_parts_alone(panels) -> None:
+    encoding, labels = panels
+    solver = solver_of(encoding, *shipped_scorers())
+    cell = cell_at(encoding, (1.0, 0, 0.2))
+    part = solver.answer(PartState(), cell, True, None)
+    anything = solver.answer(PartState(), cell, True, None, of_a_part=False)
+    assert part.features.shape[1] == len(MOVING_FEATURE_NAMES)
+    assert len(part.candidates) > len(anything.candidates)
+    assert best_overlap(encoding, part.candidates.masks, labels == 2) > 0.85
+    again = solver.answer(PartState(), cell, True, None)
+    assert np.array_equal(part.candidates.masks, again.candidates.masks)
+    assert np.array_equal(part.scores, again.scores)
