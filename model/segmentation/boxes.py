@@ -17,7 +17,7 @@ from model.segmentation.box_scores import Believed, BoxBeliefs, shipped_box_mode
 from model.segmentation.cells import Cells
 from model.segmentation.depths import Depths
 from model.segmentation.front_features import FRONT_FEATURES, front_features
-from model.segmentation.fronts import Fronts
+from model.segmentation.fronts import Front, Fronts
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import (
     FEATURE_NAMES,
@@ -75,6 +75,8 @@ _REGIONS = 10
 _FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
 """Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh), at
 most."""
+_RECTANGLES = 12
+"""Of a front, beside later clicks."""
 _WHOLE = 0.8
 """Share of a shell that is all but whole."""
 _LIKE = 0.5
@@ -359,6 +361,7 @@ class ObjectSolver(PartSolver):
         """
         self.fronts: Fronts | None = None
         self.moving_scorer: Mlp | None = None
+        self.mending_scorer: Mlp | None = None
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
@@ -414,13 +417,54 @@ class ObjectSolver(PartSolver):
     def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
         if self.fronts is None:
             return super()._as_part(found, features, clicked)
-        fronts = self.fronts.of(clicked.last)
-        front = fronts[-1] if fronts else None
-        shown = front_features(found.masks, self.cells, self.axes, front)
+        shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
         both = np.concatenate([features, shown], axis=1)
         if self.moving_scorer is None:
             return both, super()._as_part(found, features, clicked)[1]
         return both, self.moving_scorer(both)
+
+    def _as_mended_part(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
+    ) -> tuple[Float, Float]:
+        if self.fronts is None:
+            return features, scores
+        shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
+        both = np.concatenate([features, shown], axis=1)
+        return both, scores if self.mending_scorer is None else self.mending_scorer(both)
+
+    def _front(self, clicked: Clicked) -> Front | None:
+        """The front that a part was first clicked on."""
+        assert self.fronts is not None
+        first = clicked.positive[0] if clicked.positive else clicked.last
+        fronts = self.fronts.of(first)
+        return fronts[-1] if fronts else None
+
+    def part_hypotheses(
+        self, state: PartState, after: PartState, cell: int, positive: bool
+    ) -> list[Candidates]:
+        """Rectangles of the front that hold the part's clicks, with the mask or without, and, where
+        something is too much, the mask without those round it.
+        """
+        if self.fronts is None or not after.positive:
+            return []
+        assert state.mask is not None
+        made: list[Bool] = []
+        own = cell if positive else after.positive[-1]
+        for front in self.fronts.of(own):
+            round_own = self.fronts.rectangles(front, own, after.negative)[:_RECTANGLES]
+            masks = self.fronts.masks(front, round_own)
+            made.append(masks[masks[:, list(after.positive)].all(1)])
+            if positive:
+                made.append(masks | state.mask)
+        if not positive:
+            for front in self.fronts.of(cell):
+                off = self.fronts.rectangles(front, cell, after.positive)[:_RECTANGLES]
+                made.append(state.mask & ~self.fronts.masks(front, off))
+        none = self._with_no(state.mask)
+        return [self._with(none, made)] if made else []
+
+    def _with_no(self, mask: Bool) -> Candidates:
+        return Candidates.of([mask], "keep").take(np.zeros(0, np.int64))
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool
@@ -441,15 +485,6 @@ class ObjectSolver(PartSolver):
             without = mask & ~boxes.contents(low, high)
             outside = mask & ~self._tight(cell, after.positive, self._most)
             made = [without, outside, self._cut(mask, low, high, after, cell)]
-        import os
-        if os.environ.get("AW_RECT") and self.fronts is not None and after.positive:
-            base = cell if positive else after.positive[-1]
-            for f in self.fronts.of(base):
-                m = self.fronts.masks(f, self.fronts.rectangles(f, base, after.negative))
-                if positive:
-                    made.append(m | mask)
-                m = m[m[:, list(after.positive)].all(1)]
-                made.append(m)
         if after.positive:
             made.append(self._between(after.positive, after.negative, self._most))
             made.append(self._alike(mask, after.positive, after.negative))

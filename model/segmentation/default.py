@@ -39,7 +39,7 @@ from model.segmentation.prompt_steps import (
     telling,
 )
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
-from model.segmentation.scorers import shipped_moving_scorer, shipped_scorers, solver_of
+from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
 
 _STATES = 256
@@ -233,16 +233,7 @@ class DefaultSession:
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
             self.encoding.walk.ask(cell)
-            import os
-            if os.environ.get("AW_SHIFT") and not step.positive and own.mask is not None:
-                rest = _union([s.mask for r, s in parts.items() if r != step.part], len(self.encoding.cells))
-                parts[step.part], ranked[step.part] = self._without(own, cell, rest)
-                if parts[step.part].run == 0:
-                    parts[step.part] = replace(parts[step.part], run=-1)
-                return _State(parts, state.base, ranked)
-            found = self.solver.answer(
-                own, cell, step.positive, blocked, of_a_part=self.of_parts
-            )
+            found = self.solver.answer(own, cell, step.positive, blocked, of_a_part=self.of_parts)
             best = found.best
             if step.positive and own.mask is None and self.fittings is not None:
                 best = self._not_all(found, state, steps)
@@ -565,5 +556,5 @@ class DefaultSegmenter:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
         scorers = shipped_scorers(rooms=encoding.room is not None)
-        solver = solver_of(encoding, *scorers, shipped_moving_scorer())
+        solver = solver_of(encoding, *scorers, *shipped_moving_scorers())
         return DefaultSession(asset, encoding, solver)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
 
 from model.segmentation.cells import Cells
 from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, Front, Rects, support
@@ -44,7 +45,9 @@ def front_features(
     layer = np.flatnonzero(np.abs(front.outward * at[:, front.axis] - front.depth) < front.reach)
     flat = (at[layer][:, list(front.across)] - front.low) / front.side
     size = cells.size[layer].astype(np.float32)
-    half = 0.5 * np.sqrt(size) / NODES_A_SQUARE
+    if not len(layer):
+        return out
+    half = 0.5 * float(np.sqrt(np.median(size))) / NODES_A_SQUARE
     held = masks[:, layer] * size
     own = held.sum(1)
     there = np.flatnonzero(own > 0)
@@ -105,7 +108,7 @@ def _repeats(front: Front, rects: Rects) -> tuple[Float, Float]:
             inside = beside[:, 2 * axis] >= whole[2 * axis] - _REACH
             inside &= beside[:, 2 * axis + 1] <= whole[2 * axis + 1] + _REACH
             beside = np.clip(beside, np.repeat(whole[::2], 2), np.repeat(whole[1::2], 2))
-            far = front.sides(beside, _REACH)[:, 2 * axis + (way > 0), -1]
+            far = front.side_lines(beside, 2 * axis + (way > 0), _REACH)[:, -1]
             found.append(np.where(inside, far, -1.0))
     ordered = np.sort(np.stack(found), axis=0)
     return ordered[-1], ordered[-2]
@@ -124,7 +127,7 @@ def _splits(front: Front, rects: Rects) -> tuple[Float, Float]:
                 cut = rects.copy()
                 length = rects[:, 2 * axis + 1] + 1 - rects[:, 2 * axis]
                 cut[:, 2 * axis] += np.round(k * length / pieces).astype(np.int64)
-                each.append(front.sides(cut, _REACH)[:, 2 * axis, -1])
+                each.append(front.side_lines(cut, 2 * axis, _REACH)[:, -1])
             lines.append(np.min(each, axis=0))
         best.append(np.max(lines, axis=0))
     return best[0], best[1]
@@ -135,14 +138,19 @@ def _uneven(times: Float) -> Float:
 
 
 def _bounds(
-    held: npt.NDArray[np.float32], at: Float, half: Float, most: int
+    held: npt.NDArray[np.float32], at: Float, half: float, most: int
 ) -> npt.NDArray[np.int64]:
-    """(H, 2) first and last square along one direction, but for a hundredth at each end."""
-    order = np.argsort(at, kind="stable")
-    passed = np.cumsum(held[:, order], axis=1)
+    """(H, 2) first and last square along one direction, but for a hundredth at each end.
+
+    Args:
+        held: (H, L) nodes of each cell; at: (L,) squares; half: squares that a cell reaches beyond
+            its middle.
+    """
+    where = np.clip(at.astype(np.int64), 0, most - 1)
+    bins = csr_matrix((np.ones(len(at), np.float32), (where, np.arange(len(at)))), (most, len(at)))
+    passed = np.cumsum((bins @ held.T).T, axis=1)
     total = passed[:, -1:]
     first = (passed > _TRIM * total).argmax(1)
     last = (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(1)
-    low, high = at[order] - half[order], at[order] + half[order]
-    bounds = np.stack([low[first], high[last]], axis=1)
+    bounds = np.stack([first + 0.5 - half, last + 0.5 + half], axis=1)
     return np.clip(np.floor(bounds), 0, most - 1).astype(np.int64)

@@ -12,12 +12,20 @@ scanned documents*, 1984).
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_closing, center_of_mass, label, uniform_filter1d
+from scipy.ndimage import (
+    binary_closing,
+    binary_fill_holes,
+    center_of_mass,
+    label,
+    uniform_filter1d,
+)
 
 from model.segmentation.cells import Cells
 from model.segmentation.features import lab_colors
@@ -52,7 +60,11 @@ _EVENLY = 1.0
 """What speaks against a rectangle that no line tells."""
 _APART = 3
 _ALIKE = 0.85
-_KEPT = 32
+_KEPT, _LAYERS = 16, 8
+_BINS = 4
+"""To the reach of a front."""
+_SHIFT, _BEFORE_BINS = 2, 16
+"""How many bins the middle of a front may lie from what was clicked, and behind a handle."""
 _PARTS = (2, 3, 4, 5)
 _BEFORE = 4.0
 """How far handles stand out before a front, in its reach."""
@@ -84,7 +96,7 @@ class Front:
     across: tuple[int, int]
     low: Float
     side: float
-    outward: float
+    outward: int
     depth: float
     reach: float
     region: Bool
@@ -118,21 +130,21 @@ class Front:
 
         The sides of the front itself are certain.
         """
-        whole = self.bounds
-        out = np.empty((len(rects), 4, self.columns.shape[2]), np.float32)
-        number, shift = np.arange(len(rects)), np.arange(-reach, reach + 1)
-        for side in range(4):
-            axis = side // 2
-            at = rects[:, side] + side % 2
-            begin, end = rects[:, 2 - 2 * axis], rects[:, 3 - 2 * axis] + 1
-            places = np.clip(at[:, None] + shift, 0, self.shape[axis] - 1)
-            if axis == 0:
-                held = self.columns[places, end[:, None]] - self.columns[places, begin[:, None]]
-            else:
-                held = self.rows[end[:, None], places] - self.rows[begin[:, None], places]
-            held = held / np.maximum(end - begin, 1)[:, None, None]
-            out[:, side] = held[number, held[..., -1].argmax(1)]
-            out[np.abs(at - whole[side] - side % 2) <= 1 + reach, side] = _CLIP / 2
+        return np.stack([self.side_lines(rects, side, reach) for side in range(4)], axis=1)
+
+    def side_lines(self, rects: Rects, side: int, reach: int = 1) -> npt.NDArray[np.float32]:
+        """(R, K) the same of one side: left, right, below, above."""
+        axis = side // 2
+        at = rects[:, side] + side % 2
+        begin, end = rects[:, 2 - 2 * axis], rects[:, 3 - 2 * axis] + 1
+        places = np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, self.shape[axis] - 1)
+        if axis == 0:
+            held = self.columns[places, end[:, None]] - self.columns[places, begin[:, None]]
+        else:
+            held = self.rows[end[:, None], places] - self.rows[begin[:, None], places]
+        out = held[np.arange(len(rects)), held[..., -1].argmax(1)]
+        out /= np.maximum(end - begin, 1)[:, None]
+        out[np.abs(at - self.bounds[side] - side % 2) <= 1 + reach] = _CLIP / 2
         return out
 
     def within(self, rects: Rects) -> npt.NDArray[np.float32]:
@@ -150,6 +162,75 @@ class Front:
         u0, u1, v0, v1 = rects.T
         n = self.nodes
         return n[u1 + 1, v1 + 1] - n[u0, v1 + 1] - n[u1 + 1, v0] + n[u0, v0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """All that lies at one depth, laid out in squares.
+
+    Attributes:
+        across, depth, low, side: as of a :class:`Front`.
+        count: (U, V) nodes in each square.
+        maps: (U, V) means over them by name.
+        piece: (U, V) int32 which connected piece a square is of, 0 of none.
+    """
+
+    across: tuple[int, int]
+    depth: float
+    low: Float
+    side: float
+    count: Float
+    maps: dict[str, Float]
+    piece: npt.NDArray[np.int32]
+
+    @cached_property
+    def there(self) -> Bool:
+        """(U, V) squares that hold nodes."""
+        return self.count > 0
+
+
+class _Side:
+    """How much of the surface faces to one side, by its depth.
+
+    Args:
+        depth: (K,) metres towards that side; size: (K,) surface; step: metres of a bin.
+    """
+
+    def __init__(self, depth: Float, size: Float, step: float) -> None:
+        self._low, self._step = float(depth.min()), step
+        self._held = np.bincount(((depth - self._low) / step).astype(int), size)
+
+    def bin_of(self, depth: float) -> int:
+        return int((depth - self._low) / self._step)
+
+    def middle(self, bin_: int) -> float:
+        """Metres."""
+        return self._low + (bin_ + 0.5) * self._step
+
+    def held(self, bin_: int) -> float:
+        """Surface in a bin and those beside it."""
+        return float(self._held[max(bin_ - 1, 0) : bin_ + 2].sum()) if bin_ >= 0 else 0.0
+
+    def peak(self, bin_: int, first: int, last: int) -> int:
+        """The fullest bin of a range, ``bin_`` where that is empty."""
+        first, last = max(first, 0), min(last, len(self._held) - 1)
+        if last < first:
+            return -1
+        return first + int(self._held[first : last + 1].argmax())
+
+
+_K = TypeVar("_K", bound=tuple[int, ...])
+_V = TypeVar("_V")
+
+
+def _kept(known: OrderedDict[_K, _V], key: _K, make: Callable[[_K], _V], most: int) -> _V:
+    """What was made for ``key``; what was not asked for longest is forgotten."""
+    if key not in known:
+        known[key] = make(key)
+        if len(known) > most:
+            known.popitem(last=False)
+    known.move_to_end(key)
+    return known[key]
 
 
 class Fronts:
@@ -171,7 +252,9 @@ class Fronts:
         self._reach = max(_DEEP * diagonal, _DEEP_SPACINGS * graph.spacing)
         unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
         self._turn = unit @ axes.T
-        self._fronts: OrderedDict[tuple[int, float, float, int], Front] = OrderedDict()
+        self._sides: dict[tuple[int, int], _Side] = {}
+        self._layers: OrderedDict[tuple[int, int, int], _Layer | None] = OrderedDict()
+        self._fronts: OrderedDict[tuple[int, int, int, int], Front | None] = OrderedDict()
 
     def of(self, cell: int) -> list[Front]:
         """The fronts that a cell lies on or stands before, the nearest first.
@@ -181,54 +264,42 @@ class Fronts:
         axis = int(np.abs(self._turn[cell]).argmax())
         if abs(self._turn[cell, axis]) < _ALONG:
             return []
-        outward = float(np.sign(self._turn[cell, axis]))
-        own = outward * float(self._center[cell, axis])
-        depths = [own]
-        behind = self._behind(cell, axis, outward, own)
-        if behind is not None:
-            depths.append(behind)
-        fronts = [self._at_depth(cell, axis, outward, depth) for depth in depths]
+        outward = 1 if self._turn[cell, axis] > 0 else -1
+        side = self._side_of(axis, outward)
+        own = side.bin_of(outward * float(self._center[cell, axis]))
+        # The same for all that lie on it, and whatever was clicked before: where most of it is.
+        bins = [side.peak(own, own - _SHIFT, own + _SHIFT)]
+        behind = side.peak(own, own - _BEFORE_BINS, own - _SHIFT - 1)
+        if side.held(behind) > _LARGER * side.held(bins[0]):
+            bins.append(behind)
+        fronts = [self._front(cell, axis, outward, depth) for depth in bins]
         return [f for f in fronts if f is not None]
 
-    def _behind(self, cell: int, axis: int, outward: float, own: float) -> float | None:
-        """Depth of a much larger front a little behind a cell: that of the door behind a handle."""
-        facing = outward * self._turn[:, axis] > _ALONG
-        depth = outward * self._center[facing, axis]
-        size = self._cells.size[facing]
-        near = (depth < own + self._reach / 2) & (depth > own - _BEFORE * self._reach)
-        if not near.any():
-            return None
-        step = self._reach / 2
-        bins = ((own + step - depth[near]) / step).astype(int)
-        held = np.bincount(bins, size[near])
-        best = int(held.argmax())
-        if best < 3 or held[best] < _LARGER * held[:3].max():
-            return None
-        return float(np.average(depth[near][bins == best], weights=size[near][bins == best]))
+    def _side_of(self, axis: int, outward: int) -> _Side:
+        if (axis, outward) not in self._sides:
+            facing = outward * self._turn[:, axis] > _ALONG
+            depth = outward * self._center[facing, axis]
+            self._sides[axis, outward] = _Side(depth, self._cells.size[facing], self._reach / _BINS)
+        return self._sides[axis, outward]
 
-    def _at_depth(self, cell: int, axis: int, outward: float, depth: float) -> Front | None:
-        for key, known in self._fronts.items():
-            if (
-                key[:2] == (axis, outward)
-                and abs(known.depth - depth) < known.reach / 4
-                and known.region[self._square(known, cell)]
-            ):
-                self._fronts.move_to_end(key)
-                return known
-        front = self._laid_out(cell, axis, outward, depth)
-        if front is not None:
-            self._fronts[axis, outward, depth, cell] = front
-            if len(self._fronts) > _KEPT:
-                self._fronts.popitem(last=False)
-        return front
+    def _front(self, cell: int, axis: int, outward: int, depth: int) -> Front | None:
+        layer = _kept(self._layers, (axis, outward, depth), self._layer, _LAYERS)
+        if layer is None:
+            return None
+        at = (self._center[cell, list(layer.across)] - layer.low) / layer.side
+        u, v = np.clip(at.astype(int), 0, np.array(layer.there.shape) - 1).tolist()
+        key = (axis, outward, depth, int(layer.piece[u, v]))
+        return _kept(self._fronts, key, self._laid_out, _KEPT)
 
     def _square(self, front: Front, cell: int) -> tuple[int, int]:
         at = (self._center[cell, list(front.across)] - front.low) / front.side
         u, v = np.clip(at.astype(int), 0, np.array(front.shape) - 1).tolist()
         return u, v
 
-    def _laid_out(self, cell: int, axis: int, outward: float, depth: float) -> Front | None:
+    def _layer(self, key: tuple[int, int, int]) -> _Layer | None:
+        axis, outward, bin_ = key
         across = (1, 2) if axis == 0 else (0, 2) if axis == 1 else (0, 1)
+        depth = self._sides[axis, outward].middle(bin_)
         near = np.abs(outward * self._at[:, axis] - depth) < self._reach
         chosen = np.flatnonzero(near)
         if len(chosen) < _LEAST_SIDE**2:
@@ -238,54 +309,51 @@ class Fronts:
         side = max(self._side, float(np.ptp(flat, axis=0).max()) / (_MOST_SIDE - 3))
         place = ((flat - low) / side).astype(np.int64)
         shape = tuple((place.max(0) + 2).tolist())
-        key = place[:, 0] * shape[1] + place[:, 1]
+        key_of = place[:, 0] * shape[1] + place[:, 1]
         size = shape[0] * shape[1]
+        count = np.bincount(key_of, minlength=size).reshape(shape).astype(np.float64)
 
-        def of(values: Float) -> Float:
-            return np.bincount(key, values, size).reshape(shape)
+        def mean(values: Float) -> Float:
+            return np.bincount(key_of, values, size).reshape(shape) / np.maximum(count, 1)
 
-        count = np.bincount(key, minlength=size).reshape(shape).astype(np.float64)
-        there = count > 0
-        region = self._region(there, np.clip(((self._center[cell, list(across)] - low) / side)
-                                             .astype(int), 0, np.array(shape) - 1))  # fmt: skip
-        if region is None:
-            return None
         maps = {
-            "depth": of(outward * self._at[chosen, axis] - depth) / np.maximum(count, 1) / side,
-            "tilt": of(1 - np.abs(self._facing[chosen, axis])) / np.maximum(count, 1),
+            "depth": mean(outward * self._at[chosen, axis] - depth) / side,
+            "tilt": mean(1 - np.abs(self._facing[chosen, axis])),
             "strength": self._edges(near, across, low, side, shape),
-        }  # fmt: skip
+        }
         if self._lab is not None:
             lab = self._lab[chosen]
-            maps |= {n: of(lab[:, k]) / np.maximum(count, 1) for k, n in enumerate("Lab")}
-        columns = _evidence(maps, there, region)
-        rows = _evidence({n: m.T for n, m in maps.items()}, there.T, region.T)
+            maps |= {n: mean(lab[:, k]) for k, n in enumerate("Lab")}
+        there = count > 0
+        # A handle hides what is behind it: what is all round a hole has it, too.
+        closed = binary_closing(np.pad(there, 3), iterations=2)[3:-3, 3:-3] | there
+        piece = np.zeros(shape, np.int32)
+        label(binary_fill_holes(closed), output=piece)
+        return _Layer(across, depth, low, side, count, maps, piece)
+
+    def _laid_out(self, key: tuple[int, int, int, int]) -> Front | None:
+        axis, outward, _, number = key
+        layer = self._layers[key[:3]]
+        assert layer is not None
+        region = layer.piece == number
+        if number == 0 or region.sum() < _LEAST_SIDE**2 or not (region & layer.there).any():
+            return None
+        columns = _evidence(layer.maps, layer.there, region)
+        rows = _evidence({n: m.T for n, m in layer.maps.items()}, layer.there.T, region.T)
         return Front(
-            axis, across, low, side, outward, depth, self._reach, region,
-            np.pad(count.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0))),
-            self._knobs(axis, across, outward, depth, low, side, region),
+            axis, layer.across, layer.low, layer.side, outward, layer.depth, self._reach, region,
+            np.pad(layer.count.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0))),
+            self._knobs(axis, layer, outward, region),
             np.concatenate([np.zeros_like(columns[:, :1]), np.cumsum(columns, axis=1)], axis=1),
             np.concatenate([np.zeros_like(rows[:, :1]), np.cumsum(rows, axis=1)], axis=1)
             .transpose(1, 0, 2),
         )  # fmt: skip
 
-    def _region(self, there: Bool, at: npt.NDArray[np.int64]) -> Bool | None:
-        closed = binary_closing(np.pad(there, 3), iterations=2)[3:-3, 3:-3] | there
-        piece = np.zeros(closed.shape, np.int32)
-        label(closed, output=piece)
-        own = piece[tuple(at)]
-        if own == 0:
-            return None
-        region = piece == own
-        return region if region.sum() >= _LEAST_SIDE**2 else None
-
-    def _knobs(
-        self, axis: int, across: tuple[int, int], outward: float, depth: float, low: Float,
-        side: float, region: Bool,
-    ) -> Float:  # fmt: skip
-        deep = outward * self._at[:, axis] - depth
+    def _knobs(self, axis: int, layer: _Layer, outward: int, region: Bool) -> Float:
+        """(B, 2) the squares of the middles of what stands out before a region."""
+        deep = outward * self._at[:, axis] - layer.depth
         out = (deep > _STANDS_OUT * self._reach) & (deep < _BEFORE * self._reach)
-        place = ((self._at[out][:, list(across)] - low) / side).astype(int)
+        place = ((self._at[out][:, list(layer.across)] - layer.low) / layer.side).astype(int)
         inside = ((place >= 0) & (place < region.shape)).all(1)
         there = np.zeros(region.shape, bool)
         there[tuple(place[inside].T)] = True
@@ -433,7 +501,8 @@ def _cut(front: Front, spot: tuple[int, int], others: list[tuple[int, int]]) -> 
 def _scored(front: Front, rects: list[Rect], known: dict[Rect, float]) -> list[Rect]:
     if rects:
         each = np.array(rects)
-        known.update(zip(rects, support(front.sides(each)[..., -1], front.within(each)).tolist()))
+        worth = support(front.sides(each)[..., -1], front.within(each))
+        known.update(zip(rects, worth.tolist(), strict=True))
     return rects
 
 

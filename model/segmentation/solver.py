@@ -198,6 +198,20 @@ class PartSolver:
         del outside
         return self.first_regions(cell)
 
+    def part_hypotheses(
+        self, state: PartState, after: PartState, cell: int, positive: bool
+    ) -> list[Candidates]:
+        """What a later click may mean beside the usual, where the part is one that moves."""
+        del state, after, cell, positive
+        return []
+
+    def _as_mended_part(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
+    ) -> tuple[Float, Float]:
+        """The same as :meth:`_as_part` for later clicks."""
+        del found, clicked
+        return features, scores
+
     def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
         """(H, F) features and (H,) scores of what a first click may mean as a part that moves."""
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
@@ -250,7 +264,10 @@ class PartSolver:
         if state.mask is None or not state.mask.any():
             return self._first_answer(after, cell, blocked, of_a_part)
         clicked = Clicked(after.positive, after.negative, cell, positive, state.mask, state.agreed)
-        found = self._finish(self._region_hypotheses(state, after, cell, positive), after, blocked)
+        made = self._region_hypotheses(state, after, cell, positive)
+        if of_a_part:
+            made = joined([made, *self.part_hypotheses(state, after, cell, positive)])
+        found = self._finish(made, after, blocked)
         if self._later is None:
             scores = self._rule(found, clicked)
         else:
@@ -261,6 +278,8 @@ class PartSolver:
         both = joined([found, self._finish(joined(more), after, blocked)])
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
+        if of_a_part:
+            features, scores = self._as_mended_part(both, features, scores, clicked)
         lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
         return Ranked(
             both, features, scores - self._unlikely(state, cell, positive, both.masks, lost)

@@ -10,17 +10,20 @@ from model.resources import static_assets
 from model.segmentation.training.boxes import BoxTraining, train_boxes
 from model.segmentation.training.clicks import ClickTraining, train_room_scorers, train_scorers
 from model.segmentation.training.edges import EdgeTraining, train_edges
+from model.segmentation.training.moving import MovingTraining, train_moving
 
 
 @dataclass(frozen=True)
 class Training:
-    """All trainings; about two hours on two cores.
+    """All trainings; about three hours on two cores.
 
     Attributes:
-        out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz`` and,
-            of rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_boxes, skip_parts, skip_rooms: keep the networks that are there.
-        edges, boxes, clicks: their settings.
+        out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
+            ``first_click_moving.npz``, ``later_click_moving.npz`` and, of rooms, ``room_first_click.npz`` and
+            ``room_later_click.npz``.
+        skip_edges, skip_boxes, skip_parts, skip_rooms, skip_moving: keep the networks that are
+            there.
+        edges, boxes, clicks, moving: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
@@ -28,9 +31,11 @@ class Training:
     skip_boxes: bool = False
     skip_parts: bool = False
     skip_rooms: bool = False
+    skip_moving: bool = False
     edges: EdgeTraining = field(default_factory=EdgeTraining)
     boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
+    moving: MovingTraining = field(default_factory=MovingTraining)
 
 
 def main() -> None:
@@ -47,6 +52,8 @@ def main() -> None:
         print(json.dumps(train_scorers(config.clicks, config.out), indent=1))
     if not config.skip_rooms:
         print(json.dumps(train_room_scorers(config.clicks, config.out), indent=1))
+    if not config.skip_moving:
+        print(json.dumps(train_moving(config.moving, config.out), indent=1))
 
 
 if __name__ == "__main__":

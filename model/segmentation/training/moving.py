@@ -1,6 +1,6 @@
-"""The scorer of first clicks on parts that move, as people make them.
+"""The scorers of clicks on parts that move, as people make them.
 
-Nobody clicks the base: what no click claims is the base. So this scorer learns from parts that
+Nobody clicks the base: what no click claims is the base. So these scorers learn from parts that
 move alone, clicked where they are seen, with and without clicks on other parts, on objects with
 relief within their parts, most of them met as depth cameras see them.
 """
@@ -18,13 +18,18 @@ import numpy.typing as npt
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, SegmentedObject
-from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.boxes import MOVING_FEATURE_NAMES
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.mlp import save_mlp
-from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.mlp import Mlp, load_mlp, save_mlp
+from model.segmentation.scorers import (
+    MENDING_SCORER,
+    MOVING_SCORER,
+    shipped_scorers,
+    solver_of,
+)
 from model.segmentation.seen_clicks import Picture, depths, largest_piece, picture_of
-from model.segmentation.solver import PartState
+from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.clicks import (
     Log,
     Rows,
@@ -47,7 +52,7 @@ _NOISE = (0.0003, 0.001, 0.002)
 
 @dataclass(frozen=True)
 class MovingTraining:
-    """What is needed to train ``first_click_moving.npz`` again.
+    """What is needed to train ``first_click_moving.npz`` and ``later_click_moving.npz`` again.
 
     Attributes:
         objects: to learn from; first_seed: of them.
@@ -58,6 +63,9 @@ class MovingTraining:
         parts: asked for in each, spread over the logarithm of their sizes.
         clicks: first clicks on each.
         held_out: every n-th object measures in a fit of its own.
+        session_objects: other objects, for later clicks.
+        sessions: on each part of those; later_clicks: in each.
+        explore: probability of following a hypothesis that is not the best one.
         networks: that are fitted and averaged.
         workers: processes.
     """
@@ -71,6 +79,10 @@ class MovingTraining:
     mesh: float = 0.25
     parts: int = 5
     clicks: int = 3
+    session_objects: int = 500
+    sessions: int = 2
+    later_clicks: int = 4
+    explore: float = 0.2
     held_out: int = 6
     networks: int = 3
     workers: int = 2
@@ -171,15 +183,30 @@ def _seen(seed: int, config: MovingTraining, rng: np.random.Generator) -> _Seen:
     return _Seen(encoding, of_node, base, picture, picture.of(labels))
 
 
-def play(seed: int, config: MovingTraining) -> Rows:
-    """First clicks on the moving parts of one object; rows of their hypotheses."""
+@dataclass(frozen=True, eq=False)
+class _Click:
+    """A first click and what it meets.
+
+    Attributes:
+        state: other parts' clicks. blocked: (C,) cells of other parts.
+    """
+
+    cell: int
+    state: PartState
+    blocked: npt.NDArray[np.bool_] | None
+
+
+def play(seed: int, config: MovingTraining, moving: Mlp | None = None) -> tuple[Rows, Rows]:
+    """Clicks on the moving parts of one object: rows of first ones, and of the later ones of
+    sessions where there is a scorer, ``moving``, that plays them.
+    """
     rng = np.random.default_rng([seed, 7])
     seen = _seen(seed, config, rng)
     encoding, of_node = seen.encoding, seen.encoding.cells.of_node
-    solver = solver_of(encoding, *shipped_scorers())
-    log = Log(MOVING_FEATURE_NAMES)
+    first_log, later_log = Log(MOVING_FEATURE_NAMES), Log(MOVING_FEATURE_NAMES)
     if encoding.room is not None:
-        return log.rows()
+        return first_log.rows(), later_log.rows()
+    solver = solver_of(encoding, *shipped_scorers(), moving)
     pixels = {
         part: _clicks(seen.shown == part, config.clicks, rng)
         for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
@@ -189,24 +216,78 @@ def play(seed: int, config: MovingTraining) -> Rows:
         part: of_node[encoding.nodes.tree.query([seen.picture.position[at] for at in spots])[1]]
         for part, spots in pixels.items()
     }
-    size = np.bincount(of_node)
     there = np.where(np.isin(seen.labels, list(cells)), seen.labels, np.int16(-1))
     for part in asked_by_size(rng, there, config.parts):
         truth = seen.labels == part
         others = np.array([q for q in cells if q != part])
-        for cell in cells[part].tolist():
-            state, blocked = PartState(), None
-            if len(others) and rng.random() < 0.5:
-                chosen = rng.choice(others, int(rng.integers(1, len(others) + 1)), replace=False)
-                foreign = tuple(dict.fromkeys(int(cells[q][0]) for q in chosen.tolist()))
-                foreign = tuple(c for c in foreign if c != cell)
-                state = PartState(negative=foreign, agreed=(0, len(foreign)))
-                taken = np.bincount(of_node, np.isin(seen.labels, chosen), len(size))
-                blocked = taken > 0.5 * size
-                blocked[cell] = False
-            ranked = solver.answer(state, cell, True, blocked)
-            log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
-    return log.rows()
+        for number, cell in enumerate(cells[part].tolist()):
+            click = _beside(cell, others, cells, seen, rng)
+            ranked = solver.answer(click.state, cell, True, click.blocked)
+            first_log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
+            if moving is not None and number < config.sessions:
+                _session(solver, seen, part, click, ranked, config, rng, later_log)
+    return first_log.rows(), later_log.rows()
+
+
+def _beside(
+    cell: int,
+    others: npt.NDArray[np.int64],
+    cells: dict[int, npt.NDArray[np.int32]],
+    seen: _Seen,
+    rng: np.random.Generator,
+) -> _Click:
+    """A first click, in half of the cases after others on some other parts."""
+    if not len(others) or rng.random() >= 0.5:
+        return _Click(cell, PartState(), None)
+    of_node = seen.encoding.cells.of_node
+    size = np.bincount(of_node)
+    chosen = rng.choice(others, int(rng.integers(1, len(others) + 1)), replace=False)
+    foreign = dict.fromkeys(int(cells[q][0]) for q in chosen.tolist())
+    negative = tuple(c for c in foreign if c != cell)
+    taken = np.bincount(of_node, np.isin(seen.labels, chosen), len(size))
+    blocked = taken > 0.5 * size
+    blocked[cell] = False
+    return _Click(cell, PartState(negative=negative, agreed=(0, len(negative))), blocked)
+
+
+def _session(
+    solver: PartSolver,
+    seen: _Seen,
+    part: int,
+    click: _Click,
+    ranked: Ranked,
+    config: MovingTraining,
+    rng: np.random.Generator,
+    log: Log,
+) -> None:
+    """Clicks into the middle of what looks wrong, as :mod:`.seen_clicks` has them."""
+    encoding, picture = seen.encoding, seen.picture
+    of_node, true = encoding.cells.of_node, seen.labels == part
+    node = encoding.nodes.elements.node_of_element[picture.element]
+    there, wanted = seen.shown >= 0, seen.shown == part
+    state, cell, positive = click.state, click.cell, True
+    for step in range(config.later_clicks + 1):
+        if step:
+            log.add(ranked, overlaps(encoding, ranked, true), float(true.mean()))
+        mask = ranked.best
+        if rng.random() < config.explore:
+            near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 3]
+            mask = ranked.candidates.masks[int(rng.choice(near))]
+        state = solver.moved(state, cell, positive, mask)
+        given = mask[of_node][node]
+        missing, extra = (largest_piece(p) for p in (wanted & ~given, there & given & ~wanted))
+        piece, size = max(missing, extra, key=lambda found: found[1])
+        if size < _LEAST_PIXELS:
+            return
+        at = _clicks(piece, 2, rng)[int(rng.random() < 0.4)]
+        cell, positive = int(of_node[node[at]]), missing[1] >= extra[1]
+        if mask[cell] == positive:
+            return  # the error is smaller than a cell
+        blocked = click.blocked
+        if blocked is not None and positive:
+            blocked = blocked.copy()
+            blocked[cell] = False
+        ranked = solver.answer(state, cell, positive, blocked)
 
 
 def _clicks(
@@ -220,32 +301,42 @@ def _clicks(
     return [(int(r), int(c)) for r, c in [first, *picked]]
 
 
-def collect_moving(config: MovingTraining, seeds: range) -> list[Rows]:
+def collect_moving(
+    config: MovingTraining, seeds: range, moving: Mlp | None = None
+) -> list[tuple[Rows, Rows]]:
     """Rows of each object; they do not depend on ``workers``."""
     if config.workers <= 1:
-        return [play(seed, config) for seed in seeds]
+        return [play(seed, config, moving) for seed in seeds]
+    n = len(seeds)
     with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(play, seeds, [config] * len(seeds), chunksize=4))
+        return list(pool.map(play, seeds, [config] * n, [moving] * n, chunksize=4))
 
 
-def train_moving(config: MovingTraining, path: Path) -> dict[str, float]:
-    """Play, fit, measure and write; returns the scores of a fit without every n-th object."""
-    seeds = range(config.first_seed, config.first_seed + config.objects)
-    return fit_moving(collect_moving(config, seeds), config, path)
+def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
+    """First clicks, then sessions on other objects that are played by what came of those; writes
+    both scorers. Returns the scores of fits without every n-th object.
+    """
+    begin, middle = config.first_seed, config.first_seed + config.objects
+    first = [rows for rows, _ in collect_moving(config, range(begin, middle))]
+    scores = fit_moving(first, config, folder / MOVING_SCORER)
+    moving = load_mlp(folder / MOVING_SCORER, MOVING_FEATURE_NAMES)
+    seeds = range(middle, middle + config.session_objects)
+    later = [rows for _, rows in collect_moving(config, seeds, moving)]
+    return scores | fit_moving(later, config, folder / MENDING_SCORER)
 
 
 def fit_moving(rows: list[Rows], config: MovingTraining, path: Path) -> dict[str, float]:
-    """Fit, measure and write what :func:`collect_moving` found."""
+    """Fit, measure and write a scorer of what :func:`collect_moving` found."""
+    names, kind = MOVING_FEATURE_NAMES, path.stem
+    rows = [r for r in rows if len(r.share)]
     test = joined_rows(rows[:: config.held_out])
     rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
-    chosen, best = chosen_overlap(fit_scorer(rest, config.networks), test)
-    before, _ = chosen_overlap(shipped_scorers()[0], test)  # type: ignore[arg-type]
+    chosen, best = chosen_overlap(fit_scorer(rest, config.networks, names), test)
     scores = {
-        "moving clicks": float(sum(len(r.share) for r in rows)),
-        "moving IoU": chosen, "moving IoU of the first scorer": before, "moving best": best,
-    }  # fmt: skip
-    whole = fit_scorer(joined_rows(rows), config.networks)
-    assert whole.names == OBJECT_FEATURE_NAMES
-    save_mlp(whole, path, {**asdict(config), **scores})
+        f"{kind}_iou": chosen,
+        f"{kind}_best_possible": best,
+        f"{kind}_clicks": float(sum(len(r.share) for r in rows)),
+    }
+    whole = fit_scorer(joined_rows(rows), config.networks, names)
+    save_mlp(whole, path, {"training": asdict(config), "scores": scores})
     return scores
-

@@ -1,0 +1,65 @@
+"""What the scorer of first clicks on moving parts learns from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model.segmentation.boxes import MOVING_FEATURE_NAMES
+from model.segmentation.mlp import load_mlp
+from model.segmentation.training.moving import MovingTraining, collect_moving, fit_moving, play
+from model.segmentation.training.ornaments import ornamented
+from model.segmentation.training.scans import build
+
+SMALL = MovingTraining(objects=2, parts=2, clicks=2, networks=1, held_out=2, workers=1)
+
+
+def test_ornaments_stand_out_of_the_parts_that_they_are_on() -> None:
+    richer = 0
+    for seed in range(300, 308):
+        shape = build(seed)
+        made = ornamented(shape, np.random.default_rng(seed))
+        old, new = len(shape.mesh.faces), len(made.mesh.faces)
+        assert np.array_equal(made.part[:old], shape.part)
+        assert np.array_equal(made.mesh.faces[:old], shape.mesh.faces)
+        richer += new > old
+        low, high = shape.mesh.bounds
+        reach = 0.1 * np.linalg.norm(high - low)
+        for part in np.unique(made.part[old:]):
+            relief = made.mesh.vertices[made.mesh.faces[old:][made.part[old:] == part]]
+            own = shape.mesh.vertices[shape.mesh.faces[shape.part == part]].reshape(-1, 3)
+            assert (relief.reshape(-1, 3) > own.min(0) - reach).all(), "at its own part"
+            assert (relief.reshape(-1, 3) < own.max(0) + reach).all()
+    assert richer >= 4
+
+
+def test_ornaments_are_the_same_for_the_same_seed() -> None:
+    shape = build(304)
+    one, two = (ornamented(shape, np.random.default_rng(1)) for _ in range(2))
+    assert np.array_equal(one.mesh.vertices, two.mesh.vertices)
+
+
+@pytest.mark.parametrize("share", ["camera", "one_sided", "mesh"])
+def test_clicks_on_moving_parts_are_played(share: str) -> None:
+    none = {"camera": 0.0, "one_sided": 0.0, "mesh": 0.0}
+    config = replace(SMALL, **{**none, share: 1.0})
+    seed = 200_004  # two parts that move
+    rows = play(seed, config)
+    assert rows.features.shape[1] == len(MOVING_FEATURE_NAMES)
+    assert np.isfinite(rows.features).all() and (rows.overlap <= 1).all()
+    clicks = len(rows.share)
+    assert clicks > 0 and rows.click.max() == clicks - 1
+    assert (rows.share < 0.9).all(), "never what nobody clicks"
+    again = play(seed, config)
+    assert np.array_equal(rows.features, again.features)
+
+
+def test_a_scorer_is_fitted_measured_and_written(tmp_path) -> None:
+    rows = collect_moving(replace(SMALL, mesh=1.0, camera=0.0), range(200_000, 200_004))
+    path = tmp_path / "moving.npz"
+    scores = fit_moving(rows, SMALL, path)
+    assert 0 <= scores["moving_iou"] <= scores["moving_best_possible"] <= 1
+    scorer = load_mlp(path, MOVING_FEATURE_NAMES)
+    assert np.isfinite(scorer(rows[0].features)).all()
