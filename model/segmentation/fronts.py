@@ -125,14 +125,14 @@ class Front:
         """(V,) the same of level lines."""
         return (self.rows[u1 + 1, :, -1] - self.rows[u0, :, -1]) / max(u1 + 1 - u0, 1)
 
-    def sides(self, rects: Rects, reach: int = 1) -> npt.NDArray[np.float32]:
+    def sides(self, rects: Rects, reach: int = 1) -> Float:
         """(R, 4, K) evidence along the sides of rectangles, the best within ``reach`` squares.
 
         The sides of the front itself are certain.
         """
         return np.stack([self.side_lines(rects, side, reach) for side in range(4)], axis=1)
 
-    def side_lines(self, rects: Rects, side: int, reach: int = 1) -> npt.NDArray[np.float32]:
+    def side_lines(self, rects: Rects, side: int, reach: int = 1) -> Float:
         """(R, K) the same of one side: left, right, below, above."""
         axis = side // 2
         at = rects[:, side] + side % 2
@@ -326,7 +326,7 @@ class Fronts:
             maps |= {n: mean(lab[:, k]) for k, n in enumerate("Lab")}
         there = count > 0
         # A handle hides what is behind it: what is all round a hole has it, too.
-        closed = binary_closing(np.pad(there, 3), iterations=2)[3:-3, 3:-3] | there
+        closed = np.asarray(binary_closing(np.pad(there, 3), iterations=2))[3:-3, 3:-3] | there
         piece = np.zeros(shape, np.int32)
         label(binary_fill_holes(closed), output=piece)
         return _Layer(across, depth, low, side, count, maps, piece)
@@ -358,8 +358,8 @@ class Fronts:
         there = np.zeros(region.shape, bool)
         there[tuple(place[inside].T)] = True
         piece = np.zeros(region.shape, np.int32)
-        number = label(binary_closing(np.pad(there, 2), iterations=1)[2:-2, 2:-2], output=piece)
-        size = np.bincount((piece * region).ravel(), minlength=number + 1)
+        label(binary_closing(np.pad(there, 2), iterations=1)[2:-2, 2:-2], output=piece)
+        size = np.bincount((piece * region).ravel())
         size[0] = 0
         small = np.flatnonzero((size >= _KNOB) & (size < _KNOB_MOST * region.sum()))
         if not len(small):

@@ -11,7 +11,7 @@ from PIL import Image
 
 from model.geometry.appearance import colors_at
 from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
 
 Array = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Caster:
             )
 
     @classmethod
-    def of(cls, obj: ArticulatedObject, *, see_through: bool = False) -> Caster:
+    def of(cls, obj: ArticulatedObject | SegmentedObject, *, see_through: bool = False) -> Caster:
         """An object's parts in their order; they need meshes."""
         meshes = [p.mesh for p in obj.parts if p.mesh is not None]
         assert len(meshes) == len(obj.parts), f"{obj.name} has parts without a mesh"

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from model.datasets.procedural.casting import Caster, Hits, camera_rays, daylight
 from model.errors import ConfigurationError
 from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
 
 Array = npt.NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class LabelledScan:
 
 
 def simulate_scan(
-    obj: ArticulatedObject, settings: ScanSettings, rng: np.random.Generator
+    obj: ArticulatedObject | SegmentedObject, settings: ScanSettings, rng: np.random.Generator
 ) -> LabelledScan:
     """Scan an object in its rest pose.
 

@@ -248,7 +248,7 @@ def _session(
         cell, positive = int(of_node[click[0]]), click[1]
         if mask[cell] == positive:
             return  # the error is smaller than a cell
-        ranked = solver.answer(state, cell, positive, None)
+        ranked = solver.answer(state, cell, positive, None, of_a_part=False)
 
 
 def collect(

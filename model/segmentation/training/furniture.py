@@ -136,6 +136,40 @@ def cabinet(b: Builder) -> None:
         b.add(0, block((-over, -over, h), (w + over, d, h + 0.03)), b.color(0.3))
 
 
+def flush_front(b: Builder) -> None:
+    """Doors and drawers in one plane with their frame: lines alone tell them apart."""
+    w, d, h = b.uniform(0.4, 2.0), b.uniform(0.3, 0.6), b.uniform(0.4, 2.0)
+    t, gap = b.uniform(0.012, 0.025), float(b.rng.choice([0.001, 0.002, 0.003, 0.005]))
+    groove = float(b.rng.choice([0.0002, 0.001, 0.003, 0.01]))
+    frame = b.uniform(0.02, 0.06) if b.chance(0.5) else 0.0
+    body = b.color(0.8)
+    b.add(0, block((0, t, 0), (w, d, h)), body)
+    dark = body * b.uniform(0.2, 0.8) if b.chance(0.7) else body
+    b.add(0, block((frame, groove, frame), (w - frame, t, h - frame)), dark)
+    if frame:
+        for x in (0, w - frame):
+            b.add(0, block((x, 0, 0), (x + frame, t, h)), body)
+        for z in (0, h - frame):
+            b.add(0, block((frame, 0, z), (w - frame, t, z + frame)), body)
+    color, handles, framed = b.color(0.8), b.chance(0.8), b.chance(0.25)
+    size, at_side = b.uniform(0.04, 0.16), b.chance(0.6)
+    for cell in _split(b, (frame, frame, w - frame, h - frame), int(b.rng.integers(1, 3))):
+        x0, z0, x1, z1 = cell[0] + gap, cell[1] + gap, cell[2] - gap, cell[3] - gap
+        if min(x1 - x0, z1 - z0) < 0.05:
+            continue
+        part = 0 if b.chance(0.1) else b.new_part()
+        if framed:
+            front(b, part, (x0, z0, x1, z1), t, t, True)
+        else:
+            b.add(part, block((x0, 0, z0), (x1, t, z1)), color)
+        if handles and part:
+            drawer = z1 - z0 < 0.7 * (x1 - x0)
+            aside = 0.1 * (x1 - x0)
+            left = (x0 + x1) / 2 < w / 2
+            x = (x0 + x1) / 2 if drawer or not at_side else (x1 - aside if left else x0 + aside)
+            handle(b, part, (x, 0, (z0 + z1) / 2), min(size, 0.5 * min(x1 - x0, z1 - z0)))
+
+
 def table(b: Builder) -> None:
     """A top on legs, drawers below, perhaps a cabinet at one side."""
     w, d, h = b.uniform(0.6, 1.6), b.uniform(0.4, 0.9), b.uniform(0.4, 0.8)

@@ -40,7 +40,10 @@ from model.segmentation.training.clicks import (
     overlaps,
 )
 from model.segmentation.training.ornaments import ornamented
-from model.segmentation.training.scans import SQUARE, Shape, build, scan
+from model.segmentation.training.scans import FLUSH, SMALL_PARTED, SQUARE, Shape, build, scan
+
+Seeds = tuple[int, int, int]
+"""First one, end, step."""
 
 _COUNTS, _COUNT_CHANCE = (100_000, 60_000, 30_000), (0.6, 0.2, 0.2)
 _CLOSE = 0.35
@@ -55,7 +58,8 @@ class MovingTraining:
     """What is needed to train ``first_click_moving.npz`` and ``later_click_moving.npz`` again.
 
     Attributes:
-        objects: to learn from; first_seed: of them.
+        first, later: seeds of the objects that first clicks and sessions are played on, as ranges.
+        small_seed, flush_seed: from there on objects have small parts, and flush fronts.
         square: share of them that are furniture, appliances and the like.
         ornaments: share of them that get relief.
         camera, one_sided, mesh: shares that are met as depth cameras see them, as one-sided clouds
@@ -63,15 +67,16 @@ class MovingTraining:
         parts: asked for in each, spread over the logarithm of their sizes.
         clicks: first clicks on each.
         held_out: every n-th object measures in a fit of its own.
-        session_objects: other objects, for later clicks.
-        sessions: on each part of those; later_clicks: in each.
+        sessions: on each part of the objects for those; later_clicks: in each.
         explore: probability of following a hypothesis that is not the best one.
         networks: that are fitted and averaged.
         workers: processes.
     """
 
-    objects: int = 1200
-    first_seed: int = 200_000
+    first: tuple[Seeds, ...] = ((200_000, 201_200, 1), (260_000, 260_200, 1))
+    later: tuple[Seeds, ...] = ((201_200, 201_600, 1),)
+    small_seed: int = 260_000
+    flush_seed: int = 280_000
     square: float = 0.4
     ornaments: float = 0.6
     camera: float = 0.4
@@ -79,7 +84,6 @@ class MovingTraining:
     mesh: float = 0.25
     parts: int = 5
     clicks: int = 3
-    session_objects: int = 500
     sessions: int = 2
     later_clicks: int = 4
     explore: float = 0.2
@@ -160,7 +164,10 @@ def _ahead(shape: Shape) -> float:
 
 
 def _seen(seed: int, config: MovingTraining, rng: np.random.Generator) -> _Seen:
-    shape = build(seed, SQUARE if rng.random() < config.square else None)
+    families = SQUARE if rng.random() < config.square else None
+    if seed >= config.small_seed:
+        families = FLUSH if seed >= config.flush_seed else SMALL_PARTED
+    shape = build(seed, families)
     base = _base_of(shape)
     if rng.random() < config.ornaments:
         bare = shape.object
@@ -302,26 +309,25 @@ def _clicks(
 
 
 def collect_moving(
-    config: MovingTraining, seeds: range, moving: Mlp | None = None
+    config: MovingTraining, seeds: tuple[Seeds, ...], moving: Mlp | None = None
 ) -> list[tuple[Rows, Rows]]:
     """Rows of each object; they do not depend on ``workers``."""
+    every = [seed for one in seeds for seed in range(*one)]
     if config.workers <= 1:
-        return [play(seed, config, moving) for seed in seeds]
-    n = len(seeds)
+        return [play(seed, config, moving) for seed in every]
+    n = len(every)
     with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(play, seeds, [config] * n, [moving] * n, chunksize=4))
+        return list(pool.map(play, every, [config] * n, [moving] * n, chunksize=4))
 
 
 def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
     """First clicks, then sessions on other objects that are played by what came of those; writes
     both scorers. Returns the scores of fits without every n-th object.
     """
-    begin, middle = config.first_seed, config.first_seed + config.objects
-    first = [rows for rows, _ in collect_moving(config, range(begin, middle))]
+    first = [rows for rows, _ in collect_moving(config, config.first)]
     scores = fit_moving(first, config, folder / MOVING_SCORER)
     moving = load_mlp(folder / MOVING_SCORER, MOVING_FEATURE_NAMES)
-    seeds = range(middle, middle + config.session_objects)
-    later = [rows for _, rows in collect_moving(config, seeds, moving)]
+    later = [rows for _, rows in collect_moving(config, config.later, moving)]
     return scores | fit_moving(later, config, folder / MENDING_SCORER)
 
 

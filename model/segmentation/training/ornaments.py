@@ -7,7 +7,7 @@ drawers does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -160,7 +160,7 @@ def _with(shape: Shape, made: list[tuple[Triangles, int, tuple[int, int, int, in
 # Reliefs: triangles on a rectangle (size) at z = 0 that stand out by about ``depth``. ------------
 
 
-def _bar(low: tuple[float, float], high: tuple[float, float], depth: float) -> Triangles:
+def _bar(low: Sequence[float], high: Sequence[float], depth: float) -> Triangles:
     return block((*low, -0.2 * depth), (*high, depth), 0.0)
 
 

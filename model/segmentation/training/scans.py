@@ -26,7 +26,9 @@ from model.segmentation.training.primitives import Builder
 
 Mode = Literal["surface", "outside", "one-sided"]
 ASSEMBLIES = (*furniture.FAMILIES, *gadgets.FAMILIES)
-_ASSEMBLY = {family.__name__: family for family in ASSEMBLIES}
+FLUSH = (furniture.flush_front.__name__,)
+"""Doors and drawers that lie in one plane with their frame."""
+_ASSEMBLY = {family.__name__: family for family in (*ASSEMBLIES, furniture.flush_front)}
 FAMILIES = tuple(name for name in family_names() if name not in HELD_OUT)
 SMALL_PARTED = ("Keyboard", "Remote", "Phone", "Switch", "Microwave", "WashingMachine",
                 "CoffeeMachine", "Camera", "Printer", "Dispenser", "Lamp", "Safe")  # fmt: skip

@@ -332,11 +332,11 @@ def test_a_first_click_beside_others_seldom_means_most_of_a_scan(session) -> Non
     solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
     size, center = encoding.cells.size, encoding.cells.center
     door = int(np.abs(center - (0.25, -0.02, 0.4)).sum(1).argmin())
-    alone = solver.answer(PartState(), door, True, None).best
+    alone = solver.answer(PartState(), door, True, None, of_a_part=False).best
     assert size[alone].sum() > 0.7 * size.sum()
     taken = np.zeros(len(size), bool)
     taken[np.abs(center - (0.9, 0.5, 0.1)).sum(1).argmin()] = True
-    best = solver.answer(PartState(), door, True, taken).best
+    best = solver.answer(PartState(), door, True, taken, of_a_part=False).best
     assert best[door] and size[best].sum() < 0.6 * size.sum()
 
 
@@ -349,7 +349,7 @@ def test_a_first_click_means_no_speck(session) -> None:
     solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
     size = encoding.cells.size
     door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
-    found = solver.answer(PartState(), door, True, None)
+    found = solver.answer(PartState(), door, True, None, of_a_part=False)
     held = found.candidates.masks @ size
     assert held.min() < 16 < size[found.best].sum() < 0.1 * size.sum()
 
@@ -430,13 +430,13 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
         return Click((x, y, z), 1, positive, int(index))
 
     after, refused = [], 0
-    for _ in range(16):
+    for _ in range(30):
         items: list[Click | Region] = [click(central(points, door, rng))]
         first = session.segment(Prompts(tuple(items))).labels == 1
         others = session.candidates(Prompts(tuple(items)), 1)
         best = max(others, key=lambda m: iou(m & known, door))
         before = iou(best & known, door)
-        if before < iou(first & known, door) + 0.05:
+        if before < 0.4:
             continue
         items += [Region(1, np.nonzero(first & ~best)[0], False),
                   Region(1, np.nonzero(best & ~first)[0])]  # fmt: skip
@@ -559,4 +559,4 @@ def test_clicks_that_agree_do_not_hold_the_mask_as_it_is() -> None:
         iou(session.segment(Prompts(tuple(clicks[:n]))).labels == 1, labels == 1)
         for n in (5, len(clicks))
     ]
-    assert reached[0] < 0.6 and reached[1] > 0.85, np.round(reached, 2)
+    assert reached[1] > max(0.9, reached[0] + 0.05), np.round(reached, 2)

@@ -8,11 +8,14 @@ import pytest
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
 from model.segmentation.boxes import MOVING_FEATURE_NAMES
+from model.segmentation.default import DefaultSegmenter
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode
 from model.segmentation.front_features import FRONT_FEATURES, front_features
 from model.segmentation.fronts import Fronts, support
+from model.segmentation.prompts import Click, Prompts
 from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.simulate import iou
 from model.segmentation.solver import PartState
 
 WIDE, HIGH, DEEP = 1.2, 0.8, 0.4
@@ -112,6 +115,17 @@ def test_what_other_clicks_hold_is_left_out(fronts, panels) -> None:
     assert len(masks) and not masks[:, other].any() and masks[:, cell].all()
 
 
+def test_what_is_found_does_not_depend_on_what_was_looked_at_before(fronts, panels) -> None:
+    encoding, _ = panels
+    spots = [(0.12, 0, 0.1), (0.85, -0.05, 0.55), (1.0, 0.1, HIGH), (0.4, 0, 0.7)]
+    for spot in spots:
+        cell = cell_at(encoding, spot)
+        fresh = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
+        for known, new in zip(fronts.of(cell), fresh.of(cell), strict=True):
+            assert np.array_equal(known.region, new.region) and known.depth == new.depth
+            assert np.array_equal(fronts.rectangles(known, cell), fresh.rectangles(new, cell))
+
+
 def test_a_knob_is_clicked_for_the_panel_behind_it(fronts, panels) -> None:
     encoding, labels = panels
     cell = cell_at(encoding, (0.85, -0.05, 0.55))
@@ -161,3 +175,35 @@ def test_the_solver_offers_rectangles_for_parts_alone(panels) -> None:
     again = solver.answer(PartState(), cell, True, None)
     assert np.array_equal(part.candidates.masks, again.candidates.masks)
     assert np.array_equal(part.scores, again.scores)
+
+
+@pytest.mark.parametrize("order", [(1, 2, 3, 4), (4, 2, 1, 3)])
+def test_flush_panels_take_a_click_each(order) -> None:
+    """In any order: a panel that took its neighbours along gives them back on a click."""
+    cloud, part = flush_fronts()
+    session = DefaultSegmenter().encode(Asset("panels", cloud=cloud))
+    spots = {1: (0.1, 0, 0.08), 2: (1.0, 0, 0.2), 3: (0.4, 0, 0.7), 4: (0.65, 0, 0.45)}
+    clicks = [Click(spots[number], number) for number in order]
+    labels = session.segment(Prompts(tuple(clicks))).labels
+    for number in order:
+        assert iou(labels == number, part == number) > 0.8, number
+    for count in range(len(clicks)):
+        session.segment(Prompts(tuple(clicks[:count])))
+    assert np.array_equal(session.segment(Prompts(tuple(clicks))).labels, labels), "after undo"
+
+
+def test_what_may_be_the_base_is_asked_for_by_name(panels) -> None:
+    """A protocol that clicks every link says so; then no rectangle is offered."""
+    cloud, _ = flush_fronts(20_000)
+    session = DefaultSegmenter().encode(Asset("panels", cloud=cloud))
+    prompts = Prompts((Click((1.2, 0.2, 0.4), 1),))
+    anything = session.of_anything()
+    assert anything.encoding is session.encoding
+    cell = cell_at(session.encoding, (1.2, 0.2, 0.4))
+    expected = session.solver.first_answer(cell, of_a_part=False).best
+    taken = np.bincount(
+        session.encoding.cells.of_node,
+        anything.segment(prompts).labels[session.encoding.nodes.elements.element_of_node] == 1,
+        len(session.encoding.cells),
+    )
+    assert ((taken > 0) & expected).sum() > 0.9 * expected.sum()

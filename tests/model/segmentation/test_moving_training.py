@@ -9,11 +9,11 @@ import pytest
 
 from model.segmentation.boxes import MOVING_FEATURE_NAMES
 from model.segmentation.mlp import load_mlp
-from model.segmentation.training.moving import MovingTraining, collect_moving, fit_moving, play
+from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.training.ornaments import ornamented
 from model.segmentation.training.scans import build
 
-SMALL = MovingTraining(objects=2, parts=2, clicks=2, networks=1, held_out=2, workers=1)
+SMALL = MovingTraining(parts=2, clicks=2, sessions=1, networks=1, held_out=2, workers=1)
 
 
 def test_ornaments_stand_out_of_the_parts_that_they_are_on() -> None:
@@ -46,20 +46,25 @@ def test_clicks_on_moving_parts_are_played(share: str) -> None:
     none = {"camera": 0.0, "one_sided": 0.0, "mesh": 0.0}
     config = replace(SMALL, **{**none, share: 1.0})
     seed = 200_004  # two parts that move
-    rows = play(seed, config)
+    rows, none = play(seed, config)
+    assert not len(none.share), "nobody plays sessions without a scorer"
     assert rows.features.shape[1] == len(MOVING_FEATURE_NAMES)
     assert np.isfinite(rows.features).all() and (rows.overlap <= 1).all()
     clicks = len(rows.share)
     assert clicks > 0 and rows.click.max() == clicks - 1
     assert (rows.share < 0.9).all(), "never what nobody clicks"
-    again = play(seed, config)
+    again, _ = play(seed, config)
     assert np.array_equal(rows.features, again.features)
 
 
-def test_a_scorer_is_fitted_measured_and_written(tmp_path) -> None:
-    rows = collect_moving(replace(SMALL, mesh=1.0, camera=0.0), range(200_000, 200_004))
-    path = tmp_path / "moving.npz"
-    scores = fit_moving(rows, SMALL, path)
-    assert 0 <= scores["moving_iou"] <= scores["moving_best_possible"] <= 1
-    scorer = load_mlp(path, MOVING_FEATURE_NAMES)
-    assert np.isfinite(scorer(rows[0].features)).all()
+def test_scorers_are_fitted_measured_and_written(tmp_path) -> None:
+    """First clicks, then sessions that are played by what came of those."""
+    seeds = (200_000, 200_004, 1)
+    config = replace(SMALL, mesh=1.0, camera=0.0, first=(seeds,), later=(seeds,), explore=1.0)
+    scores = train_moving(config, tmp_path)
+    for name in ("first_click_moving", "later_click_moving"):
+        assert 0 <= scores[f"{name}_iou"] <= scores[f"{name}_best_possible"] <= 1
+        assert scores[f"{name}_clicks"] > 1
+        scorer = load_mlp(tmp_path / f"{name}.npz", MOVING_FEATURE_NAMES)
+        x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
+        assert np.isfinite(scorer(x.astype(np.float32))).all()
