@@ -75,6 +75,10 @@ _REGIONS = 10
 _FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
 """Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh), at
 most."""
+_SAY = 0.8
+"""Of the scorers of parts that move; those of anything, which learned from other objects, have the
+rest.
+"""
 _RECTANGLES = 12
 """Of a front, beside later clicks."""
 _WHOLE = 0.8
@@ -361,7 +365,6 @@ class ObjectSolver(PartSolver):
         """
         self.fronts: Fronts | None = None
         self.moving_scorer: Mlp | None = None
-        self.mending_scorer: Mlp | None = None
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
@@ -419,18 +422,10 @@ class ObjectSolver(PartSolver):
             return super()._as_part(found, features, clicked)
         shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
         both = np.concatenate([features, shown], axis=1)
-        if self.moving_scorer is None:
-            return both, super()._as_part(found, features, clicked)[1]
-        return both, self.moving_scorer(both)
-
-    def _as_mended_part(
-        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
-    ) -> tuple[Float, Float]:
-        if self.fronts is None:
-            return features, scores
-        shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
-        both = np.concatenate([features, shown], axis=1)
-        return both, scores if self.mending_scorer is None else self.mending_scorer(both)
+        scores = super()._as_part(found, features, clicked)[1]
+        if self.moving_scorer is not None:
+            scores = _SAY * self.moving_scorer(both) + (1 - _SAY) * scores
+        return both, scores
 
     def _front(self, clicked: Clicked) -> Front | None:
         """The front that a part was first clicked on."""

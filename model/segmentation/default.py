@@ -39,7 +39,7 @@ from model.segmentation.prompt_steps import (
     telling,
 )
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
-from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.scorers import shipped_moving_scorer, shipped_scorers, solver_of
 from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
 
 _STATES = 256
@@ -556,5 +556,5 @@ class DefaultSegmenter:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
         scorers = shipped_scorers(rooms=encoding.room is not None)
-        solver = solver_of(encoding, *scorers, *shipped_moving_scorers())
+        solver = solver_of(encoding, *scorers, shipped_moving_scorer())
         return DefaultSession(asset, encoding, solver)

@@ -14,7 +14,8 @@ FRONT_FEATURES = (
     *(f"sides_{name}" for name in CHANNELS),
     "within_upright", "within_level", "sides_of_front", "front_area", "front_wide", "front_high",
     "even_wide", "even_high", "front_support", "front_support_behind_best", "knobs",
-    "knobs_of_front", "front_full", "framed_by", "frame_of", "repeat_1", "repeat_2", "split_upright", "split_level",
+    "knobs_of_front", "front_full", "framed_by", "frame_of", "repeat_1", "repeat_2",
+    "split_upright", "split_level",
 )  # fmt: skip
 
 Bool = npt.NDArray[np.bool_]

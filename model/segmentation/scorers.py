@@ -16,7 +16,7 @@ from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
 from model.segmentation.solver import PartSolver
 
-MOVING_SCORER, MENDING_SCORER = "first_click_moving.npz", "later_click_moving.npz"
+MOVING_SCORER = "first_click_moving.npz"
 PART_SCORERS = ("first_click.npz", "later_click.npz")
 ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
 
@@ -31,11 +31,10 @@ def shipped_scorers(*, rooms: bool = False) -> Scorers:
 
 
 @lru_cache(maxsize=1)
-def shipped_moving_scorers() -> Scorers:
-    """Those of clicks on parts that move, for objects; None where they are not there."""
-    paths = [static_assets() / "segmentation" / name for name in (MOVING_SCORER, MENDING_SCORER)]
-    first, later = (load_mlp(p, MOVING_FEATURE_NAMES) if p.is_file() else None for p in paths)
-    return first, later
+def shipped_moving_scorer() -> Mlp | None:
+    """The scorer of first clicks on parts that move, for objects; None where it is not there."""
+    path = static_assets() / "segmentation" / MOVING_SCORER
+    return load_mlp(path, MOVING_FEATURE_NAMES) if path.is_file() else None
 
 
 def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
@@ -53,20 +52,19 @@ def solver_of(
     first: Mlp | None,
     later: Mlp | None,
     moving: Mlp | None = None,
-    mending: Mlp | None = None,
 ) -> PartSolver:
     """The solver for what was encoded, an object or a room.
 
     Args:
-        first, later: scorers of clicks that may mean the base, too; moving, mending: of those that
-            mean parts that move.
+        first, later: scorers of clicks that may mean the base, too; moving: of first clicks that
+            mean a part that moves.
     """
     cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
     if room is None:
         solver = ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
         nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
         solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
-        solver.moving_scorer, solver.mending_scorer = moving, mending
+        solver.moving_scorer = moving
         return solver
     return RoomSolver(cells, hierarchy, walk, room, first, later)
 

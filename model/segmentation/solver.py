@@ -205,13 +205,6 @@ class PartSolver:
         del state, after, cell, positive
         return []
 
-    def _as_mended_part(
-        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
-    ) -> tuple[Float, Float]:
-        """The same as :meth:`_as_part` for later clicks."""
-        del found, clicked
-        return features, scores
-
     def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
         """(H, F) features and (H,) scores of what a first click may mean as a part that moves."""
         scores = self._rule(found, clicked) if self._first is None else self._first(features)
@@ -278,8 +271,6 @@ class PartSolver:
         both = joined([found, self._finish(joined(more), after, blocked)])
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
-        if of_a_part:
-            features, scores = self._as_mended_part(both, features, scores, clicked)
         lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
         return Ranked(
             both, features, scores - self._unlikely(state, cell, positive, both.masks, lost)

@@ -19,8 +19,8 @@ class Training:
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
-            ``first_click_moving.npz``, ``later_click_moving.npz`` and, of rooms,
-            ``room_first_click.npz`` and ``room_later_click.npz``.
+            ``first_click_moving.npz`` and, of rooms, ``room_first_click.npz`` and
+            ``room_later_click.npz``.
         skip_edges, skip_boxes, skip_parts, skip_rooms, skip_moving: keep the networks that are
             there.
         edges, boxes, clicks, moving: their settings.

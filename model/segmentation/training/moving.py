@@ -1,6 +1,6 @@
-"""The scorers of clicks on parts that move, as people make them.
+"""The scorer of first clicks on parts that move, as people make them.
 
-Nobody clicks the base: what no click claims is the base. So these scorers learn from parts that
+Nobody clicks the base: what no click claims is the base. So this scorer learns from parts that
 move alone, clicked where they are seen, with and without clicks on other parts, on objects with
 relief within their parts, most of them met as depth cameras see them.
 """
@@ -21,15 +21,10 @@ from model.kinematics.articulated_object import Part, SegmentedObject
 from model.segmentation.boxes import MOVING_FEATURE_NAMES
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.mlp import Mlp, load_mlp, save_mlp
-from model.segmentation.scorers import (
-    MENDING_SCORER,
-    MOVING_SCORER,
-    shipped_scorers,
-    solver_of,
-)
+from model.segmentation.mlp import save_mlp
+from model.segmentation.scorers import MOVING_SCORER, shipped_scorers, solver_of
 from model.segmentation.seen_clicks import Picture, depths, largest_piece, picture_of
-from model.segmentation.solver import PartSolver, PartState, Ranked
+from model.segmentation.solver import PartState
 from model.segmentation.training.clicks import (
     Log,
     Rows,
@@ -55,10 +50,10 @@ _NOISE = (0.0003, 0.001, 0.002)
 
 @dataclass(frozen=True)
 class MovingTraining:
-    """What is needed to train ``first_click_moving.npz`` and ``later_click_moving.npz`` again.
+    """What is needed to train ``first_click_moving.npz`` again.
 
     Attributes:
-        first, later: seeds of the objects that first clicks and sessions are played on, as ranges.
+        seeds: of the objects that are clicked, as ranges.
         small_seed, flush_seed: from there on objects have small parts, and flush fronts.
         square: share of them that are furniture, appliances and the like.
         ornaments: share of them that get relief.
@@ -67,14 +62,16 @@ class MovingTraining:
         parts: asked for in each, spread over the logarithm of their sizes.
         clicks: first clicks on each.
         held_out: every n-th object measures in a fit of its own.
-        sessions: on each part of the objects for those; later_clicks: in each.
-        explore: probability of following a hypothesis that is not the best one.
         networks: that are fitted and averaged.
         workers: processes.
     """
 
-    first: tuple[Seeds, ...] = ((200_000, 201_200, 1), (260_000, 260_200, 1))
-    later: tuple[Seeds, ...] = ((201_200, 201_600, 1),)
+    seeds: tuple[Seeds, ...] = (
+        (200_000, 201_138, 2),
+        (200_001, 200_369, 2),
+        (260_000, 260_071, 1),
+        (280_000, 280_244, 1),
+    )
     small_seed: int = 260_000
     flush_seed: int = 280_000
     square: float = 0.4
@@ -84,9 +81,6 @@ class MovingTraining:
     mesh: float = 0.25
     parts: int = 5
     clicks: int = 3
-    sessions: int = 2
-    later_clicks: int = 4
-    explore: float = 0.2
     held_out: int = 6
     networks: int = 3
     workers: int = 2
@@ -203,17 +197,15 @@ class _Click:
     blocked: npt.NDArray[np.bool_] | None
 
 
-def play(seed: int, config: MovingTraining, moving: Mlp | None = None) -> tuple[Rows, Rows]:
-    """Clicks on the moving parts of one object: rows of first ones, and of the later ones of
-    sessions where there is a scorer, ``moving``, that plays them.
-    """
+def play(seed: int, config: MovingTraining) -> Rows:
+    """First clicks on the moving parts of one object; rows of their hypotheses."""
     rng = np.random.default_rng([seed, 7])
     seen = _seen(seed, config, rng)
     encoding, of_node = seen.encoding, seen.encoding.cells.of_node
-    first_log, later_log = Log(MOVING_FEATURE_NAMES), Log(MOVING_FEATURE_NAMES)
+    log = Log(MOVING_FEATURE_NAMES)
     if encoding.room is not None:
-        return first_log.rows(), later_log.rows()
-    solver = solver_of(encoding, *shipped_scorers(), moving)
+        return log.rows()
+    solver = solver_of(encoding, *shipped_scorers())
     pixels = {
         part: _clicks(seen.shown == part, config.clicks, rng)
         for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
@@ -227,13 +219,11 @@ def play(seed: int, config: MovingTraining, moving: Mlp | None = None) -> tuple[
     for part in asked_by_size(rng, there, config.parts):
         truth = seen.labels == part
         others = np.array([q for q in cells if q != part])
-        for number, cell in enumerate(cells[part].tolist()):
+        for cell in cells[part].tolist():
             click = _beside(cell, others, cells, seen, rng)
             ranked = solver.answer(click.state, cell, True, click.blocked)
-            first_log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
-            if moving is not None and number < config.sessions:
-                _session(solver, seen, part, click, ranked, config, rng, later_log)
-    return first_log.rows(), later_log.rows()
+            log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
+    return log.rows()
 
 
 def _beside(
@@ -257,46 +247,6 @@ def _beside(
     return _Click(cell, PartState(negative=negative, agreed=(0, len(negative))), blocked)
 
 
-def _session(
-    solver: PartSolver,
-    seen: _Seen,
-    part: int,
-    click: _Click,
-    ranked: Ranked,
-    config: MovingTraining,
-    rng: np.random.Generator,
-    log: Log,
-) -> None:
-    """Clicks into the middle of what looks wrong, as :mod:`.seen_clicks` has them."""
-    encoding, picture = seen.encoding, seen.picture
-    of_node, true = encoding.cells.of_node, seen.labels == part
-    node = encoding.nodes.elements.node_of_element[picture.element]
-    there, wanted = seen.shown >= 0, seen.shown == part
-    state, cell, positive = click.state, click.cell, True
-    for step in range(config.later_clicks + 1):
-        if step:
-            log.add(ranked, overlaps(encoding, ranked, true), float(true.mean()))
-        mask = ranked.best
-        if rng.random() < config.explore:
-            near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 3]
-            mask = ranked.candidates.masks[int(rng.choice(near))]
-        state = solver.moved(state, cell, positive, mask)
-        given = mask[of_node][node]
-        missing, extra = (largest_piece(p) for p in (wanted & ~given, there & given & ~wanted))
-        piece, size = max(missing, extra, key=lambda found: found[1])
-        if size < _LEAST_PIXELS:
-            return
-        at = _clicks(piece, 2, rng)[int(rng.random() < 0.4)]
-        cell, positive = int(of_node[node[at]]), missing[1] >= extra[1]
-        if mask[cell] == positive:
-            return  # the error is smaller than a cell
-        blocked = click.blocked
-        if blocked is not None and positive:
-            blocked = blocked.copy()
-            blocked[cell] = False
-        ranked = solver.answer(state, cell, positive, blocked)
-
-
 def _clicks(
     region: npt.NDArray[np.bool_], number: int, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
@@ -308,41 +258,29 @@ def _clicks(
     return [(int(r), int(c)) for r, c in [first, *picked]]
 
 
-def collect_moving(
-    config: MovingTraining, seeds: tuple[Seeds, ...], moving: Mlp | None = None
-) -> list[tuple[Rows, Rows]]:
+def collect_moving(config: MovingTraining) -> list[Rows]:
     """Rows of each object; they do not depend on ``workers``."""
-    every = [seed for one in seeds for seed in range(*one)]
+    seeds = [seed for one in config.seeds for seed in range(*one)]
     if config.workers <= 1:
-        return [play(seed, config, moving) for seed in every]
-    n = len(every)
+        return [play(seed, config) for seed in seeds]
     with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(play, every, [config] * n, [moving] * n, chunksize=4))
+        return list(pool.map(play, seeds, [config] * len(seeds), chunksize=4))
 
 
 def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
-    """First clicks, then sessions on other objects that are played by what came of those; writes
-    both scorers. Returns the scores of fits without every n-th object.
+    """Play, fit, measure and write the scorer into ``folder``; returns the scores of a fit without
+    every n-th object.
     """
-    first = [rows for rows, _ in collect_moving(config, config.first)]
-    scores = fit_moving(first, config, folder / MOVING_SCORER)
-    moving = load_mlp(folder / MOVING_SCORER, MOVING_FEATURE_NAMES)
-    later = [rows for _, rows in collect_moving(config, config.later, moving)]
-    return scores | fit_moving(later, config, folder / MENDING_SCORER)
-
-
-def fit_moving(rows: list[Rows], config: MovingTraining, path: Path) -> dict[str, float]:
-    """Fit, measure and write a scorer of what :func:`collect_moving` found."""
-    names, kind = MOVING_FEATURE_NAMES, path.stem
-    rows = [r for r in rows if len(r.share)]
+    names = MOVING_FEATURE_NAMES
+    rows = [r for r in collect_moving(config) if len(r.share)]
     test = joined_rows(rows[:: config.held_out])
     rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
     chosen, best = chosen_overlap(fit_scorer(rest, config.networks, names), test)
     scores = {
-        f"{kind}_iou": chosen,
-        f"{kind}_best_possible": best,
-        f"{kind}_clicks": float(sum(len(r.share) for r in rows)),
+        "moving_iou": chosen,
+        "moving_best_possible": best,
+        "moving_clicks": float(sum(len(r.share) for r in rows)),
     }
     whole = fit_scorer(joined_rows(rows), config.networks, names)
-    save_mlp(whole, path, {"training": asdict(config), "scores": scores})
+    save_mlp(whole, folder / MOVING_SCORER, {"training": asdict(config), "scores": scores})
     return scores

@@ -9,11 +9,12 @@ import pytest
 
 from model.segmentation.boxes import MOVING_FEATURE_NAMES
 from model.segmentation.mlp import load_mlp
+from model.segmentation.scorers import MOVING_SCORER
 from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.training.ornaments import ornamented
 from model.segmentation.training.scans import build
 
-SMALL = MovingTraining(parts=2, clicks=2, sessions=1, networks=1, held_out=2, workers=1)
+SMALL = MovingTraining(parts=2, clicks=2, networks=1, held_out=2, workers=1)
 
 
 def test_ornaments_stand_out_of_the_parts_that_they_are_on() -> None:
@@ -46,25 +47,21 @@ def test_clicks_on_moving_parts_are_played(share: str) -> None:
     none = {"camera": 0.0, "one_sided": 0.0, "mesh": 0.0}
     config = replace(SMALL, **{**none, share: 1.0})
     seed = 200_004  # two parts that move
-    rows, none = play(seed, config)
-    assert not len(none.share), "nobody plays sessions without a scorer"
+    rows = play(seed, config)
     assert rows.features.shape[1] == len(MOVING_FEATURE_NAMES)
     assert np.isfinite(rows.features).all() and (rows.overlap <= 1).all()
     clicks = len(rows.share)
     assert clicks > 0 and rows.click.max() == clicks - 1
     assert (rows.share < 0.9).all(), "never what nobody clicks"
-    again, _ = play(seed, config)
+    again = play(seed, config)
     assert np.array_equal(rows.features, again.features)
 
 
-def test_scorers_are_fitted_measured_and_written(tmp_path) -> None:
-    """First clicks, then sessions that are played by what came of those."""
-    seeds = (200_000, 200_004, 1)
-    config = replace(SMALL, mesh=1.0, camera=0.0, first=(seeds,), later=(seeds,), explore=1.0)
+def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
+    config = replace(SMALL, mesh=1.0, camera=0.0, seeds=((200_000, 200_004, 1),))
     scores = train_moving(config, tmp_path)
-    for name in ("first_click_moving", "later_click_moving"):
-        assert 0 <= scores[f"{name}_iou"] <= scores[f"{name}_best_possible"] <= 1
-        assert scores[f"{name}_clicks"] > 1
-        scorer = load_mlp(tmp_path / f"{name}.npz", MOVING_FEATURE_NAMES)
-        x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
-        assert np.isfinite(scorer(x.astype(np.float32))).all()
+    assert 0 <= scores["moving_iou"] <= scores["moving_best_possible"] <= 1
+    assert scores["moving_clicks"] > 1
+    scorer = load_mlp(tmp_path / MOVING_SCORER, MOVING_FEATURE_NAMES)
+    x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
+    assert np.isfinite(scorer(x.astype(np.float32))).all()

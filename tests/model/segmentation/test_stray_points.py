@@ -77,7 +77,7 @@ def test_points_in_the_air_change_no_answer(scan, session, make_cabinet_cloud) -
     for place in (DOOR, (0.75, -0.02, 0.2), (0.42, -0.06, 0.37)):
         prompts = Prompts((click(place),))
         answer, same = (s.segment(prompts).labels[: len(labels)] == 1 for s in (session, clean))
-        assert (answer & same).sum() > 0.93 * (answer | same).sum()
+        assert (answer & same).sum() > 0.9 * (answer | same).sum()
 
 
 def test_a_click_on_one_is_about_it_alone(scan, session) -> None:
