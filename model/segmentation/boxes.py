@@ -76,9 +76,8 @@ _FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
 """Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh), at
 most."""
 _SAY = 0.8
-"""Of the scorers of parts that move; those of anything, which learned from other objects, have the
-rest.
-"""
+"""Of the scorer of parts that move; that of anything, which learned from other objects, has the
+rest."""
 _RECTANGLES = 12
 """Of a front, beside later clicks."""
 _WHOLE = 0.8
@@ -455,11 +454,7 @@ class ObjectSolver(PartSolver):
             for front in self.fronts.of(cell):
                 off = self.fronts.rectangles(front, cell, after.positive)[:_RECTANGLES]
                 made.append(state.mask & ~self.fronts.masks(front, off))
-        none = self._with_no(state.mask)
-        return [self._with(none, made)] if made else []
-
-    def _with_no(self, mask: Bool) -> Candidates:
-        return Candidates.of([mask], "keep").take(np.zeros(0, np.int64))
+        return [self._made(made)] if made else []
 
     def _region_hypotheses(
         self, state: PartState, after: PartState, cell: int, positive: bool
@@ -508,13 +503,16 @@ class ObjectSolver(PartSolver):
         return self._boxes.contents(believed.low[:, index].T, believed.high[:, index].T, 0)
 
     def _with(self, found: Candidates, more: list[Bool]) -> Candidates:
+        return joined([found, self._made(more)])
+
+    def _made(self, more: list[Bool]) -> Candidates:
+        """Boxes and rectangles as hypotheses, on a mesh with the shells within them."""
         masks = np.concatenate(more)
         if self._shells is not None:
             masks = np.concatenate([masks, self._shells.within(masks)])
         masks = masks[masks.any(1)]
         zero = np.zeros(len(masks), np.float32)
-        made = Candidates(masks, np.full(len(masks), _FROM_BOX, np.int8), zero, zero.copy())
-        return joined([found, made])
+        return Candidates(masks, np.full(len(masks), _FROM_BOX, np.int8), zero, zero.copy())
 
     def _some(self, masks: Bool) -> Bool:
         """At most ``_REGIONS`` of the masks, of all sizes."""
