@@ -262,16 +262,14 @@ def _one_against_the_rest(
 ) -> None:
     pointer = _Pointer(item)
     rng = np.random.default_rng([seed, 11])
-    given = session
+    if isinstance(session, DefaultSession):
+        # Nobody clicks the base to have it; this protocol does, and does not say when.
+        session = session.of_anything()
     for part in item.parts:
         truth = item.labels == part
         small = truth[pointer.shown]
         if not small.any():
             continue
-        session = given
-        if part == BASE and isinstance(given, DefaultSession):
-            # Nobody clicks the base to have it; this protocol does.
-            session = given.of_anything()
         if config.first == "deepest":
             start = deepest(pointer.points, small)
         else:

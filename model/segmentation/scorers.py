@@ -63,8 +63,9 @@ def solver_of(
     if room is None:
         solver = ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
         nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
-        solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
-        solver.moving_scorer = moving
+        if not nodes.of_mesh:  # faces and shells tell the parts of a mesh better than lines
+            solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
+            solver.moving_scorer = moving
         return solver
     return RoomSolver(cells, hierarchy, walk, room, first, later)
 

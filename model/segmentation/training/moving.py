@@ -18,9 +18,10 @@ import numpy.typing as npt
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, SegmentedObject
-from model.segmentation.boxes import MOVING_FEATURE_NAMES
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
+from model.segmentation.fronts import Fronts
 from model.segmentation.mlp import save_mlp
 from model.segmentation.scorers import MOVING_SCORER, shipped_scorers, solver_of
 from model.segmentation.seen_clicks import Picture, depths, largest_piece, picture_of
@@ -203,9 +204,12 @@ def play(seed: int, config: MovingTraining) -> Rows:
     seen = _seen(seed, config, rng)
     encoding, of_node = seen.encoding, seen.encoding.cells.of_node
     log = Log(MOVING_FEATURE_NAMES)
-    if encoding.room is not None:
-        return log.rows()
     solver = solver_of(encoding, *shipped_scorers())
+    if not isinstance(solver, ObjectSolver):
+        return log.rows()  # taken for a room
+    nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
+    # Meshes are answered without, but teach as well as clouds.
+    solver.fronts = Fronts(nodes, graph, strength, encoding.cells, solver.axes)
     pixels = {
         part: _clicks(seen.shown == part, config.clicks, rng)
         for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
