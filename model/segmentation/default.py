@@ -108,6 +108,8 @@ class DefaultSession:
         self.closeups: Closeups | None = None
         if encoding.room is None and isinstance(solver, ObjectSolver):
             self.closeups = Closeups(encoding, solver.axes)
+        # On meshes and in rooms the mask that is there says more than a first click.
+        self._asks_anew = of_parts and isinstance(solver, ObjectSolver) and bool(solver.fronts)
         mesh = asset.mesh
         self._weight = np.ones(asset.element_count, np.float32)
         if mesh is not None:
@@ -263,7 +265,7 @@ class DefaultSession:
         Args:
             rest: (C,) what other parts have now.
         """
-        if not self.of_parts or len(own.positive) != 1 or own.drawn or own.run:
+        if not self._asks_anew or len(own.positive) != 1 or own.drawn or own.run:
             found = self.solver.answer(own, cell, False, rest)
             return self.solver.moved(own, cell, False, found.best & ~rest), found
         (first,) = own.positive

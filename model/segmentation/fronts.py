@@ -326,7 +326,9 @@ class Fronts:
             maps |= {n: mean(lab[:, k]) for k, n in enumerate("Lab")}
         there = count > 0
         # A handle hides what is behind it: what is all round a hole has it, too.
-        closed = np.asarray(binary_closing(np.pad(there, 3), iterations=2))[3:-3, 3:-3] | there
+        closed = (
+            np.asarray(binary_closing(np.pad(there, 3), iterations=2), bool)[3:-3, 3:-3] | there
+        )
         piece = np.zeros(shape, np.int32)
         label(binary_fill_holes(closed), output=piece)
         return _Layer(across, depth, low, side, count, maps, piece)
