@@ -416,12 +416,13 @@ class ObjectSolver(PartSolver):
         deep = boxes.contents(*boxes.behind(*boxes.bounds(likely[likely.any(1)]), _FRONTS))
         return self._with(found, [*made, deep])
 
-    def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
+    def _as_part(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
+    ) -> tuple[Float, Float]:
         if self.fronts is None:
-            return super()._as_part(found, features, clicked)
+            return features, scores
         shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
         both = np.concatenate([features, shown], axis=1)
-        scores = super()._as_part(found, features, clicked)[1]
         if self.moving_scorer is not None:
             scores = _SAY * self.moving_scorer(both) + (1 - _SAY) * scores
         return both, scores

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
 from model.segmentation.cells import Cells
-from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, Front, Rects, support
+from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, PIECES, Front, Rects, support
 
 FRONT_FEATURES = (
     "front", "front_share", "front_filled", "side_1", "side_2", "side_3", "side_4",
@@ -28,7 +28,6 @@ _MARGIN, _UNEQUAL = 0.35, 3.0
 """A frame's width at most, of the shorter side of what it frames, and how much wider one side of it
 is than another."""
 _NONE = -3.0
-_PIECES = (2, 3, 4, 5)
 
 
 def front_features(
@@ -122,7 +121,7 @@ def _splits(front: Front, rects: Rects) -> tuple[Float, Float]:
     best = []
     for axis in (0, 1):
         lines = []
-        for pieces in _PIECES:
+        for pieces in PIECES:
             each = []
             for k in range(1, pieces):
                 cut = rects.copy()

@@ -65,7 +65,8 @@ _BINS = 4
 """To the reach of a front."""
 _SHIFT, _BEFORE_BINS = 2, 16
 """How many bins the middle of a front may lie from what was clicked, and behind a handle."""
-_PARTS = (2, 3, 4, 5)
+PIECES = (2, 3, 4, 5)
+"""Into how many equal pieces a rectangle may be cut."""
 _BEFORE = 4.0
 """How far handles stand out before a front, in its reach."""
 _STANDS_OUT = 0.6
@@ -183,6 +184,11 @@ class _Layer:
     maps: dict[str, Float]
     piece: npt.NDArray[np.int32]
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return self.piece.shape  # type: ignore[return-value]
+
     @cached_property
     def there(self) -> Bool:
         """(U, V) squares that hold nodes."""
@@ -211,8 +217,8 @@ class _Side:
         """Surface in a bin and those beside it."""
         return float(self._held[max(bin_ - 1, 0) : bin_ + 2].sum()) if bin_ >= 0 else 0.0
 
-    def peak(self, bin_: int, first: int, last: int) -> int:
-        """The fullest bin of a range, ``bin_`` where that is empty."""
+    def peak(self, first: int, last: int) -> int:
+        """The fullest bin of a range, -1 where that is empty."""
         first, last = max(first, 0), min(last, len(self._held) - 1)
         if last < first:
             return -1
@@ -240,7 +246,7 @@ class Fronts:
         self, nodes: Nodes, graph: Graph, strength: npt.NDArray[np.float32], cells: Cells,
         axes: Float,
     ) -> None:  # fmt: skip
-        self._cells, self._axes = cells, axes
+        self._cells = cells
         self._at = nodes.points.astype(np.float64) @ axes.T
         self._facing = graph.normals.astype(np.float64) @ axes.T
         self._center = cells.center @ axes.T
@@ -268,8 +274,8 @@ class Fronts:
         side = self._side_of(axis, outward)
         own = side.bin_of(outward * float(self._center[cell, axis]))
         # The same for all that lie on it, and whatever was clicked before: where most of it is.
-        bins = [side.peak(own, own - _SHIFT, own + _SHIFT)]
-        behind = side.peak(own, own - _BEFORE_BINS, own - _SHIFT - 1)
+        bins = [side.peak(own - _SHIFT, own + _SHIFT)]
+        behind = side.peak(own - _BEFORE_BINS, own - _SHIFT - 1)
         if side.held(behind) > _LARGER * side.held(bins[0]):
             bins.append(behind)
         fronts = [self._front(cell, axis, outward, depth) for depth in bins]
@@ -286,14 +292,12 @@ class Fronts:
         layer = _kept(self._layers, (axis, outward, depth), self._layer, _LAYERS)
         if layer is None:
             return None
-        at = (self._center[cell, list(layer.across)] - layer.low) / layer.side
-        u, v = np.clip(at.astype(int), 0, np.array(layer.there.shape) - 1).tolist()
-        key = (axis, outward, depth, int(layer.piece[u, v]))
+        key = (axis, outward, depth, int(layer.piece[self._square(layer, cell)]))
         return _kept(self._fronts, key, self._laid_out, _KEPT)
 
-    def _square(self, front: Front, cell: int) -> tuple[int, int]:
-        at = (self._center[cell, list(front.across)] - front.low) / front.side
-        u, v = np.clip(at.astype(int), 0, np.array(front.shape) - 1).tolist()
+    def _square(self, laid: Front | _Layer, cell: int) -> tuple[int, int]:
+        at = (self._center[cell, list(laid.across)] - laid.low) / laid.side
+        u, v = np.clip(at.astype(int), 0, np.array(laid.shape) - 1).tolist()
         return u, v
 
     def _layer(self, key: tuple[int, int, int]) -> _Layer | None:
@@ -541,7 +545,7 @@ def _even(rect: Rect, spot: tuple[int, int]) -> list[Rect]:
     """The pieces that hold a square if a rectangle is cut evenly."""
     out: list[Rect] = []
     u0, u1, v0, v1 = rect
-    for parts in _PARTS:
+    for parts in PIECES:
         wide, high = (u1 + 1 - u0) / parts, (v1 + 1 - v0) / parts
         if wide >= _LEAST_SIDE:
             k = int((spot[0] - u0) / wide)

@@ -27,7 +27,7 @@ Points = npt.NDArray[np.float64]
 
 _ROWS, _COLUMNS = 200, 240
 _FOV = 0.6
-_LEAST = 12
+LEAST_PIXELS = 12
 """Pixels that a part or an error has to have to be clicked."""
 _NOTHING = -1
 _SOME, _AROUND = 2000, 6
@@ -165,7 +165,7 @@ def clicked_as_seen(
         part is seen.
     """
     true = picture.of(truth)
-    parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= _LEAST]
+    parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= LEAST_PIXELS]
     if not parts:
         return []
     middles = [middle_of(largest_piece(true == part)[0]) for part in parts]
@@ -193,7 +193,7 @@ def _next(picture: Picture, true: Labels, shown: Labels, parts: list[int]) -> Cl
     """The click on the largest piece of one true part that looks wrong; None where all is right."""
     pieces = [(largest_piece((true == p) & (shown != p)), p) for p in [BASE, *parts]]
     (piece, size), part = max(pieces, key=lambda found: found[0][1])
-    if size < _LEAST:
+    if size < LEAST_PIXELS:
         return None
     at = middle_of(piece)
     wanted = part != BASE

@@ -205,9 +205,15 @@ class PartSolver:
         del state, after, cell, positive
         return []
 
-    def _as_part(self, found: Candidates, features: Float, clicked: Clicked) -> tuple[Float, Float]:
-        """(H, F) features and (H,) scores of what a first click may mean as a part that moves."""
-        scores = self._rule(found, clicked) if self._first is None else self._first(features)
+    def _as_part(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
+    ) -> tuple[Float, Float]:
+        """(H, F) features and (H,) scores of what a first click may mean as a part that moves.
+
+        Args:
+            scores: of what may be the base, too.
+        """
+        del found, clicked
         return features, scores
 
     def first_answer(self, cell: int, *, of_a_part: bool = True) -> Ranked:
@@ -366,12 +372,9 @@ class PartSolver:
                 found = found.take(np.nonzero(clean)[0])
         found = self._finish(found, after, blocked)
         features = self.describe(found, clicked)
+        scores = self._rule(found, clicked) if self._first is None else self._first(features)
         if of_a_part:
-            features, scores = self._as_part(found, features, clicked)
-        elif self._first is not None:
-            scores = self._first(features)
-        else:
-            scores = self._rule(found, clicked)
+            features, scores = self._as_part(found, features, scores, clicked)
         against = self._no_part(found.masks, after, blocked, of_a_part)
         return Ranked(found, features, scores - against)
 

@@ -24,7 +24,13 @@ from model.segmentation.encoding import Encoding, encode
 from model.segmentation.fronts import Fronts
 from model.segmentation.mlp import save_mlp
 from model.segmentation.scorers import MOVING_SCORER, shipped_scorers, solver_of
-from model.segmentation.seen_clicks import Picture, depths, largest_piece, picture_of
+from model.segmentation.seen_clicks import (
+    LEAST_PIXELS,
+    Picture,
+    depths,
+    largest_piece,
+    picture_of,
+)
 from model.segmentation.solver import PartState
 from model.segmentation.training.clicks import (
     Log,
@@ -44,7 +50,6 @@ Seeds = tuple[int, int, int]
 _COUNTS, _COUNT_CHANCE = (100_000, 60_000, 30_000), (0.6, 0.2, 0.2)
 _CLOSE = 0.35
 """Of the greatest depth of what is seen of a part: where clicks land."""
-_LEAST_PIXELS = 12
 _SIDES = 8
 _NOISE = (0.0003, 0.001, 0.002)
 
@@ -123,11 +128,13 @@ def _pieces(shape: Shape) -> tuple[SegmentedObject, npt.NDArray[np.int16]]:
 
 
 def _photographed(
-    shape: Shape, count: int, rng: np.random.Generator
+    shape: Shape, ahead: float, count: int, rng: np.random.Generator
 ) -> tuple[Asset, npt.NDArray[np.int16]]:
-    """What one to five depth cameras before a shape see, and the part of each point, -1: none."""
+    """What one to five depth cameras, most of them ``ahead`` (azimuth) of a shape, see, and the
+    part of each point, -1: none.
+    """
     seen, numbers = _pieces(shape)
-    ahead = rng.uniform(-np.pi, np.pi) if rng.random() < 0.1 else _ahead(shape)
+    ahead = rng.uniform(-np.pi, np.pi) if rng.random() < 0.1 else ahead
     around = ahead + rng.uniform(-0.9, 0.9, rng.integers(1, 6))
     size = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
     noise = float(rng.choice(_NOISE)) * size
@@ -145,9 +152,9 @@ def _photographed(
     return Asset(shape.family, cloud=found.cloud), labels.astype(np.int16)
 
 
-def _ahead(shape: Shape) -> float:
+def _ahead(shape: Shape, base: int) -> float:
     """Azimuth (of a camera) from which most of the moving parts is seen."""
-    asset, base = Asset("sides", mesh=shape.mesh), _base_of(shape)
+    asset = Asset("sides", mesh=shape.mesh)
     best, most = 0.0, -1
     for azimuth in np.linspace(-np.pi, np.pi, _SIDES, endpoint=False):
         front = (np.sin(azimuth), -np.cos(azimuth), 0.0)
@@ -165,20 +172,20 @@ def _seen(seed: int, config: MovingTraining, rng: np.random.Generator) -> _Seen:
     shape = build(seed, families)
     base = _base_of(shape)
     if rng.random() < config.ornaments:
-        bare = shape.object
-        shape = replace(ornamented(shape, rng), object=bare)
+        shape = ornamented(shape, rng)
+    ahead = _ahead(shape, base)
     count = int(rng.choice(_COUNTS, p=_COUNT_CHANCE))
     chance = rng.random()
     if chance < config.mesh:
         asset, labels = Asset(shape.family, mesh=shape.mesh), shape.part
     elif chance < config.mesh + config.camera:
-        asset, labels = _photographed(shape, count, rng)
+        asset, labels = _photographed(shape, ahead, count, rng)
     else:
         aside = chance < config.mesh + config.camera + config.one_sided
         made = scan(shape, count, "one-sided" if aside else "surface",
                     float(rng.choice((0.0, *_NOISE))), seed)  # fmt: skip
         asset, labels = Asset(shape.family, cloud=made.cloud), made.labels
-    azimuth = _ahead(shape) + rng.uniform(-0.3, 0.3)
+    azimuth = ahead + rng.uniform(-0.3, 0.3)
     picture = picture_of(asset, (np.sin(azimuth), -np.cos(azimuth), 0.0))
     encoding = encode(asset, shipped_edge_model())
     of_node = labels[encoding.nodes.elements.element_of_node]
@@ -213,7 +220,7 @@ def play(seed: int, config: MovingTraining) -> Rows:
     pixels = {
         part: _clicks(seen.shown == part, config.clicks, rng)
         for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
-        if part != seen.base and (seen.shown == part).sum() >= _LEAST_PIXELS
+        if part != seen.base and (seen.shown == part).sum() >= LEAST_PIXELS
     }
     cells = {
         part: of_node[encoding.nodes.tree.query([seen.picture.position[at] for at in spots])[1]]
