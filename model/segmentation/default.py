@@ -38,11 +38,12 @@ from model.segmentation.prompt_steps import (
     resolve,
     telling,
 )
-from model.segmentation.prompts import BASE, PartSegmentation, Prompts
+from model.segmentation.prompts import BASE, Click, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_moving_scorer, shipped_scorers, solver_of
 from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
 
 _STATES = 256
+_CLICKS = 10_000
 _SPARE = 10
 """Other masks more than are shown, since some may turn out to be the same, or everything."""
 _ALL = 0.99
@@ -123,6 +124,7 @@ class DefaultSession:
             self.fittings = fittings_of(mesh, a, b)
             self.groups = (plates_of(mesh), self.fittings.shells)
         self._states: OrderedDict[bytes, _State] = OrderedDict()
+        self._clicks: dict[Click, ClickStep] = {}
 
     def of_anything(self) -> DefaultSession:
         """The same for clicks that may mean the base, too, whatever part they are said to be of.
@@ -135,13 +137,13 @@ class DefaultSession:
     def segment(self, prompts: Prompts) -> PartSegmentation:
         """Labels for all elements; see the protocol."""
         begin = time.perf_counter()
-        steps = resolve(self.asset, self.encoding.nodes, prompts)
+        steps = self._steps(prompts)
         labels = self._labels(steps, self._state(steps))
         return PartSegmentation(labels, "default", time.perf_counter() - begin)
 
     def candidates(self, prompts: Prompts, part: int) -> list[Bool]:
         """Up to five other masks for the latest click of ``part``, most useful first."""
-        steps = resolve(self.asset, self.encoding.nodes, prompts)
+        steps = self._steps(prompts)
         state = self._state(steps)
         if part not in state.ranked or part not in state.parts:
             return []
@@ -191,6 +193,11 @@ class DefaultSession:
             best = self._not_all(found, _State(), (ClickStep(1, True, element, node),))
         mask = self.solver.tidy(best, PartState(), cell)
         return self._with_islands(mask.astype(np.int16), ()) > BASE if self._islands else mask
+
+    def _steps(self, prompts: Prompts) -> tuple[Step, ...]:
+        if len(self._clicks) > _CLICKS:
+            self._clicks.clear()
+        return resolve(self.asset, self.encoding.nodes, prompts, self._clicks)
 
     # The state after each prompt ---------------------------------------------------------
 
@@ -423,34 +430,35 @@ class DefaultSession:
         prompt says something else stay as they are, and so do those beside a part that was drawn.
         """
         cells, links = self.encoding.cells, self.encoding.cells.links
-        width = int(of_cell.max()) + 1
-        same = of_cell[links.a] == of_cell[links.b]
-        count, piece = groups(len(cells), links.a[same], links.b[same])
-        part, size = np.zeros(count, np.int16), np.bincount(piece, cells.size, count)
-        part[piece] = of_cell
-        one, two = piece[links.a[~same]], piece[links.b[~same]]
-        key = np.concatenate([one, two]) * width + np.concatenate([part[two], part[one]])
-        votes = np.bincount(key, np.tile(links.count[~same], 2), count * width).reshape(
-            count, width
-        )
+        width, free = int(of_cell.max()) + 1, of_cell == BASE
+        one, two = free[links.a], free[links.b]
+        inner = one & two
+        count, piece = groups(len(cells), links.a[inner], links.b[inner])
+        size = np.bincount(piece[free], cells.size[free], count)
+        out, back = np.flatnonzero(one & ~two), np.flatnonzero(two & ~one)
+        mine = np.concatenate([links.a[out], links.b[back]])
+        beside = np.concatenate([links.b[out], links.a[back]])
+        weight = links.count[np.concatenate([out, back])]
+        key = piece[mine].astype(np.int64) * width + of_cell[beside]
+        votes = np.bincount(key, weight, count * width).reshape(count, width)
         best = votes.argmax(1)
         part_size = np.bincount(of_cell, cells.size, width)
-        joins = (part == BASE) & (best != BASE) & (votes.max(1) >= _ISLAND_ALONE * votes.sum(1))
+        joins = (best != BASE) & (votes.max(1) >= _ISLAND_ALONE * votes.sum(1))
         joins &= size <= _ISLAND_SHARE * part_size[best]
-        joins[np.where(part == BASE, size, -1.0).argmax()] = False  # something has to stay behind
+        joins[size.argmax()] = False  # something has to stay behind
         # Whoever draws a part has drawn its handle, too, or left it out.
         last = {step.part: step for step in steps}
         drawn = [part for part, step in last.items() if isinstance(step, RegionStep)]
-        joins &= ~np.isin(best, drawn)
+        if drawn:
+            joins &= ~np.isin(best, drawn)
         for step in steps:
+            # What was said to be a part and is the base has been taken back since.
+            if step.positive and step.part != BASE:
+                continue
             nodes = step.node if isinstance(step, ClickStep) else step.nodes
             told = np.unique(piece[cells.of_node[nodes]])
-            # What was said to be a part and is the base has been taken back since.
-            if step.positive and step.part == BASE:
-                joins[told] = False
-            elif not step.positive:
-                joins[told] &= best[told] != step.part
-        return np.where(joins[piece], best[piece], of_cell).astype(np.int16)
+            joins[told] &= (not step.positive) & (best[told] != step.part)
+        return np.where(free & joins[piece], best[piece], of_cell).astype(np.int16)
 
     def _split_cells(
         self,

@@ -28,6 +28,9 @@ _MARGIN, _UNEQUAL = 0.35, 3.0
 """A frame's width at most, of the shorter side of what it frames, and how much wider one side of it
 is than another."""
 _NONE = -3.0
+_CUTS = np.array([(k, pieces) for pieces in PIECES for k in range(1, pieces)])
+"""Where a rectangle is cut into equal pieces, and at which of these each number of them begins."""
+_FIRST_CUTS = np.cumsum([0, *(pieces - 1 for pieces in PIECES[:-1])])
 
 
 def front_features(
@@ -108,7 +111,7 @@ def _repeats(front: Front, rects: Rects) -> tuple[Float, Float]:
             inside = beside[:, 2 * axis] >= whole[2 * axis] - _REACH
             inside &= beside[:, 2 * axis + 1] <= whole[2 * axis + 1] + _REACH
             beside = np.clip(beside, np.repeat(whole[::2], 2), np.repeat(whole[1::2], 2))
-            far = front.side_lines(beside, 2 * axis + (way > 0), _REACH)[:, -1]
+            far = front.lines(beside, 2 * axis + (way > 0), _REACH)
             found.append(np.where(inside, far, -1.0))
     ordered = np.sort(np.stack(found), axis=0)
     return ordered[-1], ordered[-2]
@@ -120,16 +123,11 @@ def _splits(front: Front, rects: Rects) -> tuple[Float, Float]:
     """
     best = []
     for axis in (0, 1):
-        lines = []
-        for pieces in PIECES:
-            each = []
-            for k in range(1, pieces):
-                cut = rects.copy()
-                length = rects[:, 2 * axis + 1] + 1 - rects[:, 2 * axis]
-                cut[:, 2 * axis] += np.round(k * length / pieces).astype(np.int64)
-                each.append(front.side_lines(cut, 2 * axis, _REACH)[:, -1])
-            lines.append(np.min(each, axis=0))
-        best.append(np.max(lines, axis=0))
+        length = rects[:, 2 * axis + 1] + 1 - rects[:, 2 * axis]
+        cut = np.repeat(rects[None], len(_CUTS), axis=0)
+        cut[:, :, 2 * axis] += np.round(_CUTS[:, :1] * length / _CUTS[:, 1:]).astype(np.int64)
+        lines = front.lines(cut.reshape(-1, 4), 2 * axis, _REACH).reshape(len(_CUTS), -1)
+        best.append(np.minimum.reduceat(lines, _FIRST_CUTS, axis=0).max(0))
     return best[0], best[1]
 
 

@@ -38,6 +38,7 @@ Rect = tuple[int, int, int, int]
 """First and last column, first and last row, of squares."""
 Rects = npt.NDArray[np.int64]
 """(R, 4) the same of many."""
+Index = npt.NDArray[np.int64]
 
 CHANNELS = ("strength", "gap", "dark", "dent", "step", "tilt", "hue")
 """What a line shows: strong edges, missing points, darkness, a dent, a step in depth, slanting
@@ -52,7 +53,10 @@ _DEEP, _DEEP_SPACINGS = 0.02, 4.0
 """How far before and behind the click a front reaches, in diagonals and in spacings."""
 _LEAST_SIDE = 4
 _MOST_SIDE = 600
-_AROUND = 3
+_AROUND, _STEP = 3, 2
+"""Squares that are compared with a line, and how far beside it; how far beside a step."""
+_MARGIN = 2 * _AROUND
+"""Squares round a front that tell anything of its lines."""
 _CLIP = 4.0
 _CUTS, _EXPANDED, _AT_ONCE, _MOST = 3, 20, 4, 20
 """Cuts tried on each side, rectangles that are cut further, a few at once, and kept."""
@@ -101,7 +105,7 @@ class Front:
     depth: float
     reach: float
     region: Bool
-    nodes: npt.NDArray[np.int64]
+    nodes: Index
     knobs: Float
     columns: Float
     rows: Float
@@ -127,38 +131,59 @@ class Front:
         return (self.rows[u1 + 1, :, -1] - self.rows[u0, :, -1]) / max(u1 + 1 - u0, 1)
 
     def sides(self, rects: Rects, reach: int = 1) -> Float:
-        """(R, 4, K) evidence along the sides of rectangles, the best within ``reach`` squares.
+        """(R, 4, K) evidence along the sides of rectangles (left, right, below, above), the best
+        within ``reach`` squares.
 
         The sides of the front itself are certain.
         """
-        return np.stack([self.side_lines(rects, side, reach) for side in range(4)], axis=1)
+        found = []
+        for side in range(4):
+            held, length, outermost = self._along(rects, side, reach)
+            best = held[np.arange(len(rects)), held[..., -1].argmax(1)]
+            best /= length[:, None]
+            best[outermost] = _CLIP / 2
+            found.append(best)
+        return np.stack(found, axis=1)
 
-    def side_lines(self, rects: Rects, side: int, reach: int = 1) -> Float:
-        """(R, K) the same of one side: left, right, below, above."""
+    def lines(self, rects: Rects, side: int, reach: int = 1) -> Float:
+        """(R,) the mean over the channels of one side of these."""
+        held, length, outermost = self._along(rects, side, reach, -1)
+        best = held.max(1)
+        best /= length
+        best[outermost] = _CLIP / 2
+        return best
+
+    def _along(
+        self, rects: Rects, side: int, reach: int, channel: int | slice = slice(None)
+    ) -> tuple[Float, Index, Bool]:
+        """(R, 2 * reach + 1, ...) sums of evidence at one side of rectangles and beside it, (R,)
+        squares that were summed, and whether the side is one of the front's own.
+        """
         axis = side // 2
         at = rects[:, side] + side % 2
-        begin, end = rects[:, 2 - 2 * axis], rects[:, 3 - 2 * axis] + 1
+        begin, end = rects[:, 2 - 2 * axis, None], rects[:, 3 - 2 * axis, None] + 1
         places = np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, self.shape[axis] - 1)
         if axis == 0:
-            held = self.columns[places, end[:, None]] - self.columns[places, begin[:, None]]
+            columns = self.columns[..., channel]
+            held = columns[places, end] - columns[places, begin]
         else:
-            held = self.rows[end[:, None], places] - self.rows[begin[:, None], places]
-        out = held[np.arange(len(rects)), held[..., -1].argmax(1)]
-        out /= np.maximum(end - begin, 1)[:, None]
-        out[np.abs(at - self.bounds[side] - side % 2) <= 1 + reach] = _CLIP / 2
-        return out
+            rows = self.rows[..., channel]
+            held = rows[end, places] - rows[begin, places]
+        outermost = np.abs(at - self.bounds[side] - side % 2) <= 1 + reach
+        return held, np.maximum(end - begin, 1)[:, 0], outermost
 
     def within(self, rects: Rects) -> npt.NDArray[np.float32]:
         """(R, 2) the strongest upright and level line within each rectangle."""
-        out = np.empty((len(rects), 2), np.float32)
-        for i, (u0, u1, v0, v1) in enumerate(rects.tolist()):
-            out[i] = (
-                self.upright(v0, v1)[u0 + 3 : u1 - 1].max(initial=-1.0),
-                self.level(u0, u1)[v0 + 3 : v1 - 1].max(initial=-1.0),
-            )
-        return out
+        u0, u1, v0, v1 = rects.T
+        upright = self.columns[:, v1 + 1, -1] - self.columns[:, v0, -1]
+        level = (self.rows[u1 + 1, :, -1] - self.rows[u0, :, -1]).T
+        return np.stack(
+            [_most(upright, v1 + 1 - v0, u0 + 3, u1 - 1),
+             _most(level, u1 + 1 - u0, v0 + 3, v1 - 1)],
+            axis=1,
+        )  # fmt: skip
 
-    def held(self, rects: Rects) -> npt.NDArray[np.int64]:
+    def held(self, rects: Rects) -> Index:
         """(R,) nodes in each rectangle."""
         u0, u1, v0, v1 = rects.T
         n = self.nodes
@@ -411,16 +436,22 @@ class Fronts:
         return out
 
 
-def _smooth(values: Float, there: Bool, offset: int, width: int) -> Float:
-    """Mean over ``width`` squares from ``offset`` on along the first place; where there are any."""
-    w = there.astype(np.float64)
-    shift = offset + width // 2
+def _smooth(values: Float, there: Float) -> Float:
+    """Mean over ``_AROUND`` squares along the first place, of those that are ``there``."""
+    held = uniform_filter1d(there, _AROUND, axis=0, mode="constant")
+    mean = uniform_filter1d(values * there, _AROUND, axis=0, mode="constant")
+    return np.where(held > 1e-9, mean / np.maximum(held, 1e-9), 0.0)
 
-    def run(x: Float) -> Float:
-        mean = uniform_filter1d(x, width, axis=0, mode="constant")
-        return _shifted(mean, shift)
 
-    return run(values * w) / np.maximum(run(w), 1e-9) * (run(w) > 1e-9)
+def _most(held: Float, length: Index, begin: Index, end: Index) -> Float:
+    """(R,) the most of each profile in its range, -1 where it is empty or less.
+
+    Args:
+        held: (U, R) sums over (R,) ``length`` squares. begin, end: (R,).
+    """
+    at = np.arange(len(held))[:, None]
+    inside = np.where((at >= begin) & (at < end), held, -np.inf)
+    return np.maximum(inside.max(0, initial=-np.inf) / length, -1.0).astype(np.float32)
 
 
 def _shifted(x: Float, shift: int) -> Float:
@@ -439,35 +470,46 @@ def _evidence(maps: dict[str, Float], there: Bool, region: Bool) -> npt.NDArray[
     Every channel is what stands out against the squares beside it, in robust deviations of the
     region.
     """
-    shape = there.shape
-    out = np.zeros((*shape, len(CHANNELS) + 1), np.float32)
+    out = np.zeros((*there.shape, len(CHANNELS) + 1), np.float32)
+    inner = tuple(
+        slice(max(int(at[0]) - _MARGIN, 0), int(at[-1]) + _MARGIN + 1)
+        for at in (np.flatnonzero(region.any(1)), np.flatnonzero(region.any(0)))
+    )
+    maps = {name: m[inner] for name, m in maps.items()}
+    out[inner] = _evidence_within(maps, there[inner], region[inner])
+    return out
 
-    def sides(name: str) -> tuple[Float, Float]:
-        m = maps[name]
-        return _smooth(m, there, -_AROUND - 1, _AROUND), _smooth(m, there, 2, _AROUND)
+
+def _evidence_within(maps: dict[str, Float], there: Bool, region: Bool) -> npt.NDArray[np.float32]:
+    out = np.zeros((*there.shape, len(CHANNELS) + 1), np.float32)
+    weight = there.astype(np.float64)
+    smooth = {name: _smooth(m, weight) for name, m in maps.items()}
+
+    def beside(name: str, apart: int) -> tuple[Float, Float]:
+        """Before and after each square."""
+        return _shifted(smooth[name], -apart), _shifted(smooth[name], apart)
 
     def ridge(name: str) -> Float:
-        before, after = sides(name)
+        before, after = beside(name, _AROUND)
         return np.where(there, maps[name] - (before + after) / 2, 0.0)
 
-    held = uniform_filter1d(there.astype(float), _AROUND, axis=0, mode="constant")
-    beside = np.minimum(_shifted(held, -3), _shifted(held, 3))
-    before, after = sides("depth")
+    held = uniform_filter1d(weight, _AROUND, axis=0, mode="constant")
+    gap = np.minimum(_shifted(held, -_AROUND), _shifted(held, _AROUND))
+    before, after = beside("depth", _AROUND)
+    one, other = beside("depth", _STEP)
     found = {
         "strength": ridge("strength"),
         "dent": np.where(there, np.minimum(before, after) - maps["depth"], 0.0),
-        "step": np.abs(_smooth(maps["depth"], there, -_AROUND, _AROUND)
-                       - _smooth(maps["depth"], there, 1, _AROUND)),
+        "step": np.abs(one - other),
         "tilt": ridge("tilt"),
-    }  # fmt: skip
+    }
     if "L" in maps:
         found["dark"] = -ridge("L")
-        found["hue"] = np.sqrt(sum(
-            (_smooth(maps[n], there, -_AROUND, _AROUND) - _smooth(maps[n], there, 1, _AROUND)) ** 2
-            for n in "Lab"))  # fmt: skip
+        hues = [beside(name, _STEP) for name in "Lab"]
+        found["hue"] = np.sqrt(sum((one - other) ** 2 for one, other in hues))
     for k, name in enumerate(CHANNELS):
         if name == "gap":
-            out[..., k] = np.where(there, 0.0, beside) * region * 2
+            out[..., k] = np.where(there, 0.0, gap) * region * 2
             continue
         if name not in found:
             continue
@@ -507,7 +549,8 @@ def _cut(front: Front, spot: tuple[int, int], others: list[tuple[int, int]]) -> 
 def _scored(front: Front, rects: list[Rect], known: dict[Rect, float]) -> list[Rect]:
     if rects:
         each = np.array(rects)
-        worth = support(front.sides(each)[..., -1], front.within(each))
+        sides = np.stack([front.lines(each, side) for side in range(4)], axis=1)
+        worth = support(sides, front.within(each))
         known.update(zip(rects, worth.tolist(), strict=True))
     return rects
 

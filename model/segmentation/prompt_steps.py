@@ -81,21 +81,32 @@ def _nearest_element(
     return int(around[np.einsum("ij,ij->i", gap, gap).argmin()])
 
 
-def resolve(asset: Asset, nodes: Nodes, prompts: Prompts) -> tuple[Step, ...]:
+def resolve(
+    asset: Asset, nodes: Nodes, prompts: Prompts, known: dict[Click, ClickStep] | None = None
+) -> tuple[Step, ...]:
     """Tie each prompt to elements and nodes.
+
+    Args:
+        known: of clicks that were tied before; the others are added.
 
     Raises:
         PromptError: where a prompt names an element that the asset does not have.
     """
+    known = {} if known is None else known
     steps: list[Step] = []
     for item in prompts.items:
         if isinstance(item, Click):
-            element, node = locate(asset, nodes, item.position, item.element)
-            stray = nodes.elements.is_stray(element)
-            steps.append(ClickStep(item.part, item.positive, element, node, stray))
+            if item not in known:
+                known[item] = _clicked(asset, nodes, item)
+            steps.append(known[item])
         else:
             steps.append(_region(asset, nodes, item))
     return tuple(steps)
+
+
+def _clicked(asset: Asset, nodes: Nodes, click: Click) -> ClickStep:
+    element, node = locate(asset, nodes, click.position, click.element)
+    return ClickStep(click.part, click.positive, element, node, nodes.elements.is_stray(element))
 
 
 def telling(steps: tuple[Step, ...]) -> tuple[Step, ...]:
