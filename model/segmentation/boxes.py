@@ -78,6 +78,8 @@ most."""
 _SAY = 0.8
 """Of the scorer of parts that move; that of anything, which learned from other objects, has the
 rest."""
+_MENDING_SAY = 0.7
+"""The same of later clicks."""
 _RECTANGLES = 12
 """Of a front, beside later clicks."""
 _WHOLE = 0.8
@@ -363,7 +365,7 @@ class ObjectSolver(PartSolver):
         where they are known; ``of_mesh``: whether the cells are of faces, with ``shell`` or not.
         """
         self.fronts: Fronts | None = None
-        self.moving_scorer: Mlp | None = None
+        self.moving_scorers: tuple[Mlp | None, Mlp | None] = (None, None)
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
@@ -419,12 +421,28 @@ class ObjectSolver(PartSolver):
     def _as_part(
         self, found: Candidates, features: Float, scores: Float, clicked: Clicked
     ) -> tuple[Float, Float]:
+        first, _ = self.moving_scorers
+        return self._with_fronts(found, features, scores, clicked, first, _SAY)
+
+    def _as_mended(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
+    ) -> tuple[Float, Float]:
+        _, later = self.moving_scorers
+        return self._with_fronts(found, features, scores, clicked, later, _MENDING_SAY)
+
+    def _with_fronts(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked,
+        scorer: Mlp | None, say: float,
+    ) -> tuple[Float, Float]:  # fmt: skip
+        """Features with what masks show on the front that was clicked, and scores in which
+        ``scorer``, of parts that move, has its ``say``.
+        """
         if self.fronts is None:
             return features, scores
         shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
         both = np.concatenate([features, shown], axis=1)
-        if self.moving_scorer is not None:
-            scores = _SAY * self.moving_scorer(both) + (1 - _SAY) * scores
+        if scorer is not None:
+            scores = say * scorer(both) + (1 - say) * scores
         return both, scores
 
     def _front(self, clicked: Clicked) -> Front | None:

@@ -39,7 +39,7 @@ from model.segmentation.prompt_steps import (
     telling,
 )
 from model.segmentation.prompts import BASE, Click, PartSegmentation, Prompts
-from model.segmentation.scorers import shipped_moving_scorer, shipped_scorers, solver_of
+from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
 
 _STATES = 256
@@ -273,7 +273,7 @@ class DefaultSession:
             rest: (C,) what other parts have now.
         """
         if not self._asks_anew or len(own.positive) != 1 or own.drawn or own.run:
-            found = self.solver.answer(own, cell, False, rest)
+            found = self.solver.answer(own, cell, False, rest, of_a_part=self.of_parts)
             return self.solver.moved(own, cell, False, found.best & ~rest), found
         (first,) = own.positive
         begun = agreeing(PartState(negative=own.negative, agreed=(0, own.agreed[1])), cell, False)
@@ -566,5 +566,5 @@ class DefaultSegmenter:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
         scorers = shipped_scorers(rooms=encoding.room is not None)
-        solver = solver_of(encoding, *scorers, shipped_moving_scorer())
+        solver = solver_of(encoding, *scorers, shipped_moving_scorers())
         return DefaultSession(asset, encoding, solver)

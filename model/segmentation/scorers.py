@@ -16,7 +16,7 @@ from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
 from model.segmentation.solver import PartSolver
 
-MOVING_SCORER = "first_click_moving.npz"
+MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 PART_SCORERS = ("first_click.npz", "later_click.npz")
 ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
 
@@ -31,10 +31,13 @@ def shipped_scorers(*, rooms: bool = False) -> Scorers:
 
 
 @lru_cache(maxsize=1)
-def shipped_moving_scorer() -> Mlp | None:
-    """The scorer of first clicks on parts that move, for objects; None where it is not there."""
-    path = static_assets() / "segmentation" / MOVING_SCORER
-    return load_mlp(path, MOVING_FEATURE_NAMES) if path.is_file() else None
+def shipped_moving_scorers() -> Scorers:
+    """The scorers of clicks on parts that move, for clouds of objects; None where not there."""
+    first, later = (static_assets() / "segmentation" / name for name in MOVING_SCORERS)
+    return (
+        load_mlp(first, MOVING_FEATURE_NAMES) if first.is_file() else None,
+        load_mlp(later, MOVING_FEATURE_NAMES) if later.is_file() else None,
+    )
 
 
 def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
@@ -51,13 +54,13 @@ def solver_of(
     encoding: Encoding,
     first: Mlp | None,
     later: Mlp | None,
-    moving: Mlp | None = None,
+    moving: Scorers = (None, None),
 ) -> PartSolver:
     """The solver for what was encoded, an object or a room.
 
     Args:
-        first, later: scorers of clicks that may mean the base, too; moving: of first clicks that
-            mean a part that moves.
+        first, later: scorers of clicks that may mean the base, too; moving: of those that mean a
+            part that moves.
     """
     cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
     if room is None:
@@ -65,7 +68,7 @@ def solver_of(
         nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
         if not nodes.of_mesh:  # faces and shells tell the parts of a mesh better than lines
             solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
-            solver.moving_scorer = moving
+            solver.moving_scorers = moving
         return solver
     return RoomSolver(cells, hierarchy, walk, room, first, later)
 

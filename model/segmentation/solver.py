@@ -216,6 +216,13 @@ class PartSolver:
         del found, clicked
         return features, scores
 
+    def _as_mended(
+        self, found: Candidates, features: Float, scores: Float, clicked: Clicked
+    ) -> tuple[Float, Float]:
+        """The same of what a later click may make of it."""
+        del found, clicked
+        return features, scores
+
     def first_answer(self, cell: int, *, of_a_part: bool = True) -> Ranked:
         """Hypotheses for a first click on ``cell`` with nothing else said.
 
@@ -277,6 +284,8 @@ class PartSolver:
         both = joined([found, self._finish(joined(more), after, blocked)])
         features = self.describe(both, clicked)
         scores = self._rule(both, clicked) if self._later is None else self._later(features)
+        if of_a_part:
+            features, scores = self._as_mended(both, features, scores, clicked)
         lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
         return Ranked(
             both, features, scores - self._unlikely(state, cell, positive, both.masks, lost)

@@ -7,6 +7,7 @@ relief within their parts, most of them met as depth cameras see them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
@@ -23,7 +24,7 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.fronts import Fronts
 from model.segmentation.mlp import save_mlp
-from model.segmentation.scorers import MOVING_SCORER, shipped_scorers, solver_of
+from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
 from model.segmentation.seen_clicks import (
     LEAST_PIXELS,
     Picture,
@@ -93,7 +94,7 @@ class MovingTraining:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class SeenObject:
     """What a person has before them: an encoded object with the true part of every node.
 
     Attributes:
@@ -165,7 +166,8 @@ def _ahead(shape: Shape, base: int) -> float:
     return best
 
 
-def _seen(seed: int, config: MovingTraining, rng: np.random.Generator) -> _Seen:
+def seen_object(seed: int, config: MovingTraining, rng: np.random.Generator) -> SeenObject:
+    """A made object as a person has it before them."""
     families = SQUARE if rng.random() < config.square else None
     if seed >= config.small_seed:
         families = FLUSH if seed >= config.flush_seed else SMALL_PARTED
@@ -189,11 +191,11 @@ def _seen(seed: int, config: MovingTraining, rng: np.random.Generator) -> _Seen:
     picture = picture_of(asset, (np.sin(azimuth), -np.cos(azimuth), 0.0))
     encoding = encode(asset, shipped_edge_model())
     of_node = labels[encoding.nodes.elements.element_of_node]
-    return _Seen(encoding, of_node, base, picture, picture.of(labels))
+    return SeenObject(encoding, of_node, base, picture, picture.of(labels))
 
 
 @dataclass(frozen=True, eq=False)
-class _Click:
+class FirstClick:
     """A first click and what it meets.
 
     Attributes:
@@ -208,17 +210,30 @@ class _Click:
 def play(seed: int, config: MovingTraining) -> Rows:
     """First clicks on the moving parts of one object; rows of their hypotheses."""
     rng = np.random.default_rng([seed, 7])
-    seen = _seen(seed, config, rng)
-    encoding, of_node = seen.encoding, seen.encoding.cells.of_node
+    seen = seen_object(seed, config, rng)
     log = Log(MOVING_FEATURE_NAMES)
-    solver = solver_of(encoding, *shipped_scorers())
+    solver = solver_of(seen.encoding, *shipped_scorers())
     if not isinstance(solver, ObjectSolver):
         return log.rows()  # taken for a room
+    encoding = seen.encoding
     nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
     # Meshes are answered without, but teach as well as clouds.
     solver.fronts = Fronts(nodes, graph, strength, encoding.cells, solver.axes)
+    for part, clicks in first_clicks(seen, config, rng):
+        truth = seen.labels == part
+        for click in clicks:
+            ranked = solver.answer(click.state, click.cell, True, click.blocked)
+            log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
+    return log.rows()
+
+
+def first_clicks(
+    seen: SeenObject, config: MovingTraining, rng: np.random.Generator
+) -> Iterator[tuple[int, Iterator[FirstClick]]]:
+    """Some of the moving parts that are seen, each with first clicks on it."""
+    encoding, of_node = seen.encoding, seen.encoding.cells.of_node
     pixels = {
-        part: _clicks(seen.shown == part, config.clicks, rng)
+        part: clicks_in(seen.shown == part, config.clicks, rng)
         for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
         if part != seen.base and (seen.shown == part).sum() >= LEAST_PIXELS
     }
@@ -228,25 +243,20 @@ def play(seed: int, config: MovingTraining) -> Rows:
     }
     there = np.where(np.isin(seen.labels, list(cells)), seen.labels, np.int16(-1))
     for part in asked_by_size(rng, there, config.parts):
-        truth = seen.labels == part
         others = np.array([q for q in cells if q != part])
-        for cell in cells[part].tolist():
-            click = _beside(cell, others, cells, seen, rng)
-            ranked = solver.answer(click.state, cell, True, click.blocked)
-            log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
-    return log.rows()
+        yield part, (_beside(c, others, cells, seen, rng) for c in cells[part].tolist())
 
 
 def _beside(
     cell: int,
     others: npt.NDArray[np.int64],
     cells: dict[int, npt.NDArray[np.int32]],
-    seen: _Seen,
+    seen: SeenObject,
     rng: np.random.Generator,
-) -> _Click:
+) -> FirstClick:
     """A first click, in half of the cases after others on some other parts."""
     if not len(others) or rng.random() >= 0.5:
-        return _Click(cell, PartState(), None)
+        return FirstClick(cell, PartState(), None)
     of_node = seen.encoding.cells.of_node
     size = np.bincount(of_node)
     chosen = rng.choice(others, int(rng.integers(1, len(others) + 1)), replace=False)
@@ -255,10 +265,10 @@ def _beside(
     taken = np.bincount(of_node, np.isin(seen.labels, chosen), len(size))
     blocked = taken > 0.5 * size
     blocked[cell] = False
-    return _Click(cell, PartState(negative=negative, agreed=(0, len(negative))), blocked)
+    return FirstClick(cell, PartState(negative=negative, agreed=(0, len(negative))), blocked)
 
 
-def _clicks(
+def clicks_in(
     region: npt.NDArray[np.bool_], number: int, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
     """Pixels in the middle of what is seen of a part, or not far from it."""
@@ -293,5 +303,5 @@ def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
         "moving_clicks": float(sum(len(r.share) for r in rows)),
     }
     whole = fit_scorer(joined_rows(rows), config.networks, names)
-    save_mlp(whole, folder / MOVING_SCORER, {"training": asdict(config), "scores": scores})
+    save_mlp(whole, folder / MOVING_SCORERS[0], {"training": asdict(config), "scores": scores})
     return scores

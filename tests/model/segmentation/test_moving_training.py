@@ -1,4 +1,4 @@
-"""What the scorer of first clicks on moving parts learns from."""
+"""What the scorers of clicks on moving parts learn from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 
 from model.segmentation.boxes import MOVING_FEATURE_NAMES
 from model.segmentation.mlp import load_mlp
-from model.segmentation.scorers import MOVING_SCORER
+from model.segmentation.scorers import MOVING_SCORERS
+from model.segmentation.training.mending import MendingTraining, play_sessions, train_mending
 from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.training.ornaments import ornamented
 from model.segmentation.training.scans import build
@@ -62,6 +63,30 @@ def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
     scores = train_moving(config, tmp_path)
     assert 0 <= scores["moving_iou"] <= scores["moving_best_possible"] <= 1
     assert scores["moving_clicks"] > 1
-    scorer = load_mlp(tmp_path / MOVING_SCORER, MOVING_FEATURE_NAMES)
+    scorer = load_mlp(tmp_path / MOVING_SCORERS[0], MOVING_FEATURE_NAMES)
+    x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
+    assert np.isfinite(scorer(x.astype(np.float32))).all()
+
+
+def test_sessions_are_clicks_on_what_is_still_wrong() -> None:
+    config = MendingTraining(objects=replace(SMALL, camera=1.0, mesh=0.0), later=3)
+    rows = play_sessions(200_004, config)
+    clicks = len(rows.share)
+    assert 0 < clicks <= 3 * 2 * 2, "at most three later ones of each of two on two parts"
+    assert np.isfinite(rows.features).all() and (rows.overlap <= 1).all()
+    named = dict(zip(MOVING_FEATURE_NAMES, rows.features.T, strict=True))
+    assert (named["positives"] + named["negatives"] >= 2).all(), "none is the first"
+    assert named["front"].any(), "some are on fronts"
+    assert np.array_equal(rows.features, play_sessions(200_004, config).features)
+
+
+def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> None:
+    config = MendingTraining(
+        ((200_000, 200_004, 1),), replace(SMALL, camera=0.0, mesh=0.0), held_out=2, networks=1,
+        workers=1,
+    )  # fmt: skip
+    scores = train_mending(config, tmp_path)
+    assert 0 <= scores["mending_iou"] <= scores["mending_best_possible"] <= 1
+    scorer = load_mlp(tmp_path / MOVING_SCORERS[1], MOVING_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
     assert np.isfinite(scorer(x.astype(np.float32))).all()
