@@ -123,9 +123,11 @@ class Fittings:
 
     def _mounted(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
         """Labels where pieces that are small beside the part they lie on belong to it."""
-        part_area = np.bincount(labels, self.shells.weight)
-        # What is larger than any part's fitting is what they may be mounted on.
         idle = self.shells.idle(labels, steps)
+        if not idle.any():
+            return labels
+        # What is larger than any part's fitting is what they may be mounted on.
+        part_area = np.bincount(labels, self.shells.weight)
         idle &= self.shells.area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
         pieces = self._pieces(labels, idle, self.beside)
         joins, best = _alone(pieces.votes, _ALONE, _LEAST_TOUCHES)
@@ -177,7 +179,10 @@ class Fittings:
     def _moved(
         self, labels: Labels, idle: Bool, pieces: _Pieces, joins: Bool, best: npt.NDArray[np.int64]
     ) -> Labels:
-        moved = self._faces(idle & joins[pieces.of_shell])
+        joined = idle & joins[pieces.of_shell]
+        if not joined.any():
+            return labels
+        moved = self._faces(joined)
         out = labels.copy()
         out[moved] = best[pieces.of_shell[self.shells.of_face[moved]]]
         return out

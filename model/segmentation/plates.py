@@ -54,10 +54,20 @@ class Plates:
         total = np.bincount(self.of_face[on], self.weight[on], self.number)
         return np.asarray(total, np.float64)
 
+    @cached_property
+    def _members(
+        self,
+    ) -> tuple[slice | npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """The faces that are in a group, (M,) the group of each, and its weight."""
+        at = np.flatnonzero(self.of_face >= 0)
+        on = slice(None) if len(at) == len(self.of_face) else at
+        return on, self.of_face[on].astype(np.int64), self.weight[on] + 1e-12
+
     def idle(self, labels: npt.NDArray[np.int16], steps: Iterable[Step]) -> npt.NDArray[np.bool_]:
         """(number,) groups that are the base's altogether and of which no prompt speaks."""
-        out = np.ones(self.number, bool)
-        out[self.of_face[(self.of_face >= 0) & (labels != BASE)]] = False
+        out = np.ones(self.number + 1, bool)  # the last one is of faces in no group
+        out[self.of_face[labels != BASE]] = False
+        out = out[:-1]
         for step in steps:
             faces = step.element if isinstance(step, ClickStep) else step.elements
             groups = np.atleast_1d(self.of_face[faces])
@@ -72,10 +82,10 @@ class Plates:
         if not self.number:
             return labels
         disputed = self._disputed(steps) if self.splits else None
-        on = self.of_face >= 0
-        plate, label = self.of_face[on], labels[on].astype(np.int64)
+        on, plate, weight = self._members
+        label = labels[on]
         width = int(max(labels.max(), max((s.part for s in steps), default=0))) + 1
-        votes = np.bincount(plate * width + label, self.weight[on] + 1e-12, self.number * width)
+        votes = np.bincount(plate * width + label, weight, self.number * width)
         votes = votes.reshape(self.number, width)
         for step in steps:
             if isinstance(step, ClickStep) and self.of_face[step.element] >= 0:
