@@ -7,14 +7,14 @@ import pytest
 
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
-from model.segmentation.boxes import MOVING_FEATURE_NAMES
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode
 from model.segmentation.front_features import FRONT_FEATURES, front_features
 from model.segmentation.fronts import Fronts, support
 from model.segmentation.prompts import Click, Prompts
-from model.segmentation.scorers import shipped_scorers, solver_of
+from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.segmentation.simulate import iou
 from model.segmentation.solver import PartState
 
@@ -178,6 +178,24 @@ def test_the_solver_offers_rectangles_for_parts_alone(panels) -> None:
     again = solver.answer(PartState(), cell, True, None)
     assert np.array_equal(part.candidates.masks, again.candidates.masks)
     assert np.array_equal(part.scores, again.scores)
+
+
+@pytest.mark.parametrize("begin", [0.75, 0.85])
+def test_a_later_click_knows_where_the_panel_ends(panels, begin: float) -> None:
+    """Half a panel was taken; a click on the other half means all of it."""
+    encoding, labels = panels
+    cells = encoding.cells
+    own = np.bincount(cells.of_node, labels == 2, len(cells)) > 0.5 * cells.size
+    first, missing = cell_at(encoding, (1.0, 0, 0.2)), cell_at(encoding, (0.62, 0, 0.1))
+    state = PartState(positive=(first,), mask=own & (cells.center[:, 0] > begin))
+    solver = solver_of(encoding, *shipped_scorers(), shipped_moving_scorers())
+    part = solver.answer(state, missing, True, None)
+    anything = solver.answer(state, missing, True, None, of_a_part=False)
+    assert part.features.shape[1] == len(MOVING_FEATURE_NAMES)
+    assert anything.features.shape[1] == len(OBJECT_FEATURE_NAMES)
+    assert best_overlap(encoding, part.best[None], labels == 2) > 0.75
+    older = solver_of(encoding, *shipped_scorers()).answer(state, missing, True, None)
+    assert best_overlap(encoding, older.best[None], labels == 2) < 0.6, "without its scorer"
 
 
 @pytest.mark.parametrize("order", [(1, 2, 3, 4), (4, 2, 1, 3)])
