@@ -7,15 +7,12 @@ well.
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
-from multiprocessing import get_context
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
-from model.segmentation.mlp import save_mlp
 from model.segmentation.scorers import (
     MOVING_SCORERS,
     shipped_moving_scorers,
@@ -23,21 +20,16 @@ from model.segmentation.scorers import (
     solver_of,
 )
 from model.segmentation.seen_clicks import LEAST_PIXELS, largest_piece
-from model.segmentation.training.clicks import (
-    Log,
-    Rows,
-    chosen_overlap,
-    fit_scorer,
-    joined_rows,
-    overlaps,
-)
+from model.segmentation.training.clicks import Log, Rows, overlaps
 from model.segmentation.training.moving import (
     FirstClick,
     MovingTraining,
     Seeds,
     SeenObject,
     clicks_in,
+    collected,
     first_clicks,
+    fitted,
     seen_object,
 )
 
@@ -123,29 +115,7 @@ def _session(
         log.add(ranked, overlaps(encoding, ranked, true), float(true.mean()))
 
 
-def collect_sessions(config: MendingTraining) -> list[Rows]:
-    """Rows of each object; they do not depend on ``workers``."""
-    seeds = [seed for one in config.seeds for seed in range(*one)]
-    if config.workers <= 1:
-        return [play_sessions(seed, config) for seed in seeds]
-    with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(play_sessions, seeds, [config] * len(seeds), chunksize=4))
-
-
 def train_mending(config: MendingTraining, folder: Path) -> dict[str, float]:
-    """Play, fit, measure and write the scorer into ``folder``; returns the scores of a fit without
-    every n-th object.
-    """
-    names = MOVING_FEATURE_NAMES
-    rows = [r for r in collect_sessions(config) if len(r.share)]
-    test = joined_rows(rows[:: config.held_out])
-    rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
-    chosen, best = chosen_overlap(fit_scorer(rest, config.networks, names), test)
-    scores = {
-        "mending_iou": chosen,
-        "mending_best_possible": best,
-        "mending_clicks": float(sum(len(r.share) for r in rows)),
-    }
-    whole = fit_scorer(joined_rows(rows), config.networks, names)
-    save_mlp(whole, folder / MOVING_SCORERS[1], {"training": asdict(config), "scores": scores})
-    return scores
+    """Play, fit, measure and write the scorer into ``folder``; see :func:`.moving.fitted`."""
+    rows = collected(play_sessions, config, config.seeds, config.workers)
+    return fitted(rows, config, "mending", folder / MOVING_SCORERS[1])

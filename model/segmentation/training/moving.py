@@ -7,11 +7,12 @@ relief within their parts, most of them met as depth cameras see them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +45,9 @@ from model.segmentation.training.clicks import (
 )
 from model.segmentation.training.ornaments import ornamented
 from model.segmentation.training.scans import FLUSH, SMALL_PARTED, SQUARE, Shape, build, scan
+
+if TYPE_CHECKING:
+    from model.segmentation.training.mending import MendingTraining
 
 Seeds = tuple[int, int, int]
 """First one, end, step."""
@@ -279,29 +283,43 @@ def clicks_in(
     return [(int(r), int(c)) for r, c in [first, *picked]]
 
 
-def collect_moving(config: MovingTraining) -> list[Rows]:
-    """Rows of each object; they do not depend on ``workers``."""
-    seeds = [seed for one in config.seeds for seed in range(*one)]
-    if config.workers <= 1:
-        return [play(seed, config) for seed in seeds]
-    with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(play, seeds, [config] * len(seeds), chunksize=4))
+C = TypeVar("C")
 
 
-def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
-    """Play, fit, measure and write the scorer into ``folder``; returns the scores of a fit without
-    every n-th object.
+def collected(
+    play_one: Callable[[int, C], Rows], config: C, seeds: tuple[Seeds, ...], workers: int
+) -> list[Rows]:
+    """Rows of each object that had any; they do not depend on ``workers``."""
+    numbers = [seed for one in seeds for seed in range(*one)]
+    if workers <= 1:
+        rows = [play_one(seed, config) for seed in numbers]
+    else:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            rows = list(pool.map(play_one, numbers, [config] * len(numbers), chunksize=4))
+    return [r for r in rows if len(r.share)]
+
+
+def fitted(
+    rows: list[Rows], config: MovingTraining | MendingTraining, kind: str, path: Path
+) -> dict[str, float]:
+    """Fit, measure and write a scorer of ``kind``; returns the scores of a fit without every n-th
+    object.
     """
     names = MOVING_FEATURE_NAMES
-    rows = [r for r in collect_moving(config) if len(r.share)]
     test = joined_rows(rows[:: config.held_out])
     rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
     chosen, best = chosen_overlap(fit_scorer(rest, config.networks, names), test)
     scores = {
-        "moving_iou": chosen,
-        "moving_best_possible": best,
-        "moving_clicks": float(sum(len(r.share) for r in rows)),
+        f"{kind}_iou": chosen,
+        f"{kind}_best_possible": best,
+        f"{kind}_clicks": float(sum(len(r.share) for r in rows)),
     }
     whole = fit_scorer(joined_rows(rows), config.networks, names)
-    save_mlp(whole, folder / MOVING_SCORERS[0], {"training": asdict(config), "scores": scores})
+    save_mlp(whole, path, {"training": asdict(config), "scores": scores})
     return scores
+
+
+def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
+    """Play, fit, measure and write the scorer into ``folder``; see :func:`fitted`."""
+    rows = collected(play, config, config.seeds, config.workers)
+    return fitted(rows, config, "moving", folder / MOVING_SCORERS[0])
