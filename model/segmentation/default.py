@@ -44,6 +44,7 @@ from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked,
 
 _STATES = 256
 _CLICKS = 10_000
+"""Of which it is kept what was clicked."""
 _SPARE = 10
 """Other masks more than are shown, since some may turn out to be the same, or everything."""
 _ALL = 0.99

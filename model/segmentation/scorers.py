@@ -33,17 +33,18 @@ def shipped_scorers(*, rooms: bool = False) -> Scorers:
 @lru_cache(maxsize=1)
 def shipped_moving_scorers() -> Scorers:
     """The scorers of clicks on parts that move, for clouds of objects; None where not there."""
-    first, later = (static_assets() / "segmentation" / name for name in MOVING_SCORERS)
-    return (
-        load_mlp(first, MOVING_FEATURE_NAMES) if first.is_file() else None,
-        load_mlp(later, MOVING_FEATURE_NAMES) if later.is_file() else None,
-    )
+    return _read(static_assets() / "segmentation", MOVING_SCORERS, MOVING_FEATURE_NAMES)
 
 
 def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
     """The scorers in ``folder``."""
-    first, later = (folder / name for name in (ROOM_SCORERS if rooms else PART_SCORERS))
-    names = ROOM_FEATURE_NAMES if rooms else OBJECT_FEATURE_NAMES
+    if rooms:
+        return _read(folder, ROOM_SCORERS, ROOM_FEATURE_NAMES)
+    return _read(folder, PART_SCORERS, OBJECT_FEATURE_NAMES)
+
+
+def _read(folder: Path, files: tuple[str, str], names: tuple[str, ...]) -> Scorers:
+    first, later = (folder / name for name in files)
     return (
         load_mlp(first, names) if first.is_file() else None,
         load_mlp(later, names) if later.is_file() else None,
