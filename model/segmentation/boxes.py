@@ -80,6 +80,10 @@ _SAY = 0.8
 rest."""
 _MENDING_SAY = 0.7
 """The same of later clicks."""
+_BAR_PENALTY, _BAR_BEHIND = 12.0, 1.0
+"""For a first answer to a click on a handle, at least four times as long as wide, without what is
+behind, at most; for shorter ones less, none where they are less than twice as long. And how far it
+then stays behind the best answer of the others."""
 _RECTANGLES = 12
 """Of a front, beside later clicks."""
 _WHOLE = 0.8
@@ -422,7 +426,28 @@ class ObjectSolver(PartSolver):
         self, found: Candidates, features: Float, scores: Float, clicked: Clicked
     ) -> tuple[Float, Float]:
         first, _ = self.moving_scorers
-        return self._with_fronts(found, features, scores, clicked, first, _SAY)
+        both, scores = self._with_fronts(found, features, scores, clicked, first, _SAY)
+        return both, scores - self._bar_alone(found.masks, scores, clicked.last)
+
+    def _bar_alone(self, masks: Bool, scores: Float, cell: int) -> Float | float:
+        """(H,) what speaks against masks that leave behind what a clicked handle is on: whoever
+        clicks a bar means the door or drawer that it moves.
+
+        No more than it takes, so that Tab shows the handle alone.
+        """
+        if self.fronts is None:
+            return 0.0
+        bars = (self.fronts.behind_bar(front, cell) for front in self.fronts.of(cell))
+        behind, length = next((b for b in bars if b is not None), (None, 1.0))
+        if behind is None or not behind.any():
+            return 0.0
+        size = (behind * self.cells.size).astype(np.float32)
+        alone = masks.astype(np.float32) @ size < 0.5 * size.sum()
+        if alone.all():
+            return 0.0
+        ahead = float(scores.max(where=alone, initial=-np.inf) - scores[~alone].max())
+        most = _BAR_PENALTY * np.clip(np.log2(length) - 1, 0, 1)
+        return np.clip(ahead + _BAR_BEHIND, 0, most) * alone
 
     def _as_mended(
         self, found: Candidates, features: Float, scores: Float, clicked: Clicked

@@ -23,6 +23,8 @@ from scipy.ndimage import (
     binary_closing,
     binary_fill_holes,
     center_of_mass,
+    find_objects,
+    grey_dilation,
     label,
     uniform_filter1d,
 )
@@ -49,6 +51,8 @@ NODES_A_SQUARE = 1.5
 """Side of a square, in node spacings."""
 _ALONG = 0.8
 """Least cosine between a clicked cell's normal and a main direction."""
+_TURNED = 0.2
+"""Share of what lies at a cell's depth that faces as it does, if its normal is right."""
 _DEEP, _DEEP_SPACINGS = 0.02, 4.0
 """How far before and behind the click a front reaches, in diagonals and in spacings."""
 _LEAST_SIDE = 4
@@ -77,6 +81,10 @@ _STANDS_OUT = 0.6
 """How far before a front something has to be to stand out, in its reach."""
 _KNOB, _KNOB_MOST = 4, 0.1
 """Squares that a knob or handle has at least, and what share of the front it is at most."""
+_SHADE, _HIDDEN = 2, 0.05
+"""Squares round a handle that it shades or hides, and what they count in a line."""
+_ROUND_BAR = 2
+"""How far beyond that the front round a bar reaches, in squares."""
 _LARGER = 4.0
 """How much more surface a front behind a handle has."""
 
@@ -93,8 +101,11 @@ class Front:
         shape: columns and rows; region: (U, V) squares of the connected front.
         nodes: (U + 1, V + 1) int64 how many lie before each column and row.
         knobs: (B, 2) column and row of the middle of each thing that stands out before it.
+        knob_of: (U, V) int32 which one hides or shades a square, -1 none.
+        length: (B,) how many times as long as wide each is.
         columns, rows: (U, V + 1, K), (U + 1, V, K) evidence of upright lines, summed along the
-            second place, and of level ones, summed along the first; K channels and their mean.
+            second place, and of level ones, summed along the first; K channels, their mean, and
+            what a square counts.
     """
 
     axis: int
@@ -107,6 +118,8 @@ class Front:
     region: Bool
     nodes: Index
     knobs: Float
+    knob_of: npt.NDArray[np.int32]
+    length: Float
     columns: Float
     rows: Float
 
@@ -123,12 +136,11 @@ class Front:
 
     def upright(self, v0: int, v1: int) -> Float:
         """(U,) mean evidence of an upright line at each column, between rows ``v0`` and ``v1``."""
-        held = self.columns[:, v1 + 1, -1] - self.columns[:, v0, -1]
-        return held / max(v1 + 1 - v0, 1)
+        return _mean(self.columns[:, v1 + 1, -2:] - self.columns[:, v0, -2:])[..., 0]
 
     def level(self, u0: int, u1: int) -> Float:
         """(V,) the same of level lines."""
-        return (self.rows[u1 + 1, :, -1] - self.rows[u0, :, -1]) / max(u1 + 1 - u0, 1)
+        return _mean(self.rows[u1 + 1, :, -2:] - self.rows[u0, :, -2:])[..., 0]
 
     def sides(self, rects: Rects, reach: int = 1) -> Float:
         """(R, 4, K) evidence along the sides of rectangles (left, right, below, above), the best
@@ -138,50 +150,44 @@ class Front:
         """
         found = []
         for side in range(4):
-            held, length, outermost = self._along(rects, side, reach)
+            held, outermost = self._along(rects, side, reach)
             best = held[np.arange(len(rects)), held[..., -1].argmax(1)]
-            best /= length[:, None]
             best[outermost] = _CLIP / 2
             found.append(best)
         return np.stack(found, axis=1)
 
     def lines(self, rects: Rects, side: int, reach: int = 1) -> Float:
         """(R,) the mean over the channels of one side of these."""
-        held, length, outermost = self._along(rects, side, reach, -1)
-        best = held.max(1)
-        best /= length
+        held, outermost = self._along(rects, side, reach, slice(-2, None))
+        best = held[..., 0].max(1)
         best[outermost] = _CLIP / 2
         return best
 
     def _along(
-        self, rects: Rects, side: int, reach: int, channel: int | slice = slice(None)
-    ) -> tuple[Float, Index, Bool]:
-        """(R, 2 * reach + 1, ...) sums of evidence at one side of rectangles and beside it, (R,)
-        squares that were summed, and whether the side is one of the front's own.
+        self, rects: Rects, side: int, reach: int, channels: slice = slice(None)
+    ) -> tuple[Float, Bool]:
+        """(R, 2 * reach + 1, K) mean evidence at one side of rectangles and beside it, and (R,)
+        whether the side is one of the front's own.
         """
         axis = side // 2
         at = rects[:, side] + side % 2
         begin, end = rects[:, 2 - 2 * axis, None], rects[:, 3 - 2 * axis, None] + 1
         places = np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, self.shape[axis] - 1)
         if axis == 0:
-            columns = self.columns[..., channel]
+            columns = self.columns[..., channels]
             held = columns[places, end] - columns[places, begin]
         else:
-            rows = self.rows[..., channel]
+            rows = self.rows[..., channels]
             held = rows[end, places] - rows[begin, places]
         outermost = np.abs(at - self.bounds[side] - side % 2) <= 1 + reach
-        return held, np.maximum(end - begin, 1)[:, 0], outermost
+        return _mean(held), outermost
 
     def within(self, rects: Rects) -> npt.NDArray[np.float32]:
         """(R, 2) the strongest upright and level line within each rectangle."""
         u0, u1, v0, v1 = rects.T
-        upright = self.columns[:, v1 + 1, -1] - self.columns[:, v0, -1]
-        level = (self.rows[u1 + 1, :, -1] - self.rows[u0, :, -1]).T
-        return np.stack(
-            [_most(upright, v1 + 1 - v0, u0 + 3, u1 - 1),
-             _most(level, u1 + 1 - u0, v0 + 3, v1 - 1)],
-            axis=1,
-        )  # fmt: skip
+        upright = _mean(self.columns[:, v1 + 1, -2:] - self.columns[:, v0, -2:])[..., 0]
+        level = _mean(self.rows[u1 + 1, :, -2:] - self.rows[u0, :, -2:])[..., 0].T
+        return np.stack([_most(upright, u0 + 3, u1 - 1), _most(level, v0 + 3, v1 - 1)], axis=1)
 
     def held(self, rects: Rects) -> Index:
         """(R,) nodes in each rectangle."""
@@ -295,7 +301,7 @@ class Fronts:
         axis = int(np.abs(self._turn[cell]).argmax())
         if abs(self._turn[cell, axis]) < _ALONG:
             return []
-        outward = 1 if self._turn[cell, axis] > 0 else -1
+        outward = self._outward(cell, axis)
         side = self._side_of(axis, outward)
         own = side.bin_of(outward * float(self._center[cell, axis]))
         # The same for all that lie on it, and whatever was clicked before: where most of it is.
@@ -305,6 +311,31 @@ class Fronts:
             bins.append(behind)
         fronts = [self._front(cell, axis, outward, depth) for depth in bins]
         return [f for f in fronts if f is not None]
+
+    def _outward(self, cell: int, axis: int) -> int:
+        """To which side along an axis a cell faces, as nearly all that lies at its depth says: a
+        scan's normals are turned the wrong way here and there.
+        """
+        near = np.abs(self._center[:, axis] - self._center[cell, axis]) < self._reach / _BINS
+        turn = self._turn[near, axis]
+        sure = np.abs(turn) > _ALONG
+        own = 1 if self._turn[cell, axis] > 0 else -1
+        same = float(self._cells.size[near] @ (sure & (own * turn > 0)))
+        return own if same > _TURNED * float(self._cells.size[near] @ sure) else -own
+
+    def behind_bar(self, front: Front, cell: int) -> tuple[Bool, float] | None:
+        """(C,) the cells of a front round a bar that stands out before it and that ``cell`` is on,
+        and how many times as long as wide the bar is.
+        """
+        deep = front.outward * self._center[:, front.axis] - front.depth
+        number = int(front.knob_of[self._square(front, cell)])
+        if number < 0 or deep[cell] < _STANDS_OUT * front.reach:
+            return None
+        at = np.argwhere(front.knob_of == number)
+        u, v = ((self._center[:, list(front.across)] - front.low) / front.side).T
+        (u0, v0), (u1, v1) = at.min(0) - _ROUND_BAR, at.max(0) + 1 + _ROUND_BAR
+        near = np.abs(deep) < _STANDS_OUT * front.reach
+        return near & (u >= u0) & (u < u1) & (v >= v0) & (v < v1), float(front.length[number])
 
     def _side_of(self, axis: int, outward: int) -> _Side:
         if (axis, outward) not in self._sides:
@@ -369,19 +400,21 @@ class Fronts:
         region = layer.piece == number
         if number == 0 or region.sum() < _LEAST_SIDE**2 or not (region & layer.there).any():
             return None
+        knobs, knob_of, length = self._knobs(axis, layer, outward, region)
+        counts = np.where(knob_of >= 0, np.float32(_HIDDEN), np.float32(1))
         columns = _evidence(layer.maps, layer.there, region)
         rows = _evidence({n: m.T for n, m in layer.maps.items()}, layer.there.T, region.T)
         return Front(
             axis, layer.across, layer.low, layer.side, outward, layer.depth, self._reach, region,
             np.pad(layer.count.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0))),
-            self._knobs(axis, layer, outward, region),
-            np.concatenate([np.zeros_like(columns[:, :1]), np.cumsum(columns, axis=1)], axis=1),
-            np.concatenate([np.zeros_like(rows[:, :1]), np.cumsum(rows, axis=1)], axis=1)
-            .transpose(1, 0, 2),
+            knobs, knob_of, length,
+            _summed(columns, counts), _summed(rows, counts.T).transpose(1, 0, 2),
         )  # fmt: skip
 
-    def _knobs(self, axis: int, layer: _Layer, outward: int, region: Bool) -> Float:
-        """(B, 2) the squares of the middles of what stands out before a region."""
+    def _knobs(
+        self, axis: int, layer: _Layer, outward: int, region: Bool
+    ) -> tuple[Float, npt.NDArray[np.int32], Float]:
+        """What stands out before a region: see ``knobs``, ``knob_of`` and ``length`` of a front."""
         deep = outward * self._at[:, axis] - layer.depth
         out = (deep > _STANDS_OUT * self._reach) & (deep < _BEFORE * self._reach)
         place = ((self._at[out][:, list(layer.across)] - layer.low) / layer.side).astype(int)
@@ -390,12 +423,16 @@ class Fronts:
         there[tuple(place[inside].T)] = True
         piece = np.zeros(region.shape, np.int32)
         label(binary_closing(np.pad(there, 2), iterations=1)[2:-2, 2:-2], output=piece)
-        size = np.bincount((piece * region).ravel())
+        size = np.bincount((piece * region).ravel(), minlength=int(piece.max()) + 1)
         size[0] = 0
         small = np.flatnonzero((size >= _KNOB) & (size < _KNOB_MOST * region.sum()))
-        if not len(small):
-            return np.zeros((0, 2))
-        return np.array(center_of_mass(there, piece, small))
+        number = np.full(len(size), -1, np.int32)
+        number[small] = np.arange(len(small))
+        knob_of = number[piece]
+        found = find_objects(knob_of + 1)
+        middle = np.array(center_of_mass(there, knob_of, np.arange(len(small)))).reshape(-1, 2)
+        length = np.array([_length(np.argwhere(knob_of[at] == k)) for k, at in enumerate(found)])
+        return middle, np.asarray(grey_dilation(knob_of, size=2 * _SHADE + 1), np.int32), length
 
     def _edges(
         self, near: Bool, across: tuple[int, int], low: Float, side: float, shape: tuple[int, int]
@@ -443,15 +480,26 @@ def _smooth(values: Float, there: Float) -> Float:
     return np.where(held > 1e-9, mean / np.maximum(held, 1e-9), 0.0)
 
 
-def _most(held: Float, length: Index, begin: Index, end: Index) -> Float:
+def _mean(held: Float) -> Float:
+    """Means of sums of evidence (..., K + 1), the last of which is what their squares count."""
+    return held[..., :-1] / np.maximum(held[..., -1:], _HIDDEN)
+
+
+def _length(squares: Index) -> float:
+    """How many times as long as wide what fills some squares (N, 2) is."""
+    spread = np.linalg.eigvalsh(np.cov(squares.T) + np.eye(2) / 12)
+    return float(np.sqrt(spread[1] / spread[0]))
+
+
+def _most(line: Float, begin: Index, end: Index) -> Float:
     """(R,) the most of each profile in its range, -1 where it is empty or less.
 
     Args:
-        held: (U, R) sums over (R,) ``length`` squares. begin, end: (R,).
+        line: (U, R) profiles. begin, end: (R,).
     """
-    at = np.arange(len(held))[:, None]
-    inside = np.where((at >= begin) & (at < end), held, -np.inf)
-    return np.maximum(inside.max(0, initial=-np.inf) / length, -1.0).astype(np.float32)
+    at = np.arange(len(line))[:, None]
+    inside = np.where((at >= begin) & (at < end), line, -np.inf)
+    return np.maximum(inside.max(0, initial=-np.inf), -1.0).astype(np.float32)
 
 
 def _shifted(x: Float, shift: int) -> Float:
@@ -520,6 +568,14 @@ def _evidence_within(maps: dict[str, Float], there: Bool, region: Bool) -> npt.N
         out[..., k] = np.clip((x - middle) / spread, -1.5, _CLIP) * region
     out[..., -1] = out[..., :-1] @ _WEIGHT
     return out
+
+
+def _summed(evidence: Float, counts: Float) -> Float:
+    """(U, V + 1, K + 1) evidence (U, V, K) times what each square (U, V) counts, and that, summed
+    along the second place.
+    """
+    each = np.concatenate([evidence * counts[..., None], counts[..., None]], axis=2)
+    return np.concatenate([np.zeros_like(each[:, :1]), np.cumsum(each, axis=1)], axis=1)
 
 
 def _cut(front: Front, spot: tuple[int, int], others: list[tuple[int, int]]) -> Rects:

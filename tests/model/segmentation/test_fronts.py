@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from model.geometry.asset import Asset
 from model.geometry.point_cloud import PointCloud
+from model.geometry.readers import read_asset
+from model.resources import static_assets
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.edge_strength import shipped_edge_model
@@ -138,6 +142,60 @@ def test_a_knob_is_clicked_for_the_panel_behind_it(fronts, panels) -> None:
     masks = fronts.masks(behind, fronts.rectangles(behind, cell))
     assert masks[:, cell].all()
     assert best_overlap(encoding, masks, labels == 4) > 0.85, "with its knob"
+
+
+@pytest.fixture(scope="module")
+def refrigerator():
+    folder = static_assets() / "examples"
+    asset = read_asset(folder / "refrigerator_scan.ply")
+    runs = json.loads((folder / "truth" / "refrigerator_scan.json").read_text())["runs"]
+    labels = np.concatenate([np.full(number, part) for part, number in runs])
+    return asset, labels, DefaultSegmenter().encode(asset)
+
+
+@pytest.mark.parametrize("spot", [
+    (-0.16, -0.38, 0.53), (0.2, -0.38, 0.5), (-0.3, -0.38, 0.15), (0.33, -0.38, 0.29),
+    (-0.14, -0.38, 0.14), (0.25, -0.43, 0.37), (0.0, -0.43, 0.375),
+])  # fmt: skip
+def test_a_handle_neither_cuts_a_drawer_nor_is_clicked_alone(refrigerator, spot) -> None:
+    """A bar before a drawer darkens it and hides a strip of it: above it, below it and on it, one
+    click takes all of the drawer.
+    """
+    asset, labels, session = refrigerator
+    drawer = np.flatnonzero(labels == 3)
+    index = int(drawer[np.abs(asset.element_centers[drawer] - spot).sum(1).argmin()])
+    x, y, z = asset.element_centers[index].tolist()
+    taken = session.segment(Prompts((Click((x, y, z), 1, element=index),))).labels == 1
+    assert iou(taken, labels == 3) > 0.9
+    if spot[1] < -0.4:
+        alone = session.candidates(Prompts((Click((x, y, z), 1, element=index),)), 1)
+        assert min(mask.sum() for mask in alone) < 0.1 * taken.sum(), "Tab has the handle"
+
+
+def test_a_line_behind_a_handle_goes_by_what_is_beside_it(fronts, panels) -> None:
+    encoding, _ = panels
+    cell = cell_at(encoding, (1.0, 0, 0.2))
+    (front,) = fronts.of(cell)
+    u, v = np.round(front.knobs[0]).astype(int)
+    assert front.knob_of[u, v] == 0 and (front.length < 2).all()
+    low, high = front.bounds[2:]
+    shown = front.upright(low, high)[u]
+    hidden = front.knob_of[u, low : high + 1] >= 0
+    each = np.diff(front.columns[u, low : high + 2, -2]) / np.where(hidden, 0.05, 1)
+    assert 4 < hidden.sum() < 0.3 * len(hidden)
+    assert shown == pytest.approx(each[~hidden].mean(), abs=0.05)
+    for square in range(*front.shape[:1]):
+        assert np.isfinite(front.upright(low, high)[square])
+
+
+def test_a_normal_that_was_turned_round_changes_nothing(fronts, panels) -> None:
+    encoding, _ = panels
+    cell = cell_at(encoding, (1.0, 0, 0.2))
+    turned = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
+    turned._turn[cell] *= -1
+    (right,), (wrong,) = fronts.of(cell), turned.of(cell)
+    assert (wrong.outward, wrong.depth) == (right.outward, right.depth)
+    assert len(wrong.knobs) == 4
 
 
 def test_a_round_thing_has_no_front() -> None:
