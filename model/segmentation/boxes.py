@@ -32,6 +32,7 @@ from model.segmentation.parallel import together
 from model.segmentation.plane_boxes import STEPS as _STEPS
 from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
 from model.segmentation.solver import (
+    ALONE_BEHIND,
     CLOSE_SPECK,
     DETAIL_PENALTY,
     LARGE_PENALTY,
@@ -80,10 +81,9 @@ _SAY = 0.8
 rest."""
 _MENDING_SAY = 0.7
 """The same of later clicks."""
-_BAR_PENALTY, _BAR_BEHIND = 12.0, 1.0
+_BAR_PENALTY = 12.0
 """For a first answer to a click on a handle, at least four times as long as wide, without what is
-behind, at most; for shorter ones less, none where they are less than twice as long. And how far it
-then stays behind the best answer of the others."""
+behind, at most; for shorter ones less, none where they are less than twice as long."""
 _RECTANGLES = 12
 """Of a front, beside later clicks."""
 _WHOLE = 0.8
@@ -447,7 +447,7 @@ class ObjectSolver(PartSolver):
             return 0.0
         ahead = float(scores.max(where=alone, initial=-np.inf) - scores[~alone].max())
         most = _BAR_PENALTY * np.clip(np.log2(length) - 1, 0, 1)
-        return np.clip(ahead + _BAR_BEHIND, 0, most) * alone
+        return np.clip(ahead + ALONE_BEHIND, 0, most) * alone
 
     def _as_mended(
         self, found: Candidates, features: Float, scores: Float, clicked: Clicked

@@ -40,7 +40,14 @@ from model.segmentation.prompt_steps import (
 )
 from model.segmentation.prompts import BASE, Click, PartSegmentation, Prompts
 from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
-from model.segmentation.solver import NEARLY_ALL, PartSolver, PartState, Ranked, agreeing
+from model.segmentation.solver import (
+    ALONE_BEHIND,
+    NEARLY_ALL,
+    PartSolver,
+    PartState,
+    Ranked,
+    agreeing,
+)
 
 _STATES = 256
 _CLICKS = 10_000
@@ -191,6 +198,7 @@ class DefaultSession:
         if self.fittings is not None:
             node = int(np.argmax(self.encoding.cells.of_node == cell))
             element = int(self.encoding.nodes.elements.element_of_node[node])
+            found = self._with_mount(found, PartState(), element, None)
             best = self._not_all(found, _State(), (ClickStep(1, True, element, node),))
         mask = self.solver.tidy(best, PartState(), cell)
         return self._with_islands(mask.astype(np.int16), ()) > BASE if self._islands else mask
@@ -244,6 +252,8 @@ class DefaultSession:
                     blocked |= other.mask  # type: ignore[operator]
             self.encoding.walk.ask(cell)
             found = self.solver.answer(own, cell, step.positive, blocked, of_a_part=self.of_parts)
+            if step.positive and own.mask is None:
+                found = self._with_mount(found, own, step.element, blocked)
             best = found.best
             if step.positive and own.mask is None and self.fittings is not None:
                 best = self._not_all(found, state, steps)
@@ -283,6 +293,34 @@ class DefaultSession:
         found = self.solver.answer(begun, first, True, free)
         mask = self.solver.tidy(found.best, begun, first) & ~free
         return self.solver.moved(begun, first, True, mask), found
+
+    def _with_mount(
+        self, found: Ranked, own: PartState, element: int, blocked: Bool | None
+    ) -> Ranked:
+        """First answers to a click on a mesh's handle: what a click beside it, on what it moves,
+        means; then the handle alone.
+
+        Args:
+            found: the answers to the click itself, on ``element``.
+        """
+        if self.fittings is None or not self.of_parts:
+            return found
+        face = self.fittings.mount(element)
+        if face is None:
+            return found
+        elements, of_node = self.encoding.nodes.elements, self.encoding.cells.of_node
+        cell, beside = (int(of_node[elements.node_of_element[f]]) for f in (element, face))
+        if cell == beside or (blocked is not None and blocked[beside]):
+            return found
+        moved = self.solver.answer(own, beside, True, blocked)
+        masks = moved.candidates.masks.copy()
+        masks[:, cell] = True
+        moved = replace(moved, candidates=replace(moved.candidates, masks=masks))
+        alone = found.take(np.flatnonzero(~found.candidates.masks[:, beside]))
+        if not len(alone.scores):
+            return moved
+        behind = alone.scores.max() - moved.scores.max() + ALONE_BEHIND
+        return Ranked.of([moved, replace(alone, scores=alone.scores - max(behind, 0.0))])
 
     def _not_all(self, found: Ranked, state: _State, steps: tuple[Step, ...]) -> Bool:
         """The best first answer that plates and shells don't make all that is left of the mesh.

@@ -29,6 +29,19 @@ _FITTING_SHARE = 0.3
 _SPECK = 3e-4
 """Of the mesh: what is smaller and fastened to a part is none of its own unless it is clicked."""
 
+_BAR_SHARE = 0.01
+"""Of the mesh: a handle has no more."""
+_BAR_MOUNT, _BAR_PIECES = 4.0, 10.0
+"""How much more surface what a bar is mounted on has, and the largest of its pieces has than the
+one that was clicked, at most.
+"""
+_BAR_LENGTH, _BAR_OUT, _BAR_THROUGH = 3.0, 0.8, 0.3
+"""How many times as long as wide a bar is; in its width, how far it stands out, and how thick what
+it is mounted on is at least.
+"""
+_ALONG = 0.9
+"""Least cosine between the normals of a flat front."""
+
 _TRAY_OF_BASE = 0.4
 """Of what is the base's: a larger piece behind a front is the carcass."""
 _FLAT = 0.5
@@ -120,6 +133,57 @@ class Fittings:
             if joined[0] != BASE and (joined == joined[0]).all():
                 out = np.where(own, joined[0], out).astype(np.int16)
         return out
+
+    def mount(self, face: int) -> int | None:
+        """A face beside the bar that ``face`` is of, on what the bar is mounted on, a door's
+        handle say; None where ``face`` is of no bar.
+
+        A bar is some small shells in contact, longer than wide, and standing out at least as far as
+        it is wide.
+        """
+        shell = int(self.shells.of_face[face])
+        if shell < 0:
+            return None
+        area, all_area = self.shells.area, float(self.shells.weight.sum())
+        small = area <= min(_BAR_SHARE * all_area, _BAR_PIECES * area[shell])
+        if not small[shell]:
+            return None
+        one, two = self.touching.shell, self.shells.of_face[self.touching.face]
+        near = (two >= 0) & small[one] & small[two]
+        _, piece = groups(self.shells.number, one[near], two[near])
+        own = small & (piece == piece[shell])
+        if area[own].sum() > _BAR_SHARE * all_area:
+            return None
+        faces = self._beside(own)
+        if not len(faces):
+            return None
+        normals = self.mesh.face_normals[faces]
+        # What it lies beside faces mostly to one side.
+        main = normals[np.abs(normals @ normals.T).sum(0).argmax()]
+        flat = faces[np.abs(normals @ main) > _ALONG]
+        corners = self._corners(self._faces(own)).astype(np.float64)
+        out = corners @ main
+        plane = corners - out[:, None] * main
+        _, _, axes = np.linalg.svd(plane - plane.mean(0), full_matrices=False)
+        long, wide = np.ptp(plane @ axes[:2].T, axis=0)
+        if long < _BAR_LENGTH * wide or np.ptp(out) < _BAR_OUT * wide:
+            return None
+        # Posts reach through a drawer's front to what is behind it.
+        apart = self.mesh.vertices[self.mesh.faces[flat]].mean(1) - corners.mean(0)
+        off = np.abs(apart @ main)
+        close = np.flatnonzero(off < off.min() + _BAR_THROUGH * wide)
+        return int(flat[close[(apart[close] ** 2).sum(1).argmin()]])
+
+    def _beside(self, own: Bool) -> npt.NDArray[np.int32]:
+        """Faces of larger shells beside some small ones, or in contact with them."""
+        least = _BAR_MOUNT * self.shells.area[own].sum()
+        for pairs in (self.beside, self.touching):
+            two = self.shells.of_face[pairs.face]
+            larger = (two < 0) | (self.shells.area[two] > least)
+            chosen = own[pairs.shell] & larger
+            if chosen.any():
+                return np.unique(pairs.face[chosen])
+        return np.zeros(0, np.int32)
 
     def _mounted(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
         """Labels where pieces that are small beside the part they lie on belong to it."""

@@ -87,18 +87,22 @@ class Candidates:
         )
 
 
-def joined(groups: list[Candidates]) -> Candidates:
-    """All candidates of several groups; of equal masks the first stays."""
-    masks = np.concatenate([g.masks for g in groups])
-    together = Candidates(
-        masks,
+def concatenated(groups: list[Candidates]) -> Candidates:
+    """All candidates of several groups, one after the other."""
+    return Candidates(
+        np.concatenate([g.masks for g in groups]),
         np.concatenate([g.source for g in groups]),
         np.concatenate([g.height for g in groups]),
         np.concatenate([g.life for g in groups]),
     )
-    packed = np.packbits(masks, axis=1)
+
+
+def joined(groups: list[Candidates]) -> Candidates:
+    """All candidates of several groups; of equal masks the first stays."""
+    every = concatenated(groups)
+    packed = np.packbits(every.masks, axis=1)
     _, first = np.unique(packed.view(f"V{packed.shape[1]}").ravel(), return_index=True)
-    return together.take(np.sort(first))
+    return every.take(np.sort(first))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from model.segmentation.masks import (
     Candidates,
     Clicked,
     MaskDescriber,
+    concatenated,
     joined,
 )
 from model.segmentation.mlp import Mlp
@@ -69,6 +70,8 @@ _FAR, _FAR_PENALTY, _FAR_MOST = 10.0, 0.3, 3.0
 by the logarithm of it, up to the last."""
 _SPECK_NODES, _SPECK_PENALTY, _SPECK_MOST = 16.0, 3.0, 3.0
 """A mask that becomes smaller than that many nodes loses by the logarithm of it, up to the last."""
+ALONE_BEHIND = 1.0
+"""How far behind the best answer with what it moves a clicked handle alone stays, at least."""
 _FIRST_SPECK, CLOSE_SPECK = 32.0, 10.0
 """The same for first answers, and for those in a close-up."""
 DETAIL_PENALTY, _DETAIL, _NO_DETAIL = 1.0, 2e-4, 0.02
@@ -108,6 +111,19 @@ class Ranked:
     candidates: Candidates
     features: Float
     scores: Float
+
+    @classmethod
+    def of(cls, groups: list[Ranked]) -> Ranked:
+        """Those of several groups, one after the other."""
+        return cls(
+            concatenated([g.candidates for g in groups]),
+            np.concatenate([g.features for g in groups]),
+            np.concatenate([g.scores for g in groups]),
+        )
+
+    def take(self, index: npt.NDArray) -> Ranked:
+        """Some of them."""
+        return Ranked(self.candidates.take(index), self.features[index], self.scores[index])
 
     @property
     def best(self) -> Bool:

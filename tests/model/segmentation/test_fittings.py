@@ -126,6 +126,48 @@ def test_one_click_takes_each_part_of_the_bundled_cabinet(
     assert (found == labels).all()
 
 
+def test_a_click_on_a_handle_takes_what_it_moves(
+    bundled: tuple[DefaultSession, np.ndarray, dict[int, str]],
+) -> None:
+    """Bar or post; Tab shows it alone, and dots show beforehand what the click will take."""
+    session, labels, parts = bundled
+    mesh = session.asset.mesh
+    assert mesh is not None and session.fittings is not None
+    shell, center = np.asarray(connected_shells(mesh)), session.asset.element_centers
+    clicked = set()
+    for number in np.unique(shell):
+        own = shell == number
+        if center[own][:, 1].max() > -0.25:
+            continue  # no handle before a front
+        spot = int(np.flatnonzero(own)[0])
+        part = int(labels[spot])
+        x, y, z = center[spot].tolist()
+        prompts = Prompts((Click((x, y, z), part, True, spot),))
+        assert (session.segment(prompts).labels == np.where(labels == part, part, 0)).all()
+        assert any(mask.sum() <= 3 * own.sum() for mask in session.candidates(prompts, part))
+        shown = hover(session, (x, y, z), spot)
+        assert mesh.face_areas[shown].sum() > 10 * mesh.face_areas[own].sum()
+        clicked.add(part)
+    assert clicked == set(parts), "each has a handle"
+
+
+def test_a_key_beside_others_is_no_handle() -> None:
+    """Long keys and flush bars stand out too little, and round knobs are as long as wide."""
+    deck = block((0, 0, 0), (1, 1, 0.1))
+    sizes = ((0.1, 0.015, 0.008), (0.03, 0.03, 0.03), (0.1, 0.015, 0.03))
+    for size, bar in zip(sizes, (False, False, True), strict=True):
+        low = np.array((0.2, 0.2, 0.1))
+        boxes = [deck, block(low, low + size), block((0.7, 0.7, 0.1), (0.72, 0.72, 0.12))]
+        triangles = np.concatenate(boxes)
+        faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+        mesh = Mesh((10 * triangles).reshape(-1, 3), faces)
+        none = np.zeros(0, np.int32)
+        face = fittings_of(mesh, none, none).mount(len(deck))
+        assert (face is not None) == bar, size
+        assert face is None or face < len(deck)
+    assert fittings_of(mesh, none, none).mount(0) is None, "the deck itself"
+
+
 def test_a_proposal_has_whole_drawers(
     bundled: tuple[DefaultSession, np.ndarray, dict[int, str]],
 ) -> None:
