@@ -81,6 +81,8 @@ _SAY = 0.8
 rest."""
 _MENDING_SAY = 0.7
 """The same of later clicks."""
+BAR_LENGTH = 3.0
+"""How many times as long as wide a handle is that nobody takes for a knob."""
 _BAR_PENALTY = 12.0
 """For a first answer to a click on a handle, at least four times as long as wide, without what is
 behind, at most; for shorter ones less, none where they are less than twice as long."""
@@ -435,18 +437,15 @@ class ObjectSolver(PartSolver):
 
         No more than it takes, so that Tab shows the handle alone.
         """
-        if self.fronts is None:
+        bar = None if self.fronts is None else self.fronts.bar(cell)
+        if bar is None:
             return 0.0
-        bars = (self.fronts.behind_bar(front, cell) for front in self.fronts.of(cell))
-        behind, length = next((b for b in bars if b is not None), (None, 1.0))
-        if behind is None or not behind.any():
-            return 0.0
-        size = (behind * self.cells.size).astype(np.float32)
+        size = (bar.behind * self.cells.size).astype(np.float32)
         alone = masks.astype(np.float32) @ size < 0.5 * size.sum()
         if alone.all():
             return 0.0
         ahead = float(scores.max(where=alone, initial=-np.inf) - scores[~alone].max())
-        most = _BAR_PENALTY * np.clip(np.log2(length) - 1, 0, 1)
+        most = _BAR_PENALTY * np.clip(np.log2(bar.length) - 1, 0, 1)
         return np.clip(ahead + ALONE_BEHIND, 0, most) * alone
 
     def _as_mended(

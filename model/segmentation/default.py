@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
-from model.segmentation.boxes import ObjectSolver
+from model.segmentation.boxes import BAR_LENGTH, ObjectSolver
 from model.segmentation.cells import groups
 from model.segmentation.closeup import ClosePart, Closeups
 from model.segmentation.edge_strength import shipped_edge_model
@@ -239,6 +239,7 @@ class DefaultSession:
         if step.part == BASE:
             return self._after_base_click(state, cell, step.positive)
         parts, ranked = dict(state.parts), dict(state.ranked)
+        handle: Bool | None = None
         own = parts.get(step.part, self._begun(state, step.part))
         inside = own.mask is not None and bool(own.mask[cell])
         others = {q: s for q, s in parts.items() if q != step.part and s.mask is not None}
@@ -250,6 +251,9 @@ class DefaultSession:
             for other in others.values():
                 if step.positive and not other.mask[cell]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
+            handle = self._handle_of(cell, others) if step.positive and own.mask is None else None
+            if handle is not None:
+                blocked |= ~handle
             self.encoding.walk.ask(cell)
             found = self.solver.answer(own, cell, step.positive, blocked, of_a_part=self.of_parts)
             if step.positive and own.mask is None:
@@ -267,7 +271,7 @@ class DefaultSession:
             assert taken is not None
             for q, other in others.items():
                 assert other.mask is not None
-                if other.mask[cell]:
+                if other.mask[cell] and handle is None:
                     # The click says that this part was too large: ask again what it is.
                     rest = _union([s.mask for r, s in parts.items() if r != q], len(taken))
                     parts[q], ranked[q] = self._without(other, cell, rest)
@@ -293,6 +297,24 @@ class DefaultSession:
         found = self.solver.answer(begun, first, True, free)
         mask = self.solver.tidy(found.best, begun, first) & ~free
         return self.solver.moved(begun, first, True, mask), found
+
+    def _handle_of(self, cell: int, others: dict[int, PartState]) -> Bool | None:
+        """(C,) the handle that a cell is on, where another part has it and what is behind it: who
+        clicks there wants no half of a door, but the handle as a part of its own.
+        """
+        if not self._asks_anew:
+            return None
+        assert isinstance(self.solver, ObjectSolver) and self.solver.fronts is not None
+        bar = self.solver.fronts.bar(cell)
+        if bar is None or bar.length < BAR_LENGTH:
+            return None
+        size = self.encoding.cells.size
+        for other in others.values():
+            mask = other.mask
+            assert mask is not None
+            if mask[cell] and size[mask & bar.behind].sum() > 0.5 * size[bar.behind].sum():
+                return bar.cells | (np.arange(len(size)) == cell)
+        return None
 
     def _with_mount(
         self, found: Ranked, own: PartState, element: int, blocked: Bool | None

@@ -197,6 +197,20 @@ class Front:
 
 
 @dataclass(frozen=True, eq=False)
+class Bar:
+    """Something that stands out before a front.
+
+    Attributes:
+        cells: (C,) bool, its own. behind: (C,) those of the front round it.
+        length: how many times as long as wide it is.
+    """
+
+    cells: Bool
+    behind: Bool
+    length: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Layer:
     """All that lies at one depth, laid out in squares.
 
@@ -323,10 +337,12 @@ class Fronts:
         same = float(self._cells.size[near] @ (sure & (own * turn > 0)))
         return own if same > _TURNED * float(self._cells.size[near] @ sure) else -own
 
-    def behind_bar(self, front: Front, cell: int) -> tuple[Bool, float] | None:
-        """(C,) the cells of a front round a bar that stands out before it and that ``cell`` is on,
-        and how many times as long as wide the bar is.
-        """
+    def bar(self, cell: int) -> Bar | None:
+        """What ``cell`` is on, if that stands out before a front with something round it."""
+        found = (self._bar_before(front, cell) for front in self.of(cell))
+        return next((bar for bar in found if bar is not None), None)
+
+    def _bar_before(self, front: Front, cell: int) -> Bar | None:
         deep = front.outward * self._center[:, front.axis] - front.depth
         number = int(front.knob_of[self._square(front, cell)])
         if number < 0 or deep[cell] < _STANDS_OUT * front.reach:
@@ -334,8 +350,10 @@ class Fronts:
         at = np.argwhere(front.knob_of == number)
         u, v = ((self._center[:, list(front.across)] - front.low) / front.side).T
         (u0, v0), (u1, v1) = at.min(0) - _ROUND_BAR, at.max(0) + 1 + _ROUND_BAR
-        near = np.abs(deep) < _STANDS_OUT * front.reach
-        return near & (u >= u0) & (u < u1) & (v >= v0) & (v < v1), float(front.length[number])
+        inside = (u >= u0) & (u < u1) & (v >= v0) & (v < v1)
+        behind = inside & (np.abs(deep) < _STANDS_OUT * front.reach)
+        own = inside & ~behind & (deep > 0) & (deep < _BEFORE * front.reach)
+        return Bar(own, behind, float(front.length[number])) if behind.any() else None
 
     def _side_of(self, axis: int, outward: int) -> _Side:
         if (axis, outward) not in self._sides:

@@ -172,6 +172,23 @@ def test_a_handle_neither_cuts_a_drawer_nor_is_clicked_alone(refrigerator, spot)
         assert min(mask.sum() for mask in alone) < 0.1 * taken.sum(), "Tab has the handle"
 
 
+def test_a_handle_of_a_door_is_set_apart_by_a_click_with_another_number(refrigerator) -> None:
+    """It takes no half of the door along."""
+    asset, labels, session = refrigerator
+    own, clicks = np.flatnonzero(labels == 1), []
+    for part, spot in ((1, (-0.3, -0.37, 1.5)), (2, (-0.05, -0.43, 1.1))):
+        index = int(own[np.abs(asset.element_centers[own] - spot).sum(1).argmin()])
+        x, y, z = asset.element_centers[index].tolist()
+        clicks.append(Click((x, y, z), part, element=index))
+    before = session.segment(Prompts(tuple(clicks[:1]))).labels
+    assert before[clicks[1].element] == 1, "it went with the door"
+    after = session.segment(Prompts(tuple(clicks))).labels
+    assert after[clicks[1].element] == 2
+    assert 300 < (after == 2).sum() < 0.05 * (labels == 1).sum()
+    assert ((before == 1) & (after == 0)).sum() < 0.01 * (labels == 1).sum(), "nothing is lost"
+    assert iou(after == 1, labels == 1) > 0.9
+
+
 def test_a_line_behind_a_handle_goes_by_what_is_beside_it(fronts, panels) -> None:
     encoding, _ = panels
     cell = cell_at(encoding, (1.0, 0, 0.2))
