@@ -40,6 +40,24 @@ def _mixed(words: Array) -> Array:
     return out
 
 
+def coincident_faces(mesh: Mesh) -> npt.NDArray[np.int64] | None:
+    """(F,) the first of the faces that have the same three corners as each one, whichever way they
+    are turned; None where no two have.
+
+    Many modelled meshes hold each of their faces twice, once for either side.
+    """
+    if not len(mesh.faces):
+        return None
+    _, place = same_points(mesh.vertices)
+    corners = np.sort(place[mesh.faces], axis=1)
+    first, group = same_points(corners.astype(np.float64))
+    if len(first) == len(corners):
+        return None
+    lowest = np.full(len(first), len(corners), np.int64)
+    np.minimum.at(lowest, group, np.arange(len(corners)))
+    return lowest[group]
+
+
 def weld(mesh: Mesh, tolerance: float | None = None) -> npt.NDArray[np.int32]:
     """(V,) number of the place that each vertex is at.
 

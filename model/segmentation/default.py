@@ -21,6 +21,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
+from model.geometry.topology import coincident_faces
 from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
 from model.segmentation.boxes import BAR_LENGTH, ObjectSolver
@@ -120,6 +121,8 @@ class DefaultSession:
         # On meshes and in rooms the mask that is there says more than a first click.
         self._asks_anew = of_parts and isinstance(solver, ObjectSolver) and bool(solver.fronts)
         mesh = asset.mesh
+        # A face that is there twice, once for either side, is one thing to whoever clicks on it.
+        self._first_of = None if mesh is None else coincident_faces(mesh)
         self._weight = np.ones(asset.element_count, np.float32)
         if mesh is not None:
             self._weight = mesh.face_areas.astype(np.float32)
@@ -206,7 +209,7 @@ class DefaultSession:
     def _steps(self, prompts: Prompts) -> tuple[Step, ...]:
         if len(self._clicks) > _CLICKS:
             self._clicks.clear()
-        return resolve(self.asset, self.encoding.nodes, prompts, self._clicks)
+        return resolve(self.asset, self.encoding.nodes, prompts, self._clicks, self._first_of)
 
     # The state after each prompt ---------------------------------------------------------
 
@@ -435,7 +438,8 @@ class DefaultSession:
         if not steps:
             return labels
         labels = self._whole(labels, steps)
-        return enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+        labels = enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+        return labels if self._first_of is None else labels[self._first_of]
 
     def _whole(
         self, labels: npt.NDArray[np.int16], steps: tuple[Step, ...]
@@ -443,7 +447,8 @@ class DefaultSession:
         """``labels`` of faces with plates and shells undivided, fittings where they belong."""
         for plates in self.groups:
             labels = plates.whole(labels, steps)
-        return labels if self.fittings is None else self.fittings.joined(labels, steps)
+        labels = labels if self.fittings is None else self.fittings.joined(labels, steps)
+        return labels if self._first_of is None else labels[self._first_of]
 
     def without_prompts(self, of_cell: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
         """(E,) labels of the parts that cells (C,) were given by something else than prompts."""

@@ -6,11 +6,12 @@ Everything after this file works on nodes, so its cost does not depend on the si
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
 from model.geometry.asset import Asset
@@ -237,10 +238,36 @@ def _cloud_nodes(cloud: PointCloud, target: int) -> Nodes:
 
 
 def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
-    from model.geometry.sampling import sample_surface
-    from model.geometry.topology import connected_shells
+    from model.geometry.topology import coincident_faces, connected_shells
 
     shells = np.asarray(connected_shells(mesh))
+    first_of = coincident_faces(mesh)
+    if first_of is None:
+        return _nodes_of_mesh(mesh, shells, target)
+    # Faces that are there twice would be sampled twice, with normals that contradict each other.
+    once = np.flatnonzero(first_of == np.arange(len(first_of)))
+    single = replace(mesh, faces=mesh.faces[once], face_material=mesh.face_material[once])
+    nodes = _nodes_of_mesh(single, shells[once], target)
+    row = np.searchsorted(once, first_of)
+    return replace(nodes, elements=_repeated(nodes.elements, row))
+
+
+def _repeated(elements: ElementMap, row: npt.NDArray[np.int64]) -> ElementMap:
+    """``elements`` where each element (E,) goes the way of the one in ``row``."""
+    count, votes = len(elements.node_of_element), len(elements.vote_node)
+    at = (elements.vote_element, np.arange(votes))
+    found = csr_matrix((np.ones(votes, np.int8), at), (count, votes))[row].tocoo()
+    return ElementMap(
+        elements.node_of_element[row],
+        found.row.astype(np.int32),
+        elements.vote_node[found.col],
+        elements.node_count,
+    )
+
+
+def _nodes_of_mesh(mesh: Mesh, shells: npt.NDArray[np.integer], target: int) -> Nodes:
+    from model.geometry.sampling import sample_surface
+
     rng = np.random.default_rng(0)
     cloud, face = sample_surface(mesh, target, rng)
     face = np.asarray(face)

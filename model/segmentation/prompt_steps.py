@@ -82,12 +82,18 @@ def _nearest_element(
 
 
 def resolve(
-    asset: Asset, nodes: Nodes, prompts: Prompts, known: dict[Click, ClickStep] | None = None
+    asset: Asset,
+    nodes: Nodes,
+    prompts: Prompts,
+    known: dict[Click, ClickStep] | None = None,
+    first_of: npt.NDArray[np.int64] | None = None,
 ) -> tuple[Step, ...]:
     """Tie each prompt to elements and nodes.
 
     Args:
         known: of clicks that were tied before; the others are added.
+        first_of: (E,) the first element at the same place as each one, where some are: what is said
+            of one of them is said of all. Clicks are tied to that one, regions hold all.
 
     Raises:
         PromptError: where a prompt names an element that the asset does not have.
@@ -97,15 +103,19 @@ def resolve(
     for item in prompts.items:
         if isinstance(item, Click):
             if item not in known:
-                known[item] = _clicked(asset, nodes, item)
+                known[item] = _clicked(asset, nodes, item, first_of)
             steps.append(known[item])
         else:
-            steps.append(_region(asset, nodes, item))
+            steps.append(_region(asset, nodes, item, first_of))
     return tuple(steps)
 
 
-def _clicked(asset: Asset, nodes: Nodes, click: Click) -> ClickStep:
+def _clicked(
+    asset: Asset, nodes: Nodes, click: Click, first_of: npt.NDArray[np.int64] | None
+) -> ClickStep:
     element, node = locate(asset, nodes, click.position, click.element)
+    if first_of is not None and first_of[element] != element:
+        element, node = locate(asset, nodes, click.position, int(first_of[element]))
     return ClickStep(click.part, click.positive, element, node, nodes.elements.is_stray(element))
 
 
@@ -126,14 +136,20 @@ def telling(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     return tuple(told)
 
 
-def _region(asset: Asset, nodes: Nodes, item: Region) -> RegionStep:
+def _region(
+    asset: Asset, nodes: Nodes, item: Region, first_of: npt.NDArray[np.int64] | None
+) -> RegionStep:
     if len(item.elements) and item.elements[-1] >= asset.element_count:
         raise PromptError(
             f"{asset.name}: {asset.element_kind} {int(item.elements[-1])} is not there; "
             f"it has {asset.element_count}"
         )
-    members = nodes.elements.nodes_of(item.elements)
-    return RegionStep(item.part, item.positive, item.elements, members)
+    elements = item.elements
+    if first_of is not None:
+        said = np.zeros(asset.element_count, bool)
+        said[first_of[elements]] = True
+        elements = np.flatnonzero(said[first_of])
+    return RegionStep(item.part, item.positive, elements, nodes.elements.nodes_of(elements))
 
 
 def enforce(
