@@ -103,7 +103,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         display_faces=None if mesh is None else np.asarray(mesh.faces),
         display_points=None if cloud is None else np.asarray(cloud.points),
         display_colors=None if cloud is None else _colors(cloud),
-        glb=None if mesh is None else mesh_to_glb(mesh),
+        glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
         part_names=asset.part_names,
         has_parts=asset.element_part is not None,
         category=asset.category,
@@ -164,7 +164,7 @@ def part_payloads(
             out.append(
                 PartPayload(
                     part,
-                    mesh_to_glb(mesh),
+                    mesh_to_glb(mesh, matt=True),
                     None,
                     None,
                     mesh.vertices.astype(np.float32),

@@ -205,9 +205,14 @@ def _geom_mesh(model: Any, g: int) -> Mesh | None:
     """A geom's triangles in its own frame; None for planes, height fields and the like."""
     from trimesh import creation
 
-    rgba = model.geom_rgba[g]
-    if model.geom_matid[g] >= 0:
-        rgba = model.mat_rgba[model.geom_matid[g]]
+    rgba, metallic, roughness = model.geom_rgba[g], None, None
+    look = int(model.geom_matid[g])
+    if look >= 0:
+        rgba = model.mat_rgba[look]
+        metallic, roughness = (  # -1 is MuJoCo's for what isn't said
+            None if value < 0 else min(float(value), 1.0)
+            for value in (model.mat_metallic[look], model.mat_roughness[look])
+        )
     color = tuple(int(v) for v in np.clip(np.round(255 * rgba), 0, 255))
     kind, (a, b, c) = int(model.geom_type[g]), (float(v) for v in model.geom_size[g])
     if kind == 7:
@@ -228,7 +233,8 @@ def _geom_mesh(model: Any, g: int) -> Mesh | None:
         else:
             return None
         vertices, faces = np.asarray(made.vertices), np.asarray(made.faces)
-    return Mesh(vertices, faces.astype(np.int32), materials=(Material("mjcf", color),))  # type: ignore[arg-type]
+    material = Material("mjcf", color, None, metallic, roughness)  # type: ignore[arg-type]
+    return Mesh(vertices, faces.astype(np.int32), materials=(material,))
 
 
 def _mesh_arrays(model: Any, mesh: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:

@@ -184,6 +184,9 @@ class _Writer:
         if look.texture is not None and piece.uv is not None:
             made.set("texture", self._texture(look))
             color = np.array([1.0, 1.0, 1.0, color[3]])
+        for key, value in (("metallic", look.metallic), ("roughness", look.roughness)):
+            if value is not None:
+                made.set(key, f"{value:.4g}")
         made.set("rgba", " ".join(f"{v:.4g}" for v in color))
         return name
 

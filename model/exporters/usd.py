@@ -37,6 +37,7 @@ NAME_KEY = "artiworld:name"
 """Custom data of links and joints: their own names, which USD's identifiers may not hold."""
 
 FloatArray = npt.NDArray[np.float64]
+_ROUGHNESS = 0.6  # of materials that don't say
 
 
 class UsdExporter:
@@ -190,7 +191,7 @@ class _Writer:
 
     def _look(self, material: Material) -> Any:
         picture = None if material.texture is None else self._picture(material)
-        key = (material.base_color, picture)
+        key = (material.base_color, picture, material.metallic, material.roughness)
         if key in self.looks:
             return self.looks[key]
         types, shade = self.Sdf.ValueTypeNames, self.UsdShade
@@ -202,7 +203,10 @@ class _Writer:
         color = surface.CreateInput("diffuseColor", types.Color3f)
         color.Set(self.Gf.Vec3f(*(c**2.2 for c in rgb)))
         surface.CreateInput("opacity", types.Float).Set(alpha)
-        surface.CreateInput("roughness", types.Float).Set(0.6)
+        roughness = _ROUGHNESS if material.roughness is None else material.roughness
+        surface.CreateInput("roughness", types.Float).Set(roughness)
+        if material.metallic is not None:
+            surface.CreateInput("metallic", types.Float).Set(material.metallic)
         if picture is not None:
             reader = shade.Shader.Define(self.stage, f"{path}/st")
             reader.CreateIdAttr("UsdPrimvarReader_float2")

@@ -1,6 +1,7 @@
 """Assets on disk as memory-mapped arrays, so that processes share them and reopening is instant.
 
-A folder holds ``asset.json`` (format version 1), one ``.npy`` file an array, and the textures.
+A folder holds ``asset.json`` (format version 2), one ``.npy`` file an array, and the textures.
+Version 1 lacks metallic and roughness: such copies are made again from their source.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from model.geometry.formats.textures import TextureError, encode, open_texture
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _META = "asset.json"
 _MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
 _CLOUD = ("points", "normals", "colors")
@@ -97,6 +98,8 @@ def _write_materials(materials: tuple[Material, ...], folder: Path) -> list[dict
                 "name": m.name,
                 "base_color": list(m.base_color),
                 "texture": None if m.texture is None else files[id(m.texture)],
+                "metallic": m.metallic,
+                "roughness": m.roughness,
             }
         )
     return out
@@ -194,5 +197,6 @@ def _read_materials(rows: list[dict[str, Any]], folder: Path) -> tuple[Material,
             textures[name] = open_texture(folder / Path(name).name)
         red, green, blue, alpha = row["base_color"]
         texture = None if name is None else textures[name]
-        out.append(Material(row["name"], (red, green, blue, alpha), texture))
+        color = (red, green, blue, alpha)
+        out.append(Material(row["name"], color, texture, row["metallic"], row["roughness"]))
     return tuple(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,23 @@ from model.geometry.mesh import Material, Mesh
 from model.geometry.shading import corner_normals
 
 Array = npt.NDArray[Any]
-_ROUGHNESS = 0.9
+METALLIC, ROUGHNESS = 0.0, 0.9
+"""Of materials that don't say."""
 _MIME = {".jpg": "image/jpeg", ".png": "image/png"}
 
 
 def mesh_to_glb(
-    mesh: Mesh, *, y_up: bool = False, smooth: bool = True, max_texture: int | None = None
+    mesh: Mesh,
+    *,
+    y_up: bool = False,
+    smooth: bool = True,
+    max_texture: int | None = None,
+    matt: bool = False,
 ) -> bytes:
     """``mesh`` as a GLB file; the same mesh gives the same bytes.
 
-    Surfaces are non-metallic, rough and double-sided. Colours are brought from sRGB to the linear
-    values that glTF wants.
+    Surfaces are double-sided, and non-metallic and rough where their material doesn't say. Colours
+    are brought from sRGB to the linear values that glTF wants.
 
     Args:
         mesh: needs a face.
@@ -33,8 +40,13 @@ def mesh_to_glb(
             which is what a browser scene that is +z up itself wants.
         smooth: with normals that are smooth but for creases; else viewers shade each face flat.
         max_texture: shrink textures whose longer side has more pixels.
+        matt: take all for non-metallic and rough: for a screen where colours are to be seen, and
+            metal without surroundings to reflect would be black.
     """
     builder = _Builder()
+    if matt:
+        plain = tuple(replace(m, metallic=None, roughness=None) for m in mesh.materials)
+        mesh = replace(mesh, materials=plain)
     look = _looks(mesh)[mesh.face_material]
     for i in np.unique(look):
         builder.material(mesh.materials[i], mesh.vertex_colors is not None, max_texture)
@@ -45,7 +57,7 @@ def mesh_to_glb(
 def _looks(mesh: Mesh) -> Array:
     """The first material that looks like each one: fewer primitives draw faster."""
     first: dict[tuple[Any, ...], int] = {}
-    keys = [(m.base_color, id(m.texture)) for m in mesh.materials]
+    keys = [(m.base_color, id(m.texture), m.metallic, m.roughness) for m in mesh.materials]
     return np.array([first.setdefault(key, i) for i, key in enumerate(keys)])
 
 
@@ -90,8 +102,8 @@ class _Builder:
         factor = [1.0, 1.0, 1.0, alpha] if colored else [*to_linear(color[:3]).tolist(), alpha]
         surface: dict[str, Any] = {
             "baseColorFactor": [round(float(c), 6) for c in factor],
-            "metallicFactor": 0.0,
-            "roughnessFactor": _ROUGHNESS,
+            "metallicFactor": METALLIC if material.metallic is None else material.metallic,
+            "roughnessFactor": ROUGHNESS if material.roughness is None else material.roughness,
         }
         entry: dict[str, Any] = {
             "name": material.name,

@@ -21,11 +21,15 @@ class Material:
         name: as in the source file.
         base_color: RGBA in 0..255, multiplied with the texture where there is one.
         texture: RGB(A) image, or None.
+        metallic: 0 (none) to 1 (bare metal), or None where the source doesn't say.
+        roughness: 0 (mirror) to 1 (matt), or None where the source doesn't say.
     """
 
     name: str = "material"
     base_color: tuple[int, int, int, int] = (200, 200, 200, 255)
     texture: Image.Image | None = None
+    metallic: float | None = None
+    roughness: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,6 +194,9 @@ def _material_names(materials: tuple[Material, ...]) -> list[str]:
 def _mtl(material: Material, name: str, texture: str | None) -> list[str]:
     red, green, blue, alpha = (c / 255.0 for c in material.base_color)
     out = [f"newmtl {name}\n", f"Kd {red:.6g} {green:.6g} {blue:.6g}\n", f"d {alpha:.6g}\n"]
+    for key, value in (("Pm", material.metallic), ("Pr", material.roughness)):
+        if value is not None:
+            out.append(f"{key} {value:.6g}\n")
     return [*out, f"map_Kd {texture}\n"] if texture is not None else out
 
 

@@ -22,6 +22,7 @@ from model.geometry.formats.loaded import (
     with_plain_colors,
 )
 from model.geometry.formats.srgb import to_srgb
+from model.geometry.formats.textures import left_out
 
 _UNREADABLE = {
     "KHR_draco_mesh_compression": "Draco compression",
@@ -143,7 +144,10 @@ class Gltf:
         if not pieces:
             raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
         out = joined(pieces)
-        return replace(out, warnings=(*dict.fromkeys(self._materials.warnings),))
+        warnings = list(dict.fromkeys(self._materials.warnings))
+        if self._materials.left:
+            warnings.append(left_out(self._materials.left))
+        return replace(out, warnings=tuple(warnings))
 
     def roots(self) -> list[int]:
         """Nodes of the default scene, the last one first."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageStat
 
 from model.errors import InputFileError
 from model.geometry.formats.gltf_buffers import Array, GltfBuffers, Json
@@ -19,10 +20,12 @@ class GltfMaterials:
 
     Attributes:
         warnings: textures that couldn't be used.
+        left: what materials have that :class:`Material` has no place for.
     """
 
     def __init__(self, buffers: GltfBuffers) -> None:
         self.warnings: list[str] = []
+        self.left: set[str] = set()
         self.tree = buffers.tree
         self._buffers = buffers
         self._materials: dict[int | None, Material] = {}
@@ -52,7 +55,25 @@ class GltfMaterials:
         if entry.get("alphaMode", "OPAQUE") == "OPAQUE":
             rgba[3] = 1.0
         color = tuple(int(c) for c in to_srgb(rgba[None])[0])
-        return Material(str(entry.get("name") or f"material_{index}"), color, texture)  # type: ignore[arg-type]
+        name = str(entry.get("name") or f"material_{index}")
+        self.left |= _not_read(entry)
+        return Material(name, color, texture, *self._surface(pbr, old))  # type: ignore[arg-type]
+
+    def _surface(self, pbr: Json, old: Json) -> tuple[float | None, float | None]:
+        """Metallic and roughness; a map of them becomes its mean."""
+        slot = pbr.get("metallicRoughnessTexture")
+        if old and slot is None and not {"metallicFactor", "roughnessFactor"} & set(pbr):
+            if "specularGlossinessTexture" in old:
+                self.left.add("specular and glossiness map")
+                return 0.0, None
+            return 0.0, 1.0 - _share(old.get("glossinessFactor"))
+        metallic, roughness = (_share(pbr.get(k)) for k in ("metallicFactor", "roughnessFactor"))
+        image = None if slot is None else self._texture(slot["index"])
+        if image is not None:
+            _, green, blue = ImageStat.Stat(image.convert("RGB")).mean
+            metallic, roughness = metallic * blue / 255.0, roughness * green / 255.0
+            self.warnings.append("a map of metallic and roughness became its mean")
+        return metallic, roughness
 
     def uv_set(self, material: int | None) -> str:
         """The attribute with the texture coordinates of a material that was asked for before."""
@@ -93,6 +114,21 @@ class GltfMaterials:
                 self.warnings.append(f"texture not used: {problem}")
                 self._images[source] = None
         return self._images[source]
+
+
+def _share(value: Any) -> float:
+    """A factor of 0..1; what isn't there or is no number is 1, as the standard has it."""
+    if isinstance(value, int | float) and math.isfinite(value):
+        return min(max(float(value), 0.0), 1.0)
+    return 1.0
+
+
+def _not_read(entry: Json) -> set[str]:
+    left = {
+        f"{kind} map" for kind in ("normal", "occlusion", "emissive") if f"{kind}Texture" in entry
+    }
+    glows = any(entry.get("emissiveFactor") or ()) and "emissiveTexture" not in entry
+    return left | {"emissive"} if glows else left
 
 
 def as_dict(value: Any) -> Json:

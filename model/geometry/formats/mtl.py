@@ -11,7 +11,7 @@ from PIL import Image
 from model.errors import InputFileError
 from model.geometry.formats.loaded import WHITE, read_bytes
 from model.geometry.formats.references import ReferenceRefused, resolve
-from model.geometry.formats.textures import TextureError, open_texture
+from model.geometry.formats.textures import TextureError, left_out, open_texture
 from model.geometry.mesh import Material
 
 _MAX_MTL = 64 << 20
@@ -19,6 +19,10 @@ _MAX_MTL = 64 << 20
 _OPTIONS = {
     "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1,
     "-clamp": 1, "-bm": 1, "-imfchan": 1, "-type": 1, "-cc": 1,
+}  # fmt: skip
+_LEFT_OUT = {
+    "norm": "normal map", "map_bump": "normal map", "bump": "normal map",
+    "map_ke": "emissive", "map_pm": "metallic map", "map_pr": "roughness map",
 }  # fmt: skip
 _NUMBER = re.compile(r"^[-+]?[0-9.]+([eE][-+]?\d+)?$")
 
@@ -83,6 +87,7 @@ class MaterialFiles:
 
     def _parse(self, text: str, path: Path, warnings: list[str]) -> dict[str, Material]:
         out: dict[str, Material] = {}
+        left: set[str] = set()
         name, rows = None, dict[str, str]()
         for line in [*text.splitlines(), "newmtl"]:
             words = line.split("#")[0].strip().split(None, 1)
@@ -92,9 +97,12 @@ class MaterialFiles:
             if key == "newmtl":
                 if name is not None:
                     out[name] = self._material(name, rows, path, warnings)
+                    left |= _not_read(rows)
                 name, rows = words[1].strip() if len(words) > 1 else "", {}
             elif len(words) > 1:
                 rows.setdefault(key, words[1].strip())
+        if left:
+            warnings.append(left_out(left))
         return out
 
     def _material(
@@ -117,7 +125,8 @@ class MaterialFiles:
         rgba = (*rgb, alpha)
         red, green, blue, opacity = (round(255 * min(max(c, 0.0), 1.0)) for c in rgba)
         color = WHITE if texture is not None and opacity == 255 else (red, green, blue, opacity)
-        return Material(name or "material", color, texture)
+        metallic, roughness = (_share(rows.get(key, "")) for key in ("pm", "pr"))
+        return Material(name or "material", color, texture, metallic, roughness)
 
     def _texture(self, reference: str, path: Path, warnings: list[str]) -> Image.Image | None:
         target = self._existing(reference, path.parent, "texture", warnings)
@@ -145,6 +154,17 @@ def _map_file(value: str) -> str:
             at += 1
             room -= 1
     return " ".join(words[at:]).strip()
+
+
+def _not_read(rows: dict[str, str]) -> set[str]:
+    """What a material has that :class:`Material` has no place for."""
+    left = {what for key, what in _LEFT_OUT.items() if key in rows}
+    return left | {"emissive"} if any(_floats(rows.get("ke", ""), 3) or ()) else left
+
+
+def _share(text: str) -> float | None:
+    found = _floats(text, 1)
+    return None if found is None else min(max(found[0], 0.0), 1.0)
 
 
 def _floats(text: str, count: int) -> tuple[float, ...] | None:

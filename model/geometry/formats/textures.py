@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from pathlib import Path
 
 from PIL import Image
@@ -39,6 +40,11 @@ def decode(data: bytes, what: str) -> Image.Image:
     if suffix:
         setattr(out, _ATTRIBUTE, (data, suffix))
     return out
+
+
+def left_out(what: Iterable[str]) -> str:
+    """The remark on what materials of a file have and nobody keeps."""
+    return f"left out of its materials: {', '.join(sorted(set(what)))}"
 
 
 def open_texture(path: Path) -> Image.Image:

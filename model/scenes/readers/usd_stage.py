@@ -240,24 +240,29 @@ class _Stage:
         linear = np.asarray(shown if shown else (), np.float64).reshape(-1, 3)
         if len(linear) == len(points) and len(points) > 1:
             return Loaded(points, faces, colors=colors_from(to_srgb(np.clip(linear, 0, 1))))
-        one = self._surface(prim)
+        one = self._input(prim, "diffuseColor")
         if one is None and len(linear):
             one = linear[0]
         if one is None or not np.isfinite(one).all():
             return Loaded(points, faces)
         rgb = to_srgb(np.clip(np.asarray([one], np.float64), 0, 1))[0]
         color = (int(rgb[0]), int(rgb[1]), int(rgb[2]), 255)
-        material = Material(str(prim.GetName()), color)
+        material = Material(str(prim.GetName()), color, None, *self._shine(prim))
         return Loaded(points, faces, face_material=np.zeros(len(faces), np.int32),
                       materials=(material,))  # fmt: skip
 
-    def _surface(self, prim: Any) -> Any:
-        """The plain diffuse colour of the bound preview surface, or None."""
+    def _shine(self, prim: Any) -> list[float | None]:
+        """Metallic and roughness of the bound preview surface."""
+        found = [self._input(prim, name) for name in ("metallic", "roughness")]
+        return [float(v) if isinstance(v, int | float) and 0 <= v <= 1 else None for v in found]
+
+    def _input(self, prim: Any, name: str) -> Any:
+        """A plain value of the bound preview surface, or None."""
         bound, _ = self.shade.MaterialBindingAPI(prim).ComputeBoundMaterial()
         if not bound:
             return None
         surface = bound.ComputeSurfaceSource()[0]
-        slot = surface.GetInput("diffuseColor") if surface else None
+        slot = surface.GetInput(name) if surface else None
         return slot.Get() if slot and not slot.HasConnectedSource() else None
 
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from pxr import Usd, UsdGeom, UsdPhysics
+from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
+from model.datasets.mjcf import read_mjcf
 from model.errors import ConfigurationError, InputFileError
 from model.exporters import registry
 from model.exporters.asset_folder import write_asset
@@ -66,7 +67,8 @@ def make_object() -> ArticulatedObject:
     picture = Image.fromarray(rng.integers(0, 255, (4, 4, 3), dtype=np.uint8))
     colored = box_mesh(0.9)
     colors = np.tile(np.array([250, 10, 20, 255], np.uint8), (len(colored.vertices), 1))
-    red, pictured = Material("red", (255, 0, 0, 255)), Material("pic", texture=picture)
+    red = Material("red", (255, 0, 0, 255), metallic=0.75, roughness=0.25)
+    pictured = Material("pic", texture=picture)
     parts = (
         Part("link_0", box_mesh(0, red, pictured, uv=True)),
         Part("door", box_mesh(0.5, pictured, uv=True), name="door"),
@@ -344,6 +346,22 @@ def test_glb_holds_a_shared_texture_once(exported):
     tree, _ = glb_tree(exported["glb"][0])
     assert len(tree["images"]) == 2  # one a part
     assert len({image["bufferView"] for image in tree["images"]}) == 1
+
+
+def test_metallic_and_roughness_are_in_every_format(exported):
+    tree, _ = glb_tree(exported["glb"][0])
+    surfaces = {m["name"]: m["pbrMetallicRoughness"] for m in tree["materials"]}
+    assert [surfaces["red"][f"{k}Factor"] for k in ("metallic", "roughness")] == [0.75, 0.25]
+    model = mujoco.MjModel.from_xml_path(str(exported["mjcf"][0]))
+    assert {0.75, -1.0} == set(model.mat_metallic) and 0.25 in model.mat_roughness
+    assert read_mjcf(exported["mjcf"][0]).object.parts[0].mesh.materials[0].metallic == 0.75
+    for name in ("urdf", "sdf"):
+        mtl = exported[name][0].parent / "meshes" / "link_0.mtl"
+        assert "Pm 0.75\nPr 0.25\n" in mtl.read_text()
+    stage = Usd.Stage.Open(str(exported["usd"][0]))
+    at = f"{stage.GetDefaultPrim().GetPath()}/Looks/red/surface"
+    look = UsdShade.Shader(stage.GetPrimAtPath(at))
+    assert [look.GetInput(n).Get() for n in ("metallic", "roughness")] == [0.75, 0.25]
 
 
 def test_glb_keyframes_never_turn_the_long_way(exported):

@@ -25,7 +25,7 @@ def checker() -> Image.Image:
 
 @pytest.fixture
 def textured(checker: Image.Image) -> Mesh:
-    """A unit cube, half of whose faces are textured and half plain orange."""
+    """A unit cube, half of whose faces are textured and half plain orange, rough metal."""
     cube = trimesh.creation.box((1, 1, 1))
     vertices = cube.vertices[cube.faces.reshape(-1)]
     uv = np.tile(np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75]], np.float32), (12, 1))
@@ -33,7 +33,10 @@ def textured(checker: Image.Image) -> Mesh:
         vertices,
         np.arange(36, dtype=np.int32).reshape(-1, 3),
         np.repeat(np.array([0, 1], np.int32), 6),
-        (Material("tex", (255, 255, 255, 255), checker), Material("orange", (240, 120, 30, 255))),
+        (
+            Material("tex", (255, 255, 255, 255), checker),
+            Material("orange", (240, 120, 30, 255), metallic=0.75, roughness=0.25),
+        ),
         uv,
     )
 

@@ -35,10 +35,12 @@ def test_mesh_with_textures_comes_back(tmp_path: Path, textured: Mesh) -> None:
     for name in ("vertices", "faces", "face_material", "uv"):
         np.testing.assert_array_equal(getattr(got.mesh, name), getattr(textured, name))
     for a, b in zip(got.mesh.materials, textured.materials, strict=True):
-        assert (a.name, a.base_color, a.texture is None) == (
+        assert (a.name, a.base_color, a.texture is None, a.metallic, a.roughness) == (
             b.name,
             b.base_color,
             b.texture is None,
+            b.metallic,
+            b.roughness,
         )
     texture, original = got.mesh.materials[0].texture, textured.materials[0].texture
     np.testing.assert_array_equal(np.asarray(texture), np.asarray(original))
@@ -89,6 +91,9 @@ def test_damaged_and_newer_caches_say_so(tmp_path: Path, cloud: PointCloud) -> N
     meta = json.loads((folder / "asset.json").read_text())
     (folder / "asset.json").write_text(json.dumps(meta | {"version": FORMAT_VERSION + 1}))
     with pytest.raises(InputFileError, match="update ArtiWorld"):
+        load_asset(folder)
+    (folder / "asset.json").write_text(json.dumps(meta | {"version": 1}))
+    with pytest.raises(InputFileError, match="open the source file again"):  # which the app does
         load_asset(folder)
     (folder / "asset.json").write_text(json.dumps(meta))
     points = folder / "cloud_points.npy"

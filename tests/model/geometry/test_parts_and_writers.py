@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -128,13 +129,36 @@ def test_glb_is_what_other_programs_read(textured: Mesh) -> None:
     kinds = {g.visual.material.name: g.visual.material for g in scene.geometry.values()}
     assert set(kinds) == {"tex", "orange"}
     assert kinds["tex"].baseColorTexture is not None
-    for material in kinds.values():
-        assert material.metallicFactor == 0 and material.roughnessFactor == pytest.approx(0.9)
+    for name, want in (("tex", (0, 0.9)), ("orange", (0.75, 0.25))):
+        material = kinds[name]
+        assert (material.metallicFactor, material.roughnessFactor) == pytest.approx(want)
         assert material.doubleSided
     normals = [g.vertex_normals for g in scene.geometry.values()]
     assert all(np.allclose(np.abs(n).max(axis=1), 1, atol=1e-6) for n in normals)
     turned = trimesh.load(io.BytesIO(mesh_to_glb(textured, y_up=True)), file_type="glb")
     assert turned.bounds.shape == (2, 3)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_metal_and_roughness_come_back_from_cut_parts(
+    tmp_path: Path, textured: Mesh, suffix: str
+) -> None:
+    labels = np.repeat(np.array([0, 1], np.int32), 6)
+    for part in split(Asset("cube", mesh=textured), labels):
+        assert part.mesh is not None
+        write_mesh(part.mesh, tmp_path / f"{part.link}{suffix}")
+    plain, shiny = (read_asset(tmp_path / f"link_{i}{suffix}").mesh for i in (0, 1))
+    assert plain is not None and shiny is not None
+    (material,) = shiny.materials
+    assert (material.metallic, material.roughness) == (0.75, 0.25)
+    if suffix == ".obj":  # a material that doesn't say goes on not saying
+        assert plain.materials[0].metallic is None and plain.materials[0].roughness is None
+
+
+def test_a_screen_shows_all_matt(textured: Mesh) -> None:
+    data = mesh_to_glb(textured, matt=True)
+    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    assert {m["pbrMetallicRoughness"]["metallicFactor"] for m in tree["materials"]} == {0.0}
 
 
 def test_glass_is_blended_and_textures_can_shrink(textured: Mesh) -> None:

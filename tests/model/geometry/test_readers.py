@@ -96,6 +96,36 @@ def test_textures_of_obj_and_glb_show_the_same_colours(tmp_path: Path, textured:
         )
 
 
+def test_what_materials_have_beside_colour(tmp_path: Path, checker: Image.Image) -> None:
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    box = trimesh.creation.box((1, 1, 1))
+    shine = Image.new("RGB", (2, 2), (0, 128, 51))  # green is roughness, blue metallic
+    material = PBRMaterial(
+        metallicFactor=0.5, roughnessFactor=1.0, metallicRoughnessTexture=shine,
+        normalTexture=checker, emissiveFactor=[1, 1, 0],
+    )  # fmt: skip
+    box.visual = TextureVisuals(np.zeros((len(box.vertices), 2)), material=material)
+    box.export(tmp_path / "a.glb")
+    asset = read_asset(tmp_path / "a.glb")
+    assert asset.mesh is not None
+    (got,) = asset.mesh.materials
+    assert (got.metallic, got.roughness) == pytest.approx((0.1, 128 / 255))
+    assert asset.warnings == (
+        "a map of metallic and roughness became its mean",
+        "left out of its materials: emissive, normal map",
+    )
+    (tmp_path / "m.mtl").write_text(
+        "newmtl a\nPm 0.75\nPr 2\nmap_Bump -bm 1 n.png\nnewmtl b\nKe 0 0 0\n"
+    )
+    (tmp_path / "a.obj").write_text("mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
+    asset = read_asset(tmp_path / "a.obj")
+    assert asset.mesh is not None
+    assert (asset.mesh.materials[0].metallic, asset.mesh.materials[0].roughness) == (0.75, 1.0)
+    assert asset.warnings == ("left out of its materials: normal map",)
+
+
 def test_texture_from_another_machine_is_found_beside(tmp_path: Path, checker: Image.Image) -> None:
     checker.save(tmp_path / "wood.png")
     (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd -s 1 1 1 C:\\Users\\me\\wood.png\n")
