@@ -404,8 +404,27 @@ def test_check_tells_good_from_bad(cupboards, capfd):
     assert good["collision"]["overlap_at_rest_m"] == 0
     assert good["collision"]["free_kept"] > good["collision"]["free_kept_by_one_hull"]
     assert report["summary"]["fine"] == 1 and report["summary"]["unreadable"] == 1
-    assert main(["check", str(cupboards / "good"), "--format", "glb", "--no-cache"]) == 0
-    assert "1 of 1 are fine" in capfd.readouterr().out
+    words = ["check", str(cupboards / "good"), "--format", "glb", "--no-cache"]
+    assert main(words) == 0
+    assert "1 of 1 can be read back; the gate: 1 fine," in capfd.readouterr().out
+
+
+def test_what_the_gate_calls_broken_is_not_fine(cupboards, capfd):
+    urdf = cupboards / "good" / "object.urdf"
+    text = urdf.read_text()
+    axis = re.search(r'<axis xyz="[^"]+"', text)
+    assert axis is not None
+    urdf.write_text(text.replace(axis.group(), '<axis xyz="1 0 0"'))
+    words = ["check", str(urdf), "--format", "glb", "--no-cache"]
+    assert main([*words, "--json"]) == 1
+    report = json.loads(capfd.readouterr().out)
+    (row,) = report["assets"]
+    assert row["readable"] and not row["fine"] and row["gate"]["verdict"] == "broken"
+    assert report["summary"]["readable"] == 1 and report["summary"]["fine"] == 0
+    assert main([*words, "--allow-broken"]) == 0
+    out = capfd.readouterr().out
+    assert "1 of 1 can be read back; the gate: 0 fine, 0 to look at, 1 broken" in out
+    assert "joint_" in out
 
 
 def test_a_worker_that_crashes_ends_nothing():
