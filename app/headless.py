@@ -109,11 +109,14 @@ def predict(
     category: str | None = None,
     seed: int = 0,
     reading: ReadOptions | None = None,
+    collision: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Predict the joints of a folder of part meshes.
 
     Writes ``object.urdf``, ``tree.json``, ``meshes/``, ``provenance.json`` and ``prediction.json``.
+    Masses are those of the table of materials; there are collision shapes only with ``collision``,
+    as they take long.
 
     Returns:
         What ``prediction.json`` holds.
@@ -122,7 +125,9 @@ def predict(
         ArtiworldError: where the input can't be used.
         NothingPredicted: where the predictor found no tree.
     """
+    from model.collision.store import default_store
     from model.exporters.asset_folder import write_asset
+    from model.exporters.physics import physics_of, plain_physics
     from model.geometry.readers import read_part_files
     from model.predictors import load_predictor
 
@@ -134,19 +139,28 @@ def predict(
     segmented = read_part_files(folder, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
     if category:
         segmented = replace(segmented, category=category)
-    answer = chosen.predict(segmented, seed=seed, progress=part_of(progress, 0.1, 0.8))
+    answer = chosen.predict(segmented, seed=seed, progress=part_of(progress, 0.1, 0.7))
     report = prediction_json(segmented, answer)
     if answer.tree is None:
         write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
-    progress(0.8, f"writing {out}")
     made = ArticulatedObject(segmented.name, segmented.parts, answer.tree, segmented.category)
+    if collision:
+        physics = physics_of(made, store=default_store(), progress=part_of(progress, 0.7, 0.8))
+    else:
+        physics = plain_physics(made)
+    report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
+    report["collision_shapes"] = sum(map(len, physics.collision.values()))
+    progress(0.8, f"writing {out}")
     provenance = {
         "source": str(folder), "predictor": report["backend"], "seed": seed, "versions": versions(),
     }  # fmt: skip
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
-    write_asset(made, out.absolute(), provenance=provenance, progress=part_of(progress, 0.8, 1.0))
+    write_asset(
+        made, out.absolute(), provenance=provenance, physics=physics,
+        progress=part_of(progress, 0.8, 1.0),
+    )  # fmt: skip
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
     return report

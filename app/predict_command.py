@@ -18,6 +18,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts")
     add_client_options(parser, "--token")
     add("--category", metavar="NAME", help="what the object is, such as cabinet")
+    add("--collision", action="store_true",
+        help="make collision shapes too, which takes seconds to a minute")  # fmt: skip
     add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
     add_reading(parser)
     add_json(parser)
@@ -31,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         report = headless.predict(
             args.folder, args.out, predictor=chosen_predictor(args), category=args.category,
             seed=args.seed, reading=headless.ReadOptions(args.up_axis, args.unit_scale),
-            progress=show.progress,
+            collision=args.collision, progress=show.progress,
         )  # fmt: skip
     show.result(report, lambda: printing.joints_table(report, args.out))
     return 0

@@ -115,7 +115,11 @@ def joints_table(report: dict[str, Any], out: Path) -> None:
             limits_text(joint["type"], joint["limits"]),
             "" if sure is None else f"{100 * sure:.0f} %",
         )
-    _print(table, report["problems"], out)
+    shapes = report["collision_shapes"]
+    told = (
+        f"{shapes} collision shapes" if shapes else "no collision shapes (--collision makes them)"
+    )
+    _print(table, report["problems"], out, f"{report['kilograms']:.3g} kg, {told}")
 
 
 def files_table(report: dict[str, Any], out: Path) -> None:
@@ -163,11 +167,13 @@ def _vector(values: list[float]) -> str:
     return " ".join(f"{v + 0.0:.3f}" for v in values)
 
 
-def _print(table: object, problems: list[str], out: Path) -> None:
+def _print(table: object, problems: list[str], out: Path, more: str = "") -> None:
     from rich.text import Text
 
     target = console()
     target.print(table)
     for problem in problems:
         target.print(Text(f"note: {problem}", "yellow"))
+    if more:
+        target.print(Text(more))
     target.print(Text(f"written to {out}"))

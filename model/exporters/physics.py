@@ -90,7 +90,12 @@ def physics_of(
 
 
 def plain_physics(obj: ArticulatedObject) -> Physics:
-    """Masses of filled hulls, no collision shapes, the usual dynamics: at once, for previews."""
+    """Masses by the table that ships, no collision shapes, the usual dynamics."""
+    return physics_of(obj, PhysicsSettings(collision=None))
+
+
+def rough_physics(obj: ArticulatedObject) -> Physics:
+    """Masses of filled hulls, no collision shapes, the usual dynamics: for driving joints alone."""
     settings = PhysicsSettings(collision=None)
     dynamics = {
         j.name: settings.turning if j.rotates else settings.sliding

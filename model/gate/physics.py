@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.shapes import hull_of_shape
-from model.exporters.physics import Physics, plain_physics
+from model.exporters.physics import Physics, rough_physics
 from model.gate.physics_report import PhysicsReport, Stop
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
@@ -60,7 +60,7 @@ def run_physics(
         return PhysicsReport(False, "MuJoCo is not installed: pip install 'artiworld[physics]'")
     mujoco: Any = importlib.import_module("mujoco")
     joints = [j for j in obj.tree.joints if _drivable(j)]
-    physics = physics or plain_physics(obj)
+    physics = physics or rough_physics(obj)
     shapes = sum(len(held) for held in physics.collision.values())
     if not joints:
         return PhysicsReport(True, shapes=shapes)

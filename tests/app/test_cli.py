@@ -302,6 +302,24 @@ def test_predict_keeps_other_peoples_files(parts, tmp_path):
     assert_users_mistake(artiworld("predict", parts, "--out", parts), "--out")
 
 
+def test_predict_and_export_agree_on_the_mass(segmented, tmp_path, capfd):
+    parts = str(segmented[0])
+    assert main(["predict", parts, "--out", str(tmp_path / "a")]) == 0
+    assert "no collision shapes (--collision makes them)" in capfd.readouterr().out
+    assert main(["predict", parts, "--out", str(tmp_path / "b"), "--collision", "--json"]) == 0
+    report = json.loads(capfd.readouterr().out)
+    assert (
+        main(["export", str(tmp_path / "a"), "--format", "urdf", "--out", str(tmp_path / "c")]) == 0
+    )
+    plain, shaped, exported = (
+        (tmp_path / name / "object.urdf").read_text() for name in ("a", "b", "c")
+    )
+    masses = [re.findall(r'<mass value="[^"]+"', text) for text in (plain, shaped, exported)]
+    assert masses[0] == masses[1] == masses[2]
+    assert "<collision>" not in plain and shaped.count("<collision>") == report["collision_shapes"]
+    assert report["kilograms"] > 0
+
+
 def test_unknown_names_tell_the_known_ones(parts, scan, tmp_path):
     done = artiworld("predict", parts, "--out", tmp_path / "o", "--predictor", "magic")
     assert_users_mistake(done, "magic", "geometric")
