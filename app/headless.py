@@ -87,9 +87,16 @@ def segment(
 
 
 def _problems(asset: Asset, file: PromptFile, parts: Sequence[Part]) -> list[str]:
+    from model.geometry.units import UNITS, odd_size
+
     found = {part.link for part in parts}
     missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
-    return [*asset.warnings, *(f"part {i} got no {asset.element_kind}" for i in missing)]
+    out = [*asset.warnings, *(f"part {i} got no {asset.element_kind}" for i in missing)]
+    odd = odd_size(asset.bounds, asset.source.unit_scale if asset.source else 1.0)
+    if odd is not None:
+        remedy = "" if odd.unit is None else f" If so, give --unit-scale {UNITS[odd.unit]:g}"
+        out.append(odd.question + remedy)
+    return out
 
 
 def _source_json(asset: Asset, scan: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from app.open_object import OpenObject
 from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
 from app.viewer.quick_names import QuickNames
+from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
 from model.segmentation.nodes import ROOM_METRES
 from model.segmentation.prompts import BASE, Click
@@ -79,6 +80,7 @@ class AnnotatePanel:
         self._drawn: Any = None
         gui = app.client.gui
         self._hint = gui.add_markdown("")
+        self._unit = UnitHint(app)
         self._category = gui.add_dropdown(
             "Category", (NONE, *palette.CATEGORIES, OTHER), initial_value=NONE
         )
@@ -278,11 +280,14 @@ class AnnotatePanel:
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and np.ptp(obj.asset.bounds[:, :2], axis=0).max() > ROOM_METRES
+        odd = self._unit.draw(obj)
         if self._app.picking_out:
             text = (
                 f"**Part {self._app.part}** is what is taken out. Things side by side with one "
                 "front: **K**, then two clicks, one above the other, cut them apart."
             )
+        elif odd is not None:
+            text = f"**{odd}**"
         elif wide and doc.left_out is None and not doc.prompts:
             text = (
                 "**A room?** Leave out the floor and the walls first (*Room or table top*, below). "

@@ -9,12 +9,11 @@ from app.open_object import OpenObject
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
+from model.geometry.units import UNITS
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
-
-UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 
 
 class SourcePanel:

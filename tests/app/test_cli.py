@@ -16,6 +16,7 @@ import pytest
 import trimesh
 import yourdfpy
 
+from app import headless
 from app.batch import Crashed, run_all
 from app.cli import main
 from model.errors import KinematicsError
@@ -165,6 +166,15 @@ def test_segment_says_what_it_did(segmented):
     assert report["source"]["count"] == sum(part["count"] for part in report["parts"])
     assert len(report["source"]["sha256"]) == 64
     assert report["segmenter"] and report["problems"] == []
+
+
+def test_segment_asks_about_a_file_in_millimetres(tmp_path):
+    mesh = trimesh.util.concatenate(cupboard())
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "scan.stl")
+    prompts = write_prompts(tmp_path / "p.json", {"regions": [{"part": 1, "elements": [0, 1]}]})
+    report = headless.segment(tmp_path / "scan.stl", prompts, tmp_path / "out", segmenter="nearest")
+    assert "is the file in millimetres? If so, give --unit-scale 0.001" in report["problems"][-1]
 
 
 def test_predict_takes_what_segment_wrote(segmented, tmp_path):

@@ -353,6 +353,14 @@ def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet
     size = tab.app.object.asset.bounds[1] - tab.app.object.asset.bounds[0]
     np.testing.assert_allclose(size, before[[0, 2, 1]] * 0.001, rtol=1e-6)
     assert not tab.document.prompts
+    tab.page.get_by_text("0.8 mm wide: is the file in metres?").wait_for()
+    tab.button("Yes, it is in metres").click()
+    wait_until(
+        lambda: tab.app.object.asset is not None and tab.app.object.asset.unit_scale == 1.0,
+        "the file is in metres",
+    )
+    wait_until(lambda: not tab.button("Yes, it is in metres").count(), "there is nothing to ask")
+    tab.page.keyboard.press("Control+z")
     tab.page.keyboard.press("Control+z")
     wait_until(lambda: len(tab.document.prompts) == 1, "undo brings the old reading back")
     wait_until(
