@@ -125,13 +125,11 @@ def read_asset(
 
 def _load(path: Path, max_bytes: int, files: MaterialFiles | None = None) -> Loaded:
     reader = _READERS.get(path.suffix.lower())
+    if not path.exists():
+        raise InputFileError(path, "no such file", "check the path")
     if reader is None:
-        raise InputFileError(
-            path,
-            f"files of type {path.suffix or 'none'!r} can't be opened" if path.exists()
-            else "no such file",
-            f"use one of {', '.join(SUFFIXES)}",
-        )  # fmt: skip
+        what = f"files of type {path.suffix!r}" if path.suffix else "files without a suffix"
+        raise InputFileError(path, f"{what} can't be opened", f"use one of {', '.join(SUFFIXES)}")
     if reader is read_obj and files is not None:
         return read_obj(path, max_bytes, files=files)
     return reader(path, max_bytes)
@@ -264,7 +262,7 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     for path in map(Path, paths):
         if not path.exists():
             raise InputFileError(path, "no such file or folder", "check the path")
-        found = _search(path) if path.is_dir() else [path]
+        found = _search(path, set()) if path.is_dir() else [path]
         if not found:
             raise InputFileError(
                 path, "nothing in it can be opened", f"looked for {', '.join(FOLDER_SUFFIXES)}"
@@ -273,10 +271,12 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     return list(dict.fromkeys(out))
 
 
-def _search(folder: Path, seen: frozenset[Path] = frozenset()) -> list[Path]:
+def _search(folder: Path, seen: set[Path]) -> list[Path]:
+    """What can be opened in ``folder``, but for folders in ``seen``, which takes up all visited."""
     real = folder.resolve()
-    if real in seen:  # a link back up
+    if real in seen:  # a link back up, or another name of a folder
         return []
+    seen.add(real)
     if (folder / MOBILITY).is_file() or is_part_folder(folder, FOLDER_SUFFIXES):
         return [folder]
     out: list[Path] = []
@@ -288,7 +288,7 @@ def _search(folder: Path, seen: frozenset[Path] = frozenset()) -> list[Path]:
         if entry.name.startswith("."):
             continue
         if entry.is_dir():
-            out.extend(_search(entry, seen | {real}))
+            out.extend(_search(entry, seen))
         elif entry.suffix.lower() in FOLDER_SUFFIXES and entry.is_file():
             out.append(entry)
     return out

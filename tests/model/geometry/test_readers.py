@@ -322,6 +322,19 @@ def test_find_assets(tmp_path: Path, ball: Mesh, cloud: PointCloud) -> None:
     assert names == ["b/mesh.obj", "b/scan_2.ply", "b/scan_10.ply", "obj", "x.ply"]
 
 
+def test_folders_with_many_names_are_searched_once(tmp_path: Path, ball: Mesh) -> None:
+    above = tmp_path / "0"
+    above.mkdir()
+    for level in range(1, 25):  # each links to the next by two names: 2^24 ways down
+        folder = tmp_path / str(level)
+        folder.mkdir()
+        for name in ("a", "b"):
+            (above / name).symlink_to(folder)
+        above = folder
+    write_mesh(ball, above / "ball.ply")
+    assert [p.name for p in find_assets([tmp_path / "0"])] == ["ball.ply"]
+
+
 def test_the_same_bytes_have_the_same_digest(tmp_path: Path, cloud: PointCloud) -> None:
     import hashlib
 
