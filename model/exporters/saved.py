@@ -52,11 +52,15 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     Raises:
         InputFileError: for anything else, or a damaged file in it.
     """
-    from model.geometry.readers import read_asset
+    from model.geometry.readers import SUFFIXES, read_asset
 
     path = Path(asset)
     recover(path)
     if path.is_file():
+        if path.suffix.lower() in SUFFIXES:
+            raise InputFileError(
+                path, "is no URDF", "run artiworld segment and predict on it first, or serve it"
+            )
         return read_urdf(path, progress=progress)
     if not (path / URDF).is_file():
         raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")

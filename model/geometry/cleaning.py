@@ -18,6 +18,7 @@ MIN_POINTS = 4
 """Fewest points that span a body."""
 
 _FAR = 1e4  # metres from the origin where float32 counts in millimetres
+_AS_POINTS = "; taken as points"
 _FARTHEST = 1e9  # metres; beyond lie damaged numbers, not objects
 
 
@@ -153,7 +154,7 @@ def _solid(loaded: Loaded) -> Loaded:
     t = loaded.vertices[loaded.faces]
     cross = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
     if not cross.any():
-        warning = f"none of its {len(loaded.faces)} faces has an area; taken as points"
+        warning = f"none of its {len(loaded.faces)} faces has an area{_AS_POINTS}"
         return replace(
             loaded, faces=loaded.faces[:0], face_material=loaded.face_material[:0],
             warnings=(*loaded.warnings, warning),
@@ -173,6 +174,9 @@ def _points(path: Path, loaded: Loaded) -> Loaded:
     count = len(loaded.vertices)
     if count < MIN_POINTS:
         what = "a single point" if count == 1 else f"{count} points"
+        flat = [w.removesuffix(_AS_POINTS) for w in loaded.warnings if w.endswith(_AS_POINTS)]
+        if flat:
+            raise InputFileError(path, f"{flat[0]}, they lie in {what}", "export the object again")
         raise InputFileError(
             path,
             f"holds {what} and no faces" if count else "holds neither points nor faces",

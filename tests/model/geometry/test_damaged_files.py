@@ -103,6 +103,11 @@ def test_mesh_without_faces_is_a_cloud(tmp_path: Path) -> None:
     (tmp_path / "c.obj").write_text(TRIANGLE + "v 0 0 1\nf 1 1 1\nf 2 2 3\n")
     asset = read_asset(tmp_path / "c.obj")
     assert asset.element_kind == "point" and "none of its 2 faces" in asset.warnings[0]
+    (tmp_path / "d.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    refused(tmp_path / "d.obj", "none of its 1 faces has an area")
+    refused(tmp_path / "gone", "no such file; check the path")
+    (tmp_path / "bare").write_text("x")
+    refused(tmp_path / "bare", "files without a suffix can't be opened")
 
 
 def test_missing_and_broken_materials_are_warnings(tmp_path: Path) -> None:
