@@ -52,9 +52,19 @@ def _load(visual: UrdfVisual) -> tuple[Mesh | None, PointCloud | None]:
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
     asset = read_asset(visual.file, up_axis="z")
     mesh = asset.mesh
-    if mesh is not None and visual.color is not None and visual.file.suffix.lower() == ".stl":
+    if mesh is not None and visual.color is not None and _plain(mesh):
         mesh = replace(mesh, materials=(Material("urdf", visual.color),) * len(mesh.materials))
     return mesh, None if mesh is not None else asset.cloud
+
+
+def _plain(mesh: Mesh) -> bool:
+    """Whether its file says nothing of its looks: an STL, a PLY without colours, an OBJ without
+    materials. A URDF's colour is for such, and for no others."""
+    unsaid = Material()
+    return mesh.vertex_colors is None and all(
+        m.texture is None and m.base_color == unsaid.base_color and m.metallic is None
+        for m in mesh.materials
+    )
 
 
 def _primitive(

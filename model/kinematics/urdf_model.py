@@ -85,10 +85,26 @@ class UrdfModel:
         return ArticulatedObject(self.name, tuple(parts), self.tree)
 
 
+PACKAGE = "package.xml"
+"""What marks the folder of a ROS package."""
+_LEVELS = 4
+
+
+def package_root(path: Path) -> Path:
+    """The folder of the ROS package that a URDF belongs to, else the URDF's own folder.
+
+    It is the nearest of the URDF's folder and the few above it that holds a ``package.xml``.
+    """
+    own = path.absolute().parent
+    above = (own, *own.parents)[:_LEVELS]
+    return next((folder for folder in above if (folder / PACKAGE).is_file()), path.parent)
+
+
 def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
     """A mesh reference as a path inside ``root``.
 
-    ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``folder``.
+    ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``root``, then in
+    ``folder``.
 
     Raises:
         ReferenceRefused: for an empty, absolute or remote reference, or one that leaves ``root``.
@@ -97,7 +113,8 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
     if not text.startswith("package://"):
         return resolve(text, folder, root)
     whole = text.removeprefix("package://")
-    inside = [resolve(t, folder, root) for t in (whole.partition("/")[2], whole) if t]
+    texts = [text for text in (whole.partition("/")[2], whole) if text]
+    inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
     if not inside:
         raise ReferenceRefused(f"{filename!r} is no file name")
     return next((p for p in inside if p.exists()), inside[0])

@@ -17,7 +17,7 @@ from model.geometry.formats.references import ReferenceRefused
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, JointType, Mimic
 from model.kinematics.tree import KinematicTree, tree_problems
-from model.kinematics.urdf_model import UrdfModel, UrdfVisual, resolve_mesh
+from model.kinematics.urdf_model import UrdfModel, UrdfVisual, package_root, resolve_mesh
 from model.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ _LOG = logging.getLogger(__name__)
 
 MAX_BYTES = 64 * 2**20
 """No honest URDF is larger; its meshes lie beside it."""
+LARGEST = 1e6
+"""Metres of a size or an offset; with more, numbers are damaged and sums of them overflow."""
 _MOVING: dict[str, JointType] = {
     "revolute": "revolute",
     "continuous": "continuous",
@@ -42,7 +44,8 @@ def read_urdf(
 
     Args:
         path: the URDF.
-        root: the folder that mesh paths must not leave; the URDF's own folder by default.
+        root: the folder that mesh paths must not leave; by default that of the ROS package around
+            the URDF (``urdf_model.package_root``), else the URDF's own.
         progress: told of each link.
 
     Raises:
@@ -61,19 +64,21 @@ def read_urdf_model(
 
     - Axes are normalised; limits stay as they are, as other readers have it.
     - Planar and floating joints become fixed; ``notes`` says so.
+    - Numbers that are separated by commas are read; ``notes`` says so.
     - Where no link has a visual, the collision geometry is taken.
     - A link without geometry is a helper; it is renamed where its name begins with ``link_``.
 
     Args:
         path, root: as :func:`read_urdf`.
         lenient: joints with wrong values become fixed ones and are named in ``faulty``, for
-            scoring what others wrote; everything else is an error as ever.
+            scoring what others wrote; numbers with commas are wrong there, as simulators don't
+            take them. Everything else is an error as ever.
 
     Raises:
         InputFileError: as :func:`read_urdf`.
     """
     path = Path(path)
-    return _Reader(path, Path(root) if root is not None else path.parent, lenient).read()
+    return _Reader(path, Path(root) if root is not None else package_root(path), lenient).read()
 
 
 class _Reader:
@@ -87,6 +92,7 @@ class _Reader:
         self.problems: list[str] = []
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
+        self.commas = False
 
     def read(self) -> UrdfModel:
         robot = _parse(self.path)
@@ -148,7 +154,7 @@ class _Reader:
         text = None if element is None else element.get(attribute)
         if element is None or text is None:
             return np.array(default, dtype=np.float64)
-        words, values = text.split(), []
+        words, values = self._words(element, attribute, text, count), []
         for word in words:
             try:
                 values.append(float(word))
@@ -166,6 +172,24 @@ class _Reader:
             return np.array(default, dtype=np.float64)
         return np.array(values)
 
+    def _words(self, element: Element, attribute: str, text: str, count: int) -> list[str]:
+        """The numbers' texts. A comma after each but the last is taken for a blank, and noted;
+        one anywhere else may be a decimal comma or a slip, and stays a mistake."""
+        pieces = [piece.strip() for piece in text.split(",")]
+        if (
+            self.lenient
+            or not 1 < count == len(pieces)
+            or any(len(piece.split()) != 1 for piece in pieces)
+        ):
+            return text.split()
+        if not self.commas:
+            self.commas = True
+            self.notes.append(
+                f"numbers are separated by commas, as in {attribute}={text!r} of <{element.tag}>; "
+                "they were read as if by blanks"
+            )
+        return pieces
+
     def _number(self, element: Element | None, attribute: str, default: float, where: str) -> float:
         return float(self._numbers(element, attribute, 1, [default], where)[0])
 
@@ -174,6 +198,9 @@ class _Reader:
         out = np.eye(4)
         out[:3, :3] = rotation_from_rpy(self._numbers(origin, "rpy", 3, [0, 0, 0], where))
         out[:3, 3] = self._numbers(origin, "xyz", 3, [0, 0, 0], where)
+        if np.abs(out[:3, 3]).max() > LARGEST:
+            self.problems.append(f"{where}: an origin can be {LARGEST:g} m away at most")
+            out[:3, 3] = 0.0
         return out
 
     # -- joints ----------------------------------------------------------------------------------
@@ -296,6 +323,8 @@ class _Reader:
         if shape.tag == "mesh":
             file = self._resolve(shape.get("filename", ""), where)
             scale = self._numbers(shape, "scale", 3, [1, 1, 1], where)
+            if np.abs(scale).max() > LARGEST:
+                self.problems.append(f"{where}: a mesh's scale can be {LARGEST:g} at most")
             if file is None:
                 return None
             return UrdfVisual(link, name, pose @ np.diag([*scale, 1.0]), file, None, color)
@@ -312,6 +341,11 @@ class _Reader:
             return None
         if min(sizes) <= 0:
             self.problems.append(f"{where}: <{shape.tag}> needs sizes above 0, got {sizes}")
+            return None
+        if max(sizes) > LARGEST:
+            self.problems.append(
+                f"{where}: <{shape.tag}> needs sizes of {LARGEST:g} m at most, got {sizes}"
+            )
             return None
         return UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
 

@@ -394,6 +394,19 @@ def test_a_bare_urdf_can_be_exported(exported, tmp_path, obj):
     assert mujoco_problems(files[0], obj, settings(obj)) == []
 
 
+@pytest.mark.parametrize("name", ["urdf", "ros"])
+def test_every_urdf_that_is_written_can_be_exported_again(exported, tmp_path, obj, name):
+    (urdf,) = [f for f in exported[name] if f.suffix == ".urdf"]
+    files = export(urdf, "glb", tmp_path / "g")
+    assert read_back("glb", files[0], obj, configurations=1).problems == ()
+
+
+def test_a_mesh_is_no_asset(tmp_path):
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "chair.glb")
+    with pytest.raises(InputFileError, match=r"is no URDF.*segment and predict"):
+        export(tmp_path / "chair.glb", "urdf", tmp_path / "x")
+
+
 def test_unknown_formats_name_the_known_ones(asset, tmp_path):
     with pytest.raises(ConfigurationError, match=r"'usdz'.*urdf, mjcf, glb"):
         export(asset, "usdz", tmp_path / "x")

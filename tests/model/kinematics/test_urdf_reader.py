@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import yourdfpy
 
 from model.errors import InputFileError
@@ -202,6 +204,15 @@ BAD = {
     "empty": ("", ["well-formed"]),
     "unknown geometry": (robot(links("a", geometry="<torus/>")), ["link 'a'", "<torus>"]),
     "no geometry": (robot('<link name="a"><visual/></link>'), ["link 'a'", "no geometry"]),
+    "huge size": (robot(links("a", geometry='<box size="1 1e300 1"/>')), ["link 'a'", "1e+06 m"]),
+    "huge scale": (
+        robot(links("a", geometry='<mesh filename="a.obj" scale="1 1 1e300"/>')),
+        ["link 'a'", "scale"],
+    ),
+    "huge offset": (
+        robot(links("a", "b") + joint("j", "a", "b", inner='<origin xyz="1e300 0 0"/>')),
+        ["joint 'j'", "away"],
+    ),
     "negative size": (robot(links("a", geometry='<sphere radius="-1"/>')), ["link 'a'", "above 0"]),
     "entities": (
         '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>',
@@ -267,11 +278,87 @@ def test_a_missing_file_is_named(tmp_path):
         read_urdf(tmp_path / "gone.urdf")
 
 
-def test_real_file_with_a_malformed_number(shared_data):
-    path = shared_data / "articulated_free" / "habitat" / "fridge" / "fridge.urdf"
-    message = problem(path)
-    assert "'0.01,'" in message or "'1.0,'" in message
-    assert "bottom_door" in message
+def test_real_files_whose_numbers_are_separated_by_commas(shared_data):
+    files = sorted((shared_data / "articulated_free" / "habitat").glob("*/*.urdf"))
+    assert files
+    for path in files:
+        model = read_urdf_model(path)
+        assert "separated by commas" in model.notes[0], path
+        assert all(v.file is not None and v.file.is_file() for v in model.visuals)
+    fridge = shared_data / "articulated_free" / "habitat" / "fridge" / "fridge.urdf"
+    (door,) = read_urdf_model(fridge).by_link["bottom_door"]
+    base = read_urdf_model(fridge).tree.joint_of["bottom_door"].origin
+    offset = np.linalg.norm(door.object_from_geometry[:3, 3] - base)
+    assert offset == pytest.approx(math.hypot(0.01, 0.33))
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "1, 2, 3", "1 , 2 ,3"])
+def test_commas_between_numbers_are_read_and_noted(write, text):
+    path = write(robot(links("a", geometry=f'<box size="{text}"/>')))
+    model = read_urdf_model(path)
+    assert model.visuals[0].primitive == ("box", (1.0, 2.0, 3.0))
+    (note,) = model.notes
+    assert "separated by commas" in note and repr(text) in note
+    with pytest.raises(InputFileError, match="not a number"):
+        read_urdf_model(path, lenient=True)
+
+
+@pytest.mark.parametrize("text", ["1, 2 3", "1,0 2,0 3,0", "1,, 2, 3", "1, 2, 3,", "1,5 2 3"])
+def test_commas_that_may_mean_something_else_are_a_mistake(write, text):
+    assert "is not a number" in problem(write(robot(links("a", geometry=f'<box size="{text}"/>'))))
+
+
+def ros_package(folder: Path, filename: str) -> Path:
+    """A URDF in ``urdf/`` whose mesh lies in ``meshes/`` beside, as ROS packages have it."""
+    for name in ("urdf", "meshes"):
+        (folder / name).mkdir(parents=True)
+    trimesh.creation.box((1, 1, 1)).export(folder / "meshes" / "x.stl")
+    path = folder / "urdf" / "r.urdf"
+    path.write_text(robot(links("a", geometry=f'<mesh filename="{filename}"/>')))
+    return path
+
+
+@pytest.mark.parametrize(
+    "filename",
+    ["package://pkg/meshes/x.stl", "../meshes/x.stl", "package://any_name/meshes/x.stl"],
+)
+def test_a_package_is_the_root_of_its_urdf(tmp_path, filename):
+    path = ros_package(tmp_path / "pkg", filename)
+    with pytest.raises(InputFileError):  # without a package.xml nothing above the URDF is read
+        read_urdf(path)
+    (tmp_path / "pkg" / "package.xml").write_text("<package/>")
+    assert len(read_urdf(path).parts) == 1
+
+
+def test_meshes_cannot_leave_the_package(tmp_path):
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "secret.stl")
+    path = ros_package(tmp_path / "pkg", "../../secret.stl")
+    (tmp_path / "pkg" / "package.xml").write_text("<package/>")
+    assert "outside" in problem(path)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
+def test_a_mesh_without_looks_has_the_urdf_s_colour(tmp_path, suffix):
+    trimesh.creation.box((1, 1, 1)).export(
+        tmp_path / f"x{suffix}", **({"include_color": False} if suffix == ".obj" else {})
+    )
+    look = '<material name="m"><color rgba="1 0 0 1"/></material>'
+    visual = f'<visual><geometry><mesh filename="x{suffix}"/></geometry>{look}</visual>'
+    path = tmp_path / "r.urdf"
+    path.write_text(robot(f'<link name="a">{visual}</link>'))
+    assert [m.base_color for m in read_urdf(path).parts[0].mesh.materials] == [(255, 0, 0, 255)]
+
+
+def test_a_mesh_keeps_its_own_colours(tmp_path):
+    (tmp_path / "x.mtl").write_text("newmtl blue\nKd 0 0 1\n")
+    (tmp_path / "x.obj").write_text(
+        "mtllib x.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl blue\nf 1 2 3\n"
+    )
+    look = '<material name="m"><color rgba="1 0 0 1"/></material>'
+    visual = f'<visual><geometry><mesh filename="x.obj"/></geometry>{look}</visual>'
+    path = tmp_path / "r.urdf"
+    path.write_text(robot(f'<link name="a">{visual}</link>'))
+    assert read_urdf(path).parts[0].mesh.materials[0].base_color == (0, 0, 255, 255)
 
 
 def test_all_real_objects_move_as_in_yourdfpy(shared_data):
