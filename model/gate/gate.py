@@ -13,7 +13,7 @@ from model.gate.combinations import combination_findings
 from model.gate.examine import Scene, examine
 from model.gate.mends import mends_for
 from model.gate.physics import run_physics, simulator_installed
-from model.gate.physics_report import PhysicsReport
+from model.gate.physics_report import PhysicsReport, Stop
 from model.gate.report import VERDICTS, Finding, GateReport, JointVerdict, Verdict
 from model.gate.support import loose_parts
 from model.gate.words import length, title, value
@@ -188,7 +188,10 @@ def _take_physics(
 ) -> None:
     for name, what in said.exploded.items():
         if name in found:
-            found[name].append(Finding("physics", "broken", f"In MuJoCo it {what}."))
+            stop = said.stops.get(name, Stop({}))
+            sentence = f"In MuJoCo it {what}."
+            # What pushes it stays unnamed here: smaller shapes for its own motion are no cure.
+            found[name].append(Finding("physics", "broken", sentence, 0.0, stop.q, stop.where))
     for name, share in said.drifted.items():
         if name in found and name not in said.exploded:
             text = f"In MuJoCo it drifts by {100 * share:.0f} % of its range while others move."

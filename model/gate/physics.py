@@ -15,6 +15,7 @@ import numpy.typing as npt
 from model.collision.shapes import hull_of_shape
 from model.exporters.physics import Physics, rough_physics
 from model.gate.physics_report import PhysicsReport, Stop
+from model.gate.words import title, value
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.urdf import link_origins, vector
@@ -68,7 +69,7 @@ def run_physics(
         model = mujoco.MjModel.from_xml_string(_xml(obj, joints, physics))
     except ValueError as error:
         return PhysicsReport(False, f"MuJoCo can't load it: {str(error)[:200]}")
-    run = _Run(model, joints, obj.tree.order)
+    run = _Run(model, joints, obj)
     for k, gravity in enumerate((0.0, -9.81)):
         run.all_joints(gravity, lambda f, k=k: progress(0.5 * (k + f), "Running physics"))
     return PhysicsReport(
@@ -157,7 +158,7 @@ def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
 class _Run:
     """The simulation, and what was seen in it."""
 
-    def __init__(self, model: Any, joints: Sequence[Joint], links: Sequence[str]) -> None:
+    def __init__(self, model: Any, joints: Sequence[Joint], obj: ArticulatedObject) -> None:
         mujoco: Any = importlib.import_module("mujoco")
         self.mujoco, self.model, self.joints = mujoco, model, list(joints)
         self.data = mujoco.MjData(model)
@@ -172,7 +173,7 @@ class _Run:
         self.drifted: dict[str, float] = {}
         self.missed: dict[str, float] = {}
         self.stops: dict[str, Stop] = {}
-        self.links = list(links)
+        self.obj, self.links = obj, list(obj.tree.order)
         self.seconds = 0.0
         self._tune()
 
@@ -260,11 +261,30 @@ class _Run:
 
     def _burst(self, group: list[int]) -> bool:
         far = np.flatnonzero(self._outside())
-        for k in far if len(far) else group:
-            self.exploded[self.joints[k].name] = (
-                "leaves its limits" if len(far) else "becomes unstable (no finite numbers any more)"
-            )
+        for k in far.tolist():
+            self._stopped(k)
+            self.exploded[self.joints[k].name] = self._left(k, group)
+        for k in group if not len(far) else ():
+            self.exploded[self.joints[k].name] = "becomes unstable (no finite numbers any more)"
         return False
+
+    def _left(self, k: int, group: list[int]) -> str:
+        """How far a joint is beyond its limits, what was driven, and what pushes it."""
+        joint, q = self.joints[k], float(self.data.qpos[self.place[k]])
+        beyond = max(float(self.low[k]) - q, q - float(self.high[k]))
+        far = f" by {value(joint, beyond)}" if math.isfinite(beyond) else ""
+        others = [title(self.obj, self.joints[g].child) for g in group if g != k]
+        driven = " and ".join(others[:2]) + (" and others" if len(others) > 2 else "")
+        text = (
+            f"leaves its limits{far} while {driven or 'it'} {'are' if len(others) > 1 else 'is'} "
+        )
+        text += "driven"
+        other = self.stops[joint.name].other
+        if joint.mimic is not None:
+            return f"{text}, as what it follows takes it there"
+        if other is not None:
+            return f"{text}, pushed by the collision shapes of {title(self.obj, other)}"
+        return text
 
     def _compare(self, group: list[int], end: FloatArray) -> None:
         q = self.data.qpos[self.place]

@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Stop:
-    """Where a driven joint stopped short.
+    """Where a driven joint stopped short, or where one stood that left its limits.
 
     Attributes:
         q: its joint value there.
@@ -34,7 +34,7 @@ class PhysicsReport:
         missed: joint → share of its range that it fell short of its target.
         shapes: collision shapes that took part; 0 where masses and joints were driven alone.
         seconds: simulated.
-        stops: joint → where it stopped, of those in ``missed``.
+        stops: joint → where it stopped, of those in ``missed``, or left its limits.
     """
 
     ran: bool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,33 @@ def test_a_follower_that_is_sent_beyond_its_limits_is_told():
     report = run_gate(pair(20.0))
     found = [f for j in report.joints for f in j.findings if f.kind == "physics"]
     assert found and found[0].sentence.startswith("In MuJoCo it ")
+
+
+def test_what_is_pushed_out_of_its_limits_is_told_with_how_far_and_by_what():
+    tree = KinematicTree(
+        ("link_0", "link_1", "link_2"),
+        (
+            Joint("pusher", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.3),
+            Joint("pushed", "prismatic", "link_0", "link_2", (1, 0, 0), lower=0, upper=0.02),
+        ),
+    )
+    parts = (
+        part("link_0", box([0, 0, -0.05], [1, 0.5, 0])),
+        part("link_1", box([0.1, 0.1, 0.001], [0.2, 0.2, 0.1])),
+        part("link_2", box([0.3, 0.1, 0.001], [0.33, 0.13, 0.03])),
+    )
+    named = tuple(
+        replace(p, name=n) for p, n in zip(parts, ("base", "drawer", "stop"), strict=True)
+    )
+    obj = ArticulatedObject("pushed", named, tree)
+    said = run_physics(obj, physics_of(obj))
+    assert set(said.exploded) == {"pushed"}
+    assert re.fullmatch(
+        r"leaves its limits by \d+ mm while drawer 1 is driven, "
+        "pushed by the collision shapes of drawer 1",
+        said.exploded["pushed"],
+    )
+    assert said.stops["pushed"].where is not None
 
 
 def test_without_mujoco_the_gate_says_so(monkeypatch):
