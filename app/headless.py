@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from app.prompt_file import PromptFile, check_prompts, read_prompts
@@ -20,6 +22,7 @@ from model.progress import Progress, no_progress
 FORMAT = 1
 OBJECT_JSON = "object.json"
 PREDICTION_JSON = "prediction.json"
+_OF_PARTS = re.compile(r"link_\d+\.(obj|mtl|ply)|texture_[0-9a-f]{12}\.(png|jpg)")
 
 
 class NothingPredicted(RuntimeError):
@@ -46,7 +49,7 @@ def segment(
     """Cut ``scan`` into parts by the clicks of a prompt file.
 
     Writes ``link_<id>.obj`` (or ``.ply`` for a cloud) for each part, +z up and in metres, and
-    ``object.json``, which :func:`predict` reads.
+    ``object.json``, which :func:`predict` reads. They take the place of an earlier result.
 
     Returns:
         What ``object.json`` holds.
@@ -61,6 +64,7 @@ def segment(
     reading = reading or ReadOptions()
     file = read_prompts(prompts)
     check_output(out, scan, *_folder_of(scan))
+    _check_holds_no_other(out)
     chosen = load_segmenter(segmenter)
     progress(0.0, f"reading {scan.name}")
     asset = read_asset(scan, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
@@ -70,12 +74,11 @@ def segment(
     answer = session.segment(file.prompts)
     parts = split(asset, answer.labels, file.names)
     progress(0.9, f"writing {out}")
-    (out / OBJECT_JSON).unlink(missing_ok=True)  # it comes last: with it the folder is whole
     report = {
         "format": FORMAT,
         "name": asset.name,
         "category": file.category or asset.category,
-        "parts": [_write_part(part, out) for part in parts],
+        "parts": _write_parts(parts, out),
         "source": _source_json(asset, scan),
         "segmenter": answer.segmenter or chosen.name,
         "seconds": round(answer.seconds, 6),
@@ -278,6 +281,40 @@ def versions() -> dict[str, str]:
     return out
 
 
+def _check_holds_no_other(out: Path) -> None:
+    """What :func:`segment` writes replaces its earlier result, and nothing else."""
+    if not out.is_dir() or all(path.name.startswith(".") for path in out.iterdir()):
+        return
+    try:
+        told = json.loads((out / OBJECT_JSON).read_text())
+    except (OSError, ValueError):
+        told = None
+    if not isinstance(told, dict) or "segmenter" not in told:
+        raise ConfigurationError(f"--out {out} holds other files; give a new or an empty folder")
+
+
+def _write_parts(parts: Sequence[Part], out: Path) -> list[dict[str, Any]]:
+    """All parts in the place of those of an earlier result, whose files would be taken for theirs.
+
+    They are written aside first: where that fails, the earlier result stays whole.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".parts.", dir=out) as aside:
+            entries = [_write_part(part, Path(aside)) for part in parts]
+            (out / OBJECT_JSON).unlink(missing_ok=True)  # comes last: with it the folder is whole
+            for path in out.iterdir():
+                if _OF_PARTS.fullmatch(path.name):
+                    path.unlink()
+            for path in Path(aside).iterdir():
+                path.rename(out / path.name)
+    except OSError as error:
+        raise InputFileError(
+            out, f"can't be written: {error.strerror or error}", "check space and permissions"
+        ) from error
+    return entries
+
+
 def _folder_of(scan: Path) -> Sequence[Path]:
     return [] if scan.is_dir() else [scan.parent]
 
@@ -285,7 +322,6 @@ def _folder_of(scan: Path) -> Sequence[Path]:
 def _write_part(part: Part, out: Path) -> dict[str, Any]:
     from model.geometry.writers import write_cloud, write_mesh
 
-    out.mkdir(parents=True, exist_ok=True)
     if part.mesh is not None:
         files = write_mesh(part.mesh, out / f"{part.link}.obj")
         count = len(part.mesh.faces)

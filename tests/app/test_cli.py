@@ -19,7 +19,7 @@ import yourdfpy
 from app import headless
 from app.batch import Crashed, run_all
 from app.cli import main
-from model.errors import KinematicsError
+from model.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
 from tests.app.run_cli import (
     BASE_CLICK,
@@ -166,6 +166,29 @@ def test_segment_says_what_it_did(segmented):
     assert report["source"]["count"] == sum(part["count"] for part in report["parts"])
     assert len(report["source"]["sha256"]) == 64
     assert report["segmenter"] and report["problems"] == []
+
+
+def test_segment_replaces_its_own_result_and_nothing_else(scan, tmp_path):
+    out = tmp_path / "out"
+
+    def regions(*parts: int) -> Path:
+        chosen = [{"part": p, "elements": [p, p + 10]} for p in parts]
+        return write_prompts(tmp_path / "p.json", {"regions": chosen})
+
+    headless.segment(scan, regions(1, 9), out, segmenter="nearest")
+    assert (out / "link_9.obj").is_file()
+    headless.segment(scan, regions(1), out, segmenter="nearest")
+    assert sorted(p.name for p in out.iterdir()) == [
+        "link_0.mtl", "link_0.obj", "link_1.mtl", "link_1.obj", "object.json",
+    ]  # fmt: skip
+    (out / "object.json").unlink()
+    for folder in (out, tmp_path / "theirs"):
+        folder.mkdir(exist_ok=True)
+        (folder / "thesis.tex").write_text("x")
+        before = sorted(folder.iterdir())
+        with pytest.raises(ConfigurationError, match="holds other files"):
+            headless.segment(scan, regions(1), folder, segmenter="nearest")
+        assert sorted(folder.iterdir()) == before
 
 
 def test_segment_asks_about_a_file_in_millimetres(tmp_path):
