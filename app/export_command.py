@@ -109,13 +109,14 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     from model.exporters.physics import physics_of
     from model.exporters.readback import read_back
     from model.exporters.registry import load_exporter, write_object
-    from model.exporters.saved import load_object
+    from model.exporters.saved import load_object, reading_notes
     from model.exporters.urdf import losses_of
     from model.progress import no_progress
 
     progress = progress or no_progress
     progress(0.0, f"reading {task.asset}")
     obj = load_object(task.asset)
+    notes = reading_notes(task.asset)
     physics = physics_of(obj, task.physics, store=task.store, progress=part_of(progress, 0.05, 0.5))
     written: list[dict[str, Any]] = []
     for i, (name, folder) in enumerate(task.folders):
@@ -132,8 +133,9 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
         if task.check:
             back = read_back(name, files[0], obj)
             entry |= {"readers": list(back.readers), "problems": list(back.problems)}
-        if name == "urdf" and (lost := losses_of(obj)):
-            entry["notes"] = list(lost)
+        lost = losses_of(obj) if name == "urdf" else ()
+        if notes or lost:
+            entry["notes"] = [*notes, *lost]
         written.append(entry)
     shapes = {link: len(held) for link, held in physics.collision.items()}
     return {"asset": str(task.asset), "collision_shapes": shapes, "formats": written}

@@ -9,7 +9,7 @@ from typing import Any
 
 from model.errors import InputFileError
 from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.urdf import read_urdf
+from model.kinematics.urdf import read_urdf, read_urdf_model
 from model.progress import Progress, no_progress
 
 FORMAT = 1
@@ -81,6 +81,12 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
     tree = replace(obj.tree, joints=joints)
     return replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
+
+
+def reading_notes(asset: str | Path) -> tuple[str, ...]:
+    """What :func:`load_object` changes of a URDF on reading it, for people."""
+    path = Path(asset)
+    return read_urdf_model(path if path.is_file() else path / URDF).notes
 
 
 def read_provenance(folder: str | Path) -> dict[str, Any]:

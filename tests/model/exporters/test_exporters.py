@@ -26,6 +26,7 @@ from model.exporters.protocol import Exporter
 from model.exporters.readback import read_back
 from model.exporters.registry import export, exporter_names, load_exporter, write_object
 from model.exporters.reload import mujoco_problems, object_from_links
+from model.exporters.saved import load_object, reading_notes
 from model.exporters.urdf import losses_of
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
@@ -399,6 +400,15 @@ def test_every_urdf_that_is_written_can_be_exported_again(exported, tmp_path, ob
     (urdf,) = [f for f in exported[name] if f.suffix == ".urdf"]
     files = export(urdf, "glb", tmp_path / "g")
     assert read_back("glb", files[0], obj, configurations=1).problems == ()
+
+
+def test_what_reading_a_urdf_changed_is_told(tmp_path):
+    path = tmp_path / "a.urdf"
+    shape = '<visual><geometry><box size="1, 2, 3"/></geometry></visual>'
+    path.write_text(f'<robot name="r"><link name="a">{shape}</link></robot>')
+    assert load_object(path).parts
+    (note,) = reading_notes(path)
+    assert "separated by commas" in note
 
 
 def test_a_mesh_is_no_asset(tmp_path):
