@@ -27,6 +27,7 @@ class OpenedAsset:
         element: (D,) source element of each displayed face or point.
         area: (D,) float32, m², of each displayed face; None for a cloud.
         glb: the displayed mesh with its materials, z up, else None.
+        glb_order: (D,) displayed face of each triangle of ``glb``; None for a cloud.
         part_names: names by part id where the source was already cut into parts.
     """
 
@@ -46,6 +47,7 @@ class OpenedAsset:
     display_points: npt.NDArray[np.float32] | None = None
     display_colors: npt.NDArray[np.uint8] | None = None
     glb: bytes | None = None
+    glb_order: npt.NDArray[np.int32] | None = None
     part_names: tuple[str, ...] = ()
     has_parts: bool = False
     category: str | None = None
@@ -82,7 +84,7 @@ def open_asset(
 
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
     from model.geometry.display import display_asset
-    from model.geometry.glb import mesh_to_glb
+    from model.geometry.glb import face_order, mesh_to_glb
 
     shown = display_asset(asset)
     source = asset.source
@@ -104,6 +106,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         display_points=None if cloud is None else np.asarray(cloud.points),
         display_colors=None if cloud is None else _colors(cloud),
         glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
+        glb_order=None if mesh is None else face_order(mesh),
         part_names=asset.part_names,
         has_parts=asset.element_part is not None,
         category=asset.category,

@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from app.tasks import Recent, arrays_of, asset_of
 from model.geometry.strokes import Stroke
 
+
+@dataclass(frozen=True)
+class Hidden:
+    """Parts that a person has hidden: a pointer meets what lies behind them.
+
+    Attributes:
+        workspace: where the labels are stored.
+        labels: reference of the stored (E,) labels.
+        parts: ids of the hidden parts.
+    """
+
+    workspace: Path
+    labels: str
+    parts: tuple[int, ...]
+
+
 _pickers: Recent[Path, Any] = Recent(4)
+_hidden: Recent[Hidden, npt.NDArray[np.bool_]] = Recent(4)
 
 
 def picker_of(folder: Path) -> Any:
@@ -25,11 +44,24 @@ def prepare_picking(folder: Path) -> None:
     picker_of(folder)
 
 
+def _elements_of(hidden: Hidden | None) -> npt.NDArray[np.bool_] | None:
+    """(E,) the hidden elements."""
+    if hidden is None:
+        return None
+    return _hidden.get(
+        hidden, lambda: np.isin(arrays_of(hidden.workspace).get(hidden.labels), hidden.parts)
+    )
+
+
 def pick(
-    folder: Path, origin: tuple[float, float, float], direction: tuple[float, float, float]
+    folder: Path,
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    hidden: Hidden | None = None,
 ) -> Any:
     """The surface under a ray: ``Pick(position, element, normal)``, or None for the background."""
-    return picker_of(folder).pick(np.asarray(origin), np.asarray(direction))
+    picker = picker_of(folder)
+    return picker.pick(np.asarray(origin), np.asarray(direction), hidden=_elements_of(hidden))
 
 
 def select_box(
@@ -40,13 +72,16 @@ def select_box(
     corner_max: tuple[float, float],
     *,
     one_piece: bool = False,
+    hidden: Hidden | None = None,
 ) -> tuple[str, int]:
     """Visible elements inside a rectangle of the screen: their stored array and their number.
 
     Args:
         one_piece: of a scan only what hangs together, not what stands before and behind it.
     """
-    chosen = picker_of(folder).select_box(camera, corner_min, corner_max, visible_only=True)
+    chosen = picker_of(folder).select_box(
+        camera, corner_min, corner_max, visible_only=True, hidden=_elements_of(hidden)
+    )
     cloud = asset_of(folder).cloud
     if one_piece and cloud is not None and len(chosen):
         from model.segmentation.crop import largest_piece
@@ -55,7 +90,9 @@ def select_box(
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
 
 
-def select_stroke(folder: Path, workspace: Path, camera: Any, stroke: Stroke) -> tuple[str, int]:
+def select_stroke(
+    folder: Path, workspace: Path, camera: Any, stroke: Stroke, hidden: Hidden | None = None
+) -> tuple[str, int]:
     """Visible elements that a stroke covers: their stored array and their number."""
-    chosen = picker_of(folder).select_stroke(camera, stroke)
+    chosen = picker_of(folder).select_stroke(camera, stroke, hidden=_elements_of(hidden))
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import viser
 from viser import _messages
 
@@ -43,5 +46,21 @@ _messages.Message._subclass_from_type_string.cache_clear()  # type: ignore[attr-
 
 def tell_page(client: viser.ClientHandle, **state: Any) -> None:
     """Set fields of the script's state."""
-    source = f"window.__artiworld?.set({json.dumps(state)})"
+    _run(client, f"window.__artiworld?.set({json.dumps(state)})")
+
+
+def hide_on_page(client: viser.ClientHandle, out: npt.NDArray[np.bool_] | None) -> None:
+    """Leave elements out of the drawn scan.
+
+    Args:
+        out: (D,) for each triangle of its GLB, or each of its points; None leaves out none.
+    """
+    if out is None:
+        _run(client, "window.__artiworld?.hide()")
+        return
+    bits = base64.b64encode(np.packbits(out, bitorder="little").tobytes()).decode()
+    _run(client, f"window.__artiworld?.hide({len(out)}, '{bits}')")
+
+
+def _run(client: viser.ClientHandle, source: str) -> None:
     client._websock_connection.queue_message(_messages.RunJavascriptMessage(source))

@@ -1,5 +1,5 @@
 // What viser's page does not send: where the pointer rests (for the preview of a click) and what
-// is drawn with a lasso or a brush. Messages go out on viser's own websocket; the server answers
+// is drawn with a lasso or a brush; and what it cannot draw: a scan without hidden parts. Messages go out on viser's own websocket; the server answers
 // through window.__artiworld.set({...}).
 (() => {
   const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300;
@@ -214,7 +214,52 @@
     else if (held || before === KEYS[key]) setTool("click");
   }, true);
 
+  // --- hidden parts
+
+  // Of the scan that viser has loaded only the index of its triangles, or points, is rewritten.
+  const WATCH_MS = 60;
+  let hidden = null, watching = 0;
+  const scanned = () => {
+    const v = viser(), root = v && v.nodeRefFromName && v.nodeRefFromName["/scan"], found = [];
+    if (root) root.traverse((node) => { if (node.isMesh || node.isPoints) found.push(node); });
+    return found;
+  };
+  const corners = ({ isPoints, geometry }) => {
+    if (isPoints && !geometry.index) {
+      geometry.setIndex([...Array(geometry.attributes.position.count).keys()]);
+    }
+    return geometry.userData.corners || (geometry.userData.corners = geometry.index.array.slice());
+  };
+  const size = ({ isPoints, geometry: g }) =>
+    isPoints ? g.attributes.position?.count || 0 : (g.userData.corners || g.index.array).length / 3;
+  const leaveOut = () => {
+    const found = scanned();
+    // It is still loading, or the one before it has not gone yet.
+    if (hidden && found.reduce((n, node) => n + size(node), 0) !== hidden.count) return;
+    if (found.every((node) => (node.geometry.userData.hidden || null) === hidden)) return;
+    let element = 0;
+    for (const node of found) {
+      const all = corners(node), { geometry } = node, index = geometry.index.array;
+      const each = node.isPoints ? 1 : 3;
+      let end = 0;
+      for (let at = 0; at < all.length; at += each, element++) {
+        if (hidden && hidden.bits[element >> 3] >> (element & 7) & 1) continue;
+        for (let k = 0; k < each; k++) index[end++] = all[at + k];
+      }
+      geometry.index.needsUpdate = true;
+      geometry.setDrawRange(0, end);
+      geometry.userData.hidden = hidden;
+    }
+    viser().requestRender();
+  };
+
   window.__artiworld = {
+    hide(count, text) {
+      clearInterval(watching);
+      hidden = count ? { count, bits: Uint8Array.from(atob(text), (c) => c.charCodeAt(0)) } : null;
+      leaveOut();
+      if (hidden) watching = setInterval(leaveOut, WATCH_MS);
+    },
     set(options) {
       const before = state.hover;
       Object.assign(state, options);

@@ -197,6 +197,7 @@ class AnnotatePanel:
             digits = app.child.removeprefix("link_")
             part = int(digits) if digits.isdigit() else part
         app.hidden = app.hidden ^ {part}
+        app.pointing.hover.forget()
         app.invalidate()
 
     def use_tool(self, label: str) -> None:

@@ -98,6 +98,7 @@ class Hover:
             obj.asset.folder,
             tuple(origin),
             tuple(direction),
+            app.pointing.hidden_now(),
             key=("hover", app.client.client_id),
             priority=_BEFORE_CLICKS,
         ).result(_SECONDS)

@@ -230,7 +230,12 @@ class Pointing:
         if obj.asset is None:
             return
         hit = app.bench.geometry.submit(
-            picking_tasks.pick, obj.asset.folder, origin, direction, priority=20
+            picking_tasks.pick,
+            obj.asset.folder,
+            origin,
+            direction,
+            self.hidden_now(),
+            priority=20,
         ).result(PICK_SECONDS)
         if hit is None:
             return
@@ -340,7 +345,7 @@ class Pointing:
             return
         ref, count = app.bench.geometry.submit(
             picking_tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high,
-            one_piece=positive and app.picking_out, priority=20,
+            one_piece=positive and app.picking_out, hidden=self.hidden_now(), priority=20,
         ).result(PICK_SECONDS)  # fmt: skip
         self._add_region(ref, count, positive, "box")
 
@@ -365,6 +370,7 @@ class Pointing:
             app.bench.workspace,
             camera,
             stroke,
+            self.hidden_now(),
             priority=20,
         ).result(PICK_SECONDS)
         self._add_region(ref, count, message.positive, stroke.kind)
@@ -377,6 +383,14 @@ class Pointing:
         self.hover.forget()
         self._need_part()
         app.do(cmd.AddRegion(app.part, ref, positive, count, tool))
+
+    def hidden_now(self) -> picking_tasks.Hidden | None:
+        """What the pointer passes, being hidden; None where nothing is."""
+        app = self._app
+        labelled = app.need_object().document.segmentation
+        if labelled is None or not app.hidden:
+            return None
+        return picking_tasks.Hidden(app.bench.workspace, labelled.labels, tuple(sorted(app.hidden)))
 
     def camera(self) -> Camera:
         """The camera of this tab now."""

@@ -133,8 +133,13 @@ class Redraw:
             return
         moving = app.stage != "Annotate" and doc.tree is not None
         payloads = obj.part_payloads() if moving else None
+        app.hidden &= {p.id for p in doc.parts}  # a part that takes the number of one is seen
         app.scene.show_labels(obj.labels, app.hidden)
-        clicks = [(i, p) for i, p in enumerate(doc.prompts) if isinstance(p, Click)]
+        clicks = [
+            (i, p)
+            for i, p in enumerate(doc.prompts)
+            if isinstance(p, Click) and p.part not in app.hidden
+        ]
         app.scene.show_prompts(clicks, visible=app.stage == "Annotate")
         app.scene.show_parts(payloads, moving, app.hidden)
         app.scene.marks.show_axes(self._axis_marks(obj, doc) if moving else ())

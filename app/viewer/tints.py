@@ -1,4 +1,7 @@
-"""The parts' colours laid over the scan of an object. Only what changed is sent."""
+"""The parts' colours laid over the scan of an object, and what of it is hidden.
+
+Only what changed is sent: of hidden parts one bit a displayed face or point.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy.typing as npt
 import viser
 
 from app.display_tasks import OpenedAsset
+from app.pointer_messages import hide_on_page
 from app.viewer import palette
 
 OPACITY = 0.5
@@ -35,19 +39,23 @@ class Tints:
         self._tints: dict[int, Any] = {}
         self._tint_vertices: dict[int, npt.NDArray[np.int32]] = {}
         self._hidden: frozenset[int] = frozenset()
+        self._left_out: npt.NDArray[np.bool_] | None = None
         self._visible = True
         self._offset: npt.NDArray[np.float32] | None = None
         if asset.glb is not None:
             self._offset = _pushed_out(asset, 4e-4 * asset.diagonal)
+        hide_on_page(client, None)  # what the page hid was of another object
 
     def show(self, labels: Labels | None, hidden: frozenset[int]) -> None:
-        """Tint the parts. Sends only the parts that changed."""
-        if not self._same(labels) or hidden != self._hidden:
+        """Tint the parts and leave out the hidden ones. Sends only the parts that changed."""
+        same = self._same(labels)
+        if not same or hidden != self._hidden:
             self._hidden = hidden
-            if self._asset.display_points is not None:
-                self._tint_cloud(labels, hidden)
-            else:
+            if self._asset.display_points is None:
                 self._tint_meshes(labels, hidden)
+            elif not same:
+                self._tint_cloud(labels)
+            self._leave_out(labels, hidden)
         self.labels = labels  # last: whoever waits for them sees them drawn
 
     def set_visible(self, visible: bool) -> None:
@@ -77,12 +85,23 @@ class Tints:
                 if part in self._tints:
                     self._tints[part].visible = part not in hidden and self._visible
 
-    def _tint_cloud(self, labels: Labels | None, hidden: frozenset[int]) -> None:
+    def _tint_cloud(self, labels: Labels | None) -> None:
         assert self._asset.display_colors is not None
-        colors = tinted(self._asset.display_colors, labels)
+        self._scan.colors = tinted(self._asset.display_colors, labels)
+
+    def _leave_out(self, labels: Labels | None, hidden: frozenset[int]) -> None:
+        """Let the page draw the scan without the hidden parts."""
+        out = None
         if labels is not None and hidden:
-            colors[np.isin(labels, list(hidden))] = 250
-        self._scan.colors = colors
+            out = np.isin(labels, list(hidden))
+            if self._asset.glb_order is not None:
+                out = out[self._asset.glb_order]
+            out = out if out.any() else None
+        before, self._left_out = self._left_out, out
+        if out is not before and not (
+            out is not None and before is not None and np.array_equal(out, before)
+        ):
+            hide_on_page(self._client, out)
 
     def _tint_mesh(self, part: int, labels: Labels | None) -> None:
         asset = self._asset

@@ -54,6 +54,11 @@ def mesh_to_glb(
     return builder.finish()
 
 
+def face_order(mesh: Mesh) -> npt.NDArray[np.int32]:
+    """(F,) the faces of ``mesh`` in the order in which its GLB file has them."""
+    return np.argsort(_looks(mesh)[mesh.face_material], kind="stable").astype(np.int32)
+
+
 def _looks(mesh: Mesh) -> Array:
     """The first material that looks like each one: fewer primitives draw faster."""
     first: dict[tuple[Any, ...], int] = {}

@@ -14,6 +14,7 @@ from model.geometry.strays import Strays
 from model.geometry.strokes import Stroke, covered
 
 Array = npt.NDArray[Any]
+Bool = npt.NDArray[np.bool_]
 
 _PASSED = 100
 """Stray points that a ray passes at most."""
@@ -146,6 +147,7 @@ class Picker:
         direction: npt.ArrayLike,
         *,
         pixel_angle: float = DEFAULT_PIXEL_ANGLE,
+        hidden: Bool | None = None,
     ) -> Pick | None:
         """The first element that a ray meets, or None.
 
@@ -153,6 +155,7 @@ class Picker:
             origin: (3,) where the ray begins.
             direction: (3,) need not have length 1.
             pixel_angle: radians of one pixel; a cloud's points count within a cone of three.
+            hidden: (E,) elements that a ray passes as if they weren't there.
 
         Raises:
             GeometryError: for a ray that is none.
@@ -164,23 +167,44 @@ class Picker:
             raise GeometryError(f"ray from {o.tolist()} along {d.tolist()} is no ray")
         d = d / length
         if self._asset.mesh is not None:
-            return self._pick_mesh(o, d)
-        return self._pick_cloud(o, d, 3.0 * pixel_angle)
+            return self._pick_mesh(o, d, hidden)
+        return self._pick_cloud(o, d, 3.0 * pixel_angle, hidden)
 
     # Meshes
 
-    def _cast(self, origins: Array, directions: Array) -> tuple[Array, Array]:
+    def _cast(
+        self, origins: Array, directions: Array, hidden: Bool | None = None
+    ) -> tuple[Array, Array]:
         """Distance (inf: nothing) and face."""
         rays = np.concatenate([origins - self._shift, directions], axis=1).astype(np.float32)
         answer = self._scene.cast_rays(self._o3d.core.Tensor.from_numpy(rays))
-        return answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
+        distance, face = answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
+        if hidden is not None:
+            again = np.flatnonzero(np.isfinite(distance))
+            again = again[hidden[face[again]]]
+            distance[again], face[again] = self._cast_behind(rays[again], hidden)
+        return distance, face
 
-    def _pick_mesh(self, o: Array, d: Array) -> Pick | None:
+    def _cast_behind(self, rays: Array, hidden: Bool) -> tuple[Array, Array]:
+        """As :meth:`_cast`, for (R, 6) rays whose first face is hidden: all that they meet."""
+        distance, face = np.full(len(rays), np.inf, np.float32), np.full(len(rays), -1, np.int64)
+        if not len(rays):
+            return distance, face
+        met = self._scene.list_intersections(self._o3d.core.Tensor.from_numpy(rays))
+        at, ray, element = (met[name].numpy() for name in ("t_hit", "ray_ids", "primitive_ids"))
+        shown = ~hidden[element.astype(np.int64)]
+        at, ray, element = at[shown], ray[shown].astype(np.int64), element[shown]
+        order = np.lexsort((at, ray))
+        first, where = np.unique(ray[order], return_index=True)
+        distance[first], face[first] = at[order][where], element[order][where]
+        return distance, face
+
+    def _pick_mesh(self, o: Array, d: Array, hidden: Bool | None) -> Pick | None:
         mesh = self._asset.mesh
         assert mesh is not None
         # Begin near the object, so that a far camera doesn't cost precision.
         start = o + d * max(0.0, float((self._shift - o) @ d) - self._diagonal)
-        distance, face = self._cast(start[None], d[None])
+        distance, face = self._cast(start[None], d[None], hidden)
         if not np.isfinite(distance[0]):
             return None
         element = int(face[0])
@@ -196,7 +220,7 @@ class Picker:
 
     # Clouds
 
-    def _pick_cloud(self, o: Array, d: Array, angle: float) -> Pick | None:
+    def _pick_cloud(self, o: Array, d: Array, angle: float, hidden: Bool | None) -> Pick | None:
         margin = self._radius(np.array([np.linalg.norm((self._low + self._high) / 2 - o)]), angle)
         span = _clip(o, d, self._low - margin, self._high + margin)
         if span is None:
@@ -211,6 +235,8 @@ class Picker:
         passed: list[int] = []
         for i in np.flatnonzero(nearest <= ball):
             found = np.asarray(self._tree.query_ball_point(centers[i], ball[i]), np.int64)
+            if hidden is not None:
+                found = found[~hidden[found]]
             while (element := self._front(o, d, found, angle)) is not None:
                 # A stray point is meant only where nothing is behind it.
                 if len(passed) == _PASSED or not self._strays.holds(element):
@@ -265,6 +291,7 @@ class Picker:
         upper_right: npt.ArrayLike,
         *,
         visible_only: bool = True,
+        hidden: Bool | None = None,
     ) -> npt.NDArray[np.int64]:
         """Elements whose middle is inside a rectangle on the screen.
 
@@ -273,6 +300,7 @@ class Picker:
             lower_left, upper_right: two opposite corners in any order, (0, 0) the screen's top
                 left and (1, 1) its bottom right.
             visible_only: leave out what lies behind something else.
+            hidden: (E,) elements that are not there.
 
         Returns:
             (K,) elements, ascending.
@@ -281,10 +309,15 @@ class Picker:
         low, high = corners.min(axis=0), corners.max(axis=0)
         screen, depth = camera.project(self.centers)
         inside = ((screen >= low) & (screen <= high)).all(axis=1)
-        return self._selected(camera, screen, depth, inside, visible_only)
+        return self._selected(camera, screen, depth, inside, visible_only, hidden)
 
     def select_stroke(
-        self, camera: Camera, stroke: Stroke, *, visible_only: bool = True
+        self,
+        camera: Camera,
+        stroke: Stroke,
+        *,
+        visible_only: bool = True,
+        hidden: Bool | None = None,
     ) -> npt.NDArray[np.int64]:
         """(K,) elements whose middle a stroke covers, ascending; as :meth:`select_box`.
 
@@ -292,22 +325,32 @@ class Picker:
         """
         raster = stroke.raster(camera.aspect)
         screen, depth = camera.project(self.centers)
-        found = self._selected(camera, screen, depth, covered(raster, screen), visible_only)
+        inside = covered(raster, screen)
+        found = self._selected(camera, screen, depth, inside, visible_only, hidden)
         if stroke.kind == "brush" and self._asset.mesh is not None:
-            found = np.union1d(found, self._faces_under(camera, raster))
+            found = np.union1d(found, self._faces_under(camera, raster, hidden))
         return found
 
     def _selected(
-        self, camera: Camera, screen: Array, depth: Array, inside: Array, visible_only: bool
+        self,
+        camera: Camera,
+        screen: Array,
+        depth: Array,
+        inside: Array,
+        visible_only: bool,
+        hidden: Bool | None,
     ) -> npt.NDArray[np.int64]:
-        found = np.flatnonzero(inside & (depth > 1e-6))
+        inside = inside & (depth > 1e-6)
+        found = np.flatnonzero(inside if hidden is None else inside & ~hidden)
         if not visible_only or not len(found):
             return found
         if self._asset.mesh is not None:
-            return found[self._seen_faces(camera, found)]
+            return found[self._seen_faces(camera, found, hidden)]
         return found[self._seen_points(camera, screen[found], depth[found])]
 
-    def _faces_under(self, camera: Camera, raster: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    def _faces_under(
+        self, camera: Camera, raster: Bool, hidden: Bool | None
+    ) -> npt.NDArray[np.int64]:
         """The faces behind a grid of covered places."""
         step = max(1, round(np.sqrt(raster.sum() / 2000)))
         y, x = np.nonzero(raster[::step, ::step])
@@ -315,14 +358,15 @@ class Picker:
             return np.zeros(0, np.int64)
         at = (np.stack([x, y], axis=1) + 0.5) * step / np.array(raster.shape[::-1])
         directions = camera.directions(at)
-        hit, face = self._cast(np.broadcast_to(camera.position, directions.shape), directions)
+        origins = np.broadcast_to(camera.position, directions.shape)
+        hit, face = self._cast(origins, directions, hidden)
         return np.unique(face[np.isfinite(hit)])
 
-    def _seen_faces(self, camera: Camera, found: Array) -> Array:
+    def _seen_faces(self, camera: Camera, found: Array, hidden: Bool | None) -> Array:
         toward = self.centers[found] - camera.position
         distance = np.linalg.norm(toward, axis=1)
         origins = np.broadcast_to(camera.position, toward.shape)
-        hit, face = self._cast(origins, toward / distance[:, None])
+        hit, face = self._cast(origins, toward / distance[:, None], hidden)
         slack = 1e-4 * self._diagonal
         return (face == found) | (hit >= distance - slack)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browsing import Tab, wait_until
-from objects import write_cabinet, write_flush
+from objects import write_cabinet, write_cloud, write_flush
 from PIL import Image
 
 from app.tasks import asset_of
@@ -121,6 +121,50 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     region = tab.document.prompts[-1]
     assert region.tool == "cut" and region.part == 3
     assert tab.app.pointing.armed == ""
+
+
+_DRAWN = """() => {
+  let count = 0;
+  window.__viserMutable.nodeRefFromName["/scan"]?.traverse((node) => {
+    if (!node.isMesh && !node.isPoints) return;
+    const g = node.geometry, all = g.index ? g.index.count : g.attributes.position.count;
+    count += Math.min(g.drawRange.count, all) / (node.isMesh ? 3 : 1);
+  });
+  return count;
+}"""
+
+
+def test_what_is_hidden_is_neither_drawn_nor_clicked(
+    start: Any, open_tab: Any, cabinet: Any, tmp_path: Path
+) -> None:
+    path, points = cabinet
+    chest = tmp_path / "chest.ply"
+    lid = write_cloud(chest)["lid"]
+    tab = open_tab(start(path, chest))
+
+    def drawn(count: int, what: str) -> None:
+        wait_until(lambda: tab.page.evaluate(_DRAWN) == count, what)
+
+    for place in (points["door"], lid):
+        wait_until(lambda: not tab.app.object.busy, "the object is encoded")
+        tab.camera_at_rest()
+        tab.prompt(place)
+        labels = tab.app.object.labels
+        front = tab.document.prompts[0].element
+        drawn(len(labels), "all is drawn")
+        tab.key("h")
+        drawn(int((labels != 1).sum()), "without the part")
+        tab.key("2")
+        tab.prompt(place)
+        behind = tab.document.prompts[1].element
+        assert behind != front and labels[behind] != 1
+        tab.key("1")
+        wait_until(lambda: tab.app.part == 1, "part 1")
+        tab.key("h")
+        drawn(len(labels), "all again")
+        tab.key("n")
+        wait_until(lambda: tab.app.object.record.name == "chest", "the cloud")
+        wait_until(lambda: tab.app.drawn, "it is drawn")
 
 
 def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:

@@ -16,6 +16,7 @@ from model.errors import ConfigurationError, GeometryError, InputFileError
 from model.geometry.appearance import face_colors
 from model.geometry.asset import Asset
 from model.geometry.formats.textures import encode
+from model.geometry.glb import face_order
 from model.geometry.mesh import Material, Mesh
 from model.geometry.parts import split
 from model.geometry.point_cloud import PointCloud
@@ -117,6 +118,22 @@ def test_vertex_colours_come_back(tmp_path: Path, ball: Mesh, rng: np.random.Gen
         back = read_asset(tmp_path / f"a{suffix}").mesh
         assert back is not None
         assert np.abs(face_colors(back).astype(int) - want).max() <= 1, suffix
+
+
+def test_faces_of_a_glb_come_material_by_material() -> None:
+    import io
+
+    box = trimesh.creation.box((1, 2, 3))
+    materials = tuple(Material(str(c), (c, 0, 0, 255)) for c in (10, 90, 200))
+    mesh = Mesh(
+        np.asarray(box.vertices),
+        np.asarray(box.faces, np.int32),
+        materials=materials,
+        face_material=(np.arange(12) * 7 % 3).astype(np.int32),
+    )
+    scene = trimesh.load(io.BytesIO(mesh_to_glb(mesh)), file_type="glb")
+    written = np.concatenate([g.triangles for g in scene.geometry.values()])
+    np.testing.assert_allclose(written, mesh.triangles[face_order(mesh)], atol=1e-6)
 
 
 def test_glb_is_what_other_programs_read(textured: Mesh) -> None:

@@ -194,3 +194,42 @@ def test_a_brush_takes_its_trace_and_the_large_faces_under_it() -> None:
 def test_strokes_that_are_none_are_refused(arguments: tuple, message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         Stroke(*arguments)
+
+
+def test_a_ray_passes_what_is_hidden(ball: Mesh) -> None:
+    picker = Picker(Asset("ball", mesh=ball))
+    front = picker.pick((0.1, -5, 0.2), (0, 1, 0))
+    assert front is not None and front.position[1] < 0
+    hidden = ball.triangles.mean(1)[:, 1] < 0
+    back = picker.pick((0.1, -5, 0.2), (0, 1, 0), hidden=hidden)
+    assert back is not None and back.position[1] > 0
+    assert picker.pick((0.1, -5, 0.2), (0, 1, 0), hidden=np.ones(len(hidden), bool)) is None
+
+    cloud, _ = scan(20_000)
+    picker = Picker(Asset("scan", cloud=cloud))
+    hidden = cloud.points[:, 1] < 0.29
+    behind = picker.pick((0.1, -4, 0.2), (0, 1, 0), hidden=hidden)
+    assert behind is not None and behind.position[1] > 0.29
+
+
+@pytest.mark.parametrize("kind", ["mesh", "cloud"])
+def test_a_box_takes_what_lies_behind_what_is_hidden(kind: str) -> None:
+    near = trimesh.creation.box((1, 0.1, 1)).subdivide().subdivide()
+    far = near.copy().apply_translation((0, 1, 0))
+    both = trimesh.util.concatenate([near, far])
+    if kind == "mesh":
+        asset = Asset("walls", mesh=Mesh(both.vertices, both.faces.astype(np.int32)))
+    else:
+        points = trimesh.sample.sample_surface(both, 20_000, seed=0)[0]
+        asset = Asset("walls", cloud=PointCloud(points.astype(np.float32)))
+    camera = Camera((0, -4, 0), FRONT, 0.7, 1.0)
+    hidden = asset.element_centers[:, 1] < 0.5
+    picker = Picker(asset)
+    for found in (
+        picker.select_box(camera, (0.4, 0.4), (0.6, 0.6), hidden=hidden),
+        picker.select_stroke(
+            camera, Stroke("brush", ((0.45, 0.5), (0.55, 0.5)), 0.02), hidden=hidden
+        ),
+    ):
+        assert len(found) and not hidden[found].any()
+        assert (asset.element_centers[found, 1] < 1.0).all()  # its front, not its back
