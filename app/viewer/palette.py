@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 from typing import Final
 
 Rgb = tuple[int, int, int]
@@ -21,6 +22,8 @@ PART_COLORS: Final[tuple[Rgb, ...]] = (
     (70, 110, 150),
     (160, 110, 60),
 )
+_LIGHTER, _DARKER, _TURN = 0.56, 0.55, 0.065
+"""What further parts have of the first ones' colours: light, and a turn of the hue each round."""
 SELECTED: Final[Rgb] = (236, 0, 140)
 GHOST: Final[Rgb] = (150, 150, 160)
 CONTACT: Final[Rgb] = (220, 20, 40)
@@ -147,5 +150,13 @@ VERDICT_COLORS: Final[dict[str, Rgb]] = {
 
 
 def part_color(part: int) -> Rgb:
-    """The colour of a part, the same on every screen."""
-    return BASE_COLOR if part == 0 else PART_COLORS[(part - 1) % len(PART_COLORS)]
+    """The colour of a part, the same on every screen; the first 36 can all be told apart."""
+    if part == 0:
+        return BASE_COLOR
+    times, which = divmod(part - 1, len(PART_COLORS))
+    if not times:
+        return PART_COLORS[which]
+    hue, light, saturation = colorsys.rgb_to_hls(*(c / 255 for c in PART_COLORS[which]))
+    light = 1 - (1 - light) * _LIGHTER if times % 2 else light * _DARKER
+    r, g, b = colorsys.hls_to_rgb((hue + _TURN * times) % 1.0, light, saturation)
+    return (round(255 * r), round(255 * g), round(255 * b))
