@@ -185,7 +185,8 @@ class Segmenting:
         kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
         if request.tool == tool_tasks.NEXT_MASK:
             request = replace(request, turn=self._turn(doc, request, replaces))
-        used = {p.id for p in doc.parts}
+        empty = _never_used(doc)
+        used = {p.id for p in doc.parts} - empty
         request = replace(request, free_part=_free(used))
         offers = obj.bench.segmentation.submit(
             tool_tasks.use_tool,
@@ -216,8 +217,11 @@ class Segmenting:
             regions.append(
                 ToolRegion(part, offer.elements, offer.positive, offer.count, name, like)
             )
-        gone = (request.other,) if request.tool == "merge" and request.other else ()
-        obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, gone), who)
+        # An empty part gives its number to a new one, which has a name of its own.
+        gone = {r.part for r in regions} & empty - {request.part}
+        if request.tool == "merge" and request.other:
+            gone.add(request.other)
+        obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, tuple(sorted(gone))), who)
         return len(offers)
 
     def _turn(self, doc: Document, request: tool_tasks.ToolRequest, replaces: int) -> int:
@@ -264,6 +268,17 @@ def _shares(
     held = np.bincount(labels.astype(np.int64) + 1, weight)
     total = max(float(held.sum()), 1e-12)
     return {int(i) - 1: float(held[i] / total) for i in np.flatnonzero(held)}
+
+
+def _never_used(doc: Document) -> set[int]:
+    """Parts that somebody declared and left at that: no prompt, no name, no joint."""
+    used = {0, *(p.part for p in doc.prompts), *(p.like for p in doc.parts)}
+    links = () if doc.tree is None else doc.tree.links
+    return {
+        p.id
+        for p in doc.parts
+        if p.id not in used and p.name is None and p.like is None and p.link not in links
+    }
 
 
 def _free(used: set[int]) -> int:

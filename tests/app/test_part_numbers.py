@@ -1,0 +1,55 @@
+"""Tools number new parts: the lowest number that nothing was ever said of."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+from app.segmenting import Segmenting
+from app.tool_tasks import RegionOffer, ToolRequest
+from model.segmentation.prompts import Click
+from sessions.commands import AddClick, AddPart, NamePart
+from sessions.state import Context, SessionState, apply
+
+REF = "a" * 64
+HERE = Context("tester", "2026-01-01T00:00:00+00:00")
+
+
+def desk(offers: list[RegionOffer], *commands: Any) -> tuple[Segmenting, Any]:
+    """An open object after ``commands``, whose tools find ``offers``."""
+    job = SimpleNamespace(result=lambda seconds: offers)
+    obj: Any = SimpleNamespace(
+        need_asset=lambda: SimpleNamespace(folder=None),
+        bench=SimpleNamespace(
+            segmentation=SimpleNamespace(submit=lambda *a, **k: job),
+            workspace=None,
+            config=SimpleNamespace(segmenter="default"),
+        ),
+    )
+    state = SessionState()
+
+    def do(command: Any, who: str = "") -> None:
+        nonlocal state
+        state = apply(state, command, HERE)
+        obj.document = state.present
+
+    for command in commands:
+        do(command)
+    obj.do = do
+    return Segmenting(obj), obj
+
+
+def test_new_parts_take_the_numbers_of_empty_ones() -> None:
+    said = (AddPart(1), AddPart(2), AddPart(3, "door"), AddClick(Click((0, 0, 0), 4)), AddPart(5))
+    segmenting, obj = desk([RegionOffer(-1, REF, 9)] * 3, *said)
+    assert segmenting.use_tool(ToolRequest("propose", 2), "tester") == 3
+    regions = [(p.part, p.tool) for p in obj.document.prompts[1:]]
+    assert regions == [(1, "propose"), (2, "propose"), (5, "propose")]
+    assert [p.id for p in obj.document.parts] == [0, 1, 2, 3, 4, 5]
+
+
+def test_what_takes_an_empty_number_has_its_name() -> None:
+    said = (AddPart(1), AddClick(Click((0, 0, 0), 2)), NamePart(2, "knob"))
+    segmenting, obj = desk([RegionOffer(-1, REF, 9)], *said)
+    segmenting.use_tool(ToolRequest("same shape", 2), "tester")
+    assert obj.document.part_names == {1: "knob", 2: "knob"} and obj.document.part(1).like == 2
