@@ -2,10 +2,11 @@
 // is drawn with a lasso or a brush; and what it cannot draw: a scan without hidden parts. Messages go out on viser's own websocket; the server answers
 // through window.__artiworld.set({...}).
 (() => {
-  const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300;
+  const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300, SAID_MS = 1800, LATE_MS = 200;
   const KEYS = { l: "lasso", i: "brush" };
-  const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null, hint: "" };
-  let pointer = null, sent = null, timer = 0, stroke = null, pressed = null, down = null;
+  const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null,
+    hint: "", said: "" };
+  let pointer = null, sent = null, timer = 0, silent = 0, stroke = null, pressed = null, down = null;
 
   const viser = () => window.__viserMutable;
   const send = (message) => { const v = viser(); if (v && v.sendMessage) v.sendMessage(message); };
@@ -70,9 +71,20 @@
   };
 
   const active = () => state.drawing && state.tool !== "click";
+  // Panels open beside the picture after the page has loaded, and the window changes its size.
+  const moved = new ResizeObserver(() => draw());
+  let canvas = null, late = 0;
   const draw = () => {
     const b = box();
-    if (!b) return;
+    if (!b) {
+      clearTimeout(late);
+      late = setTimeout(draw, LATE_MS);
+      return;
+    }
+    if (canvas !== viser().canvas) {
+      moved.disconnect();
+      moved.observe(canvas = viser().canvas);
+    }
     const shown = (node, yes) => { node.style.display = yes ? "" : "none"; };
     const radius = state.radius * b.height;
     shown(line, stroke);
@@ -102,8 +114,9 @@
       cut.setAttribute("x1", down[0]);
       cut.setAttribute("y1", down[1]);
     }
-    badge.textContent = state.hint;
-    badge.style.display = state.hint ? "" : "none";
+    const text = state.said || state.hint;
+    badge.textContent = text;
+    badge.style.display = text ? "" : "none";
     badge.style.left = b.left + b.width / 2 + "px";
     const v = viser();
     if (v && v.canvas) v.canvas.style.cursor = active() || state.anchor ? "crosshair" : "";
@@ -263,6 +276,10 @@
     set(options) {
       const before = state.hover;
       Object.assign(state, options);
+      if (options.said) {
+        clearTimeout(silent);
+        silent = setTimeout(() => { state.said = ""; draw(); }, SAID_MS);
+      }
       if (!state.hover) quiet();
       else if (!before && pointer && !timer) timer = setTimeout(tell, HOVER_MS);
       draw();

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import viser
 
 from app.open_object import OpenObject
@@ -185,9 +186,22 @@ class AnnotatePanel:
             app.choose_part(self._document().next_part)
         elif action == "Hide":
             self.toggle_hidden()
-        elif app.part:
+        else:
+            self.delete_part()
+
+    def delete_part(self) -> None:
+        """Take the chosen part away with all its prompts, and choose another one."""
+        app = self._app
+        if app.stage != "Annotate":
+            app.notify("Delete", "Parts are deleted in the Annotate step", "gray")
+            return
+        if not app.part:
+            app.notify("Delete", "Part 0 is the base, which stays", "gray")
+            return
+        if self._document().part(app.part) is not None:
             app.do(cmd.DeletePart(app.part))
-            app.part = min((p.id for p in self._document().parts if p.id), default=1)
+        app.part = min((p.id for p in self._document().parts if p.id), default=1)
+        app.invalidate()
 
     def toggle_hidden(self) -> None:
         """Hide the chosen part (its joint's part in the other steps), or show it again."""
@@ -228,7 +242,11 @@ class AnnotatePanel:
         """Let a tool work, and say what came of it."""
         app = self._app
         app.pointing.hover.forget()
+        before = {p.part for p in self._document().prompts}
         found = app.need_object().segmenting.use_tool(request, app.who)
+        cut_off = {p.part for p in self._document().prompts} - before
+        if request.tool in ("cut", "rectangle") and cut_off and not app.picking_out:
+            app.choose_part(min(cut_off))  # what is named next is what was cut off
         if not found:
             app.notify(label, _NOTHING.get(request.tool, "It found nothing to change"), "gray")
         elif request.tool in _NEW_PARTS:
@@ -280,7 +298,7 @@ class AnnotatePanel:
         self._draw_prompts(doc)
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
-        wide = obj.asset is not None and np.ptp(obj.asset.bounds[:, :2], axis=0).max() > ROOM_METRES
+        wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
         odd = self._unit.draw(obj)
         if self._app.picking_out:
             text = (
@@ -352,6 +370,11 @@ class AnnotatePanel:
                 )
             button.on_click(lambda _, index=index: app.act(lambda: app.do(cmd.RemovePrompt(index))))
             self._prompt_buttons.append((button, index))
+
+
+def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
+    """Whether (2, 3) bounds in metres are a room's: a row of cabinets is not as deep."""
+    return bool(np.ptp(bounds[:, :2], axis=0).min() > ROOM_METRES)
 
 
 def _percent(share: float) -> str:

@@ -267,15 +267,13 @@ class ClientApp:
         self.invalidate()
 
     def choose_part(self, part: int) -> None:
-        """The part that the next clicks belong to; adds it if it is new."""
+        """The part that the next clicks belong to; a new one is there once it gets something."""
         if not 0 <= part < MAX_PARTS:
             return
         if self.stage != "Annotate":
             self.set_stage("Annotate")
         self.part = part
-        doc = self.need_object().document
-        if part and part not in {p.id for p in doc.parts}:
-            self.do(cmd.AddPart(part))
+        self.invalidate()
 
     def choose_joint(self, child: str) -> None:
         """The joint that the editor shows."""

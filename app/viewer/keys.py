@@ -24,6 +24,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Z", "same shape: the other knobs, …"),
     ("V", "preview of a click on or off"),
     ("H", "hide or show the part"),
+    ("Delete", "delete the part"),
     ("Esc", "back to plain clicks; close this"),
     ("P", "predict joints"),
     ("Space", "play or stop all joints"),
@@ -78,6 +79,7 @@ def add_keys(app: ClientApp) -> None:
     add("Axis handles", "G", app.motion.toggle_gizmo)
     add("Hide or show the part", "H", app.annotate_panel.toggle_hidden)
     panel = app.annotate_panel
+    add("Delete the part", "delete", panel.delete_part)
     for label, key in TOOL_KEYS:
         add(f"Tool: {label}", key, lambda label=label: panel.use_tool(label))
     add("Tool: Cut along a line, or a rectangle", "K", app.pointing.next_cut)

@@ -238,6 +238,7 @@ class Pointing:
             priority=20,
         ).result(PICK_SECONDS)
         if hit is None:
+            tell_page(app.client, said="Nothing there")
             return
         if app.stage != "Annotate":
             app.commands.choose_joint_at(hit.element)
@@ -250,7 +251,6 @@ class Pointing:
         elif self.armed == "merge":
             self._merge_at(element)
         else:
-            self._need_part()
             click = Click(position, app.part, positive, element)  # type: ignore[arg-type]
             if obj.asset.element_kind == "face":
                 self._tell_of_shared_face(click, _FACE_APART * obj.asset.diagonal)
@@ -266,11 +266,6 @@ class Pointing:
                 "K twice for a rectangle",
                 "yellow",
             )
-
-    def _need_part(self) -> None:
-        app = self._app
-        if app.part and app.part not in {p.id for p in app.need_object().document.parts}:
-            app.do(cmd.AddPart(app.part))
 
     def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
         app = self._app
@@ -381,7 +376,6 @@ class Pointing:
             app.notify(f"Nothing under the {tool}", "Draw over the object", "gray")
             return
         self.hover.forget()
-        self._need_part()
         app.do(cmd.AddRegion(app.part, ref, positive, count, tool))
 
     def hidden_now(self) -> picking_tasks.Hidden | None:

@@ -183,6 +183,39 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     wait_until(lambda: len(tab.document.prompts) == 2, "Ctrl+Shift+Z removes it again")
 
 
+def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
+    path, points = cabinet
+    tab = open_tab(start(path))
+    tab.prompt(points["door"])
+    # A click into the air says so.
+    hint = tab.page.locator("#artiworld-hint")
+    tab.page.mouse.click(330, 760)
+    wait_until(lambda: hint.inner_text() == "Nothing there", "the click met nothing")
+    # A number alone is no part yet: it comes with its first click, and goes with its undo.
+    edits = tab.document.edits
+    for number in ("5", "4"):
+        tab.key(number)
+        wait_until(lambda number=number: tab.app.part == int(number), f"part {number}")
+    assert tab.document.edits == edits and [p.id for p in tab.document.parts] == [0, 1]
+    tab.prompt(points["drawer"])
+    assert [p.id for p in tab.document.parts] == [0, 1, 4]
+    # Delete takes the chosen part away, but not while somebody types.
+    box = tab.field("Your name")
+    box.fill("me")
+    box.press("Home")
+    box.press("Delete")
+    tab.page.wait_for_timeout(300)
+    assert box.input_value() == "e" and tab.document.edits == edits + 1
+    box.press("Enter")
+    tab.page.wait_for_timeout(150)  # the box gives the keyboard back
+    tab.key("Delete")
+    wait_until(lambda: [p.id for p in tab.document.parts] == [0, 1], "the part is deleted")
+    tab.key("Control+z")
+    wait_until(lambda: len(tab.document.prompts) == 2, "undo brings it back")
+    tab.key("Control+z")
+    wait_until(lambda: [p.id for p in tab.document.parts] == [0, 1], "a click and its part")
+
+
 def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
@@ -368,6 +401,13 @@ def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet
     )
 
 
+def below_the_picture(tab: Tab) -> bool:
+    picture = tab.page.locator("canvas").first.bounding_box()
+    hint = tab.page.locator("#artiworld-hint").bounding_box()
+    middles = [b["x"] + b["width"] / 2 for b in (picture, hint)]
+    return abs(middles[0] - middles[1]) < 2
+
+
 def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
@@ -388,6 +428,13 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     np.testing.assert_array_equal(store.get_array(tab.document.segmentation.labels), first)
     tab.page.keyboard.press("Tab")
     wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "and Tab on again")
+    # It stays below the middle of the picture in a window of another size, and after a reload.
+    tab.page.set_viewport_size({"width": 1000, "height": 700})
+    wait_until(lambda: below_the_picture(tab), "the hint follows the picture")
+    tab.page.reload()
+    tab.ready()
+    wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "the hint is back")
+    wait_until(lambda: below_the_picture(tab), "where it belongs")
     # Clicks in vain: they say what the mask shows already.
     tab.prompt(points["door"])
     wait_until(lambda: not hint.is_visible(), "a click ends it")

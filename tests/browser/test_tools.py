@@ -120,6 +120,7 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     tab.settled()
     region = tab.document.prompts[-1]
     assert region.tool == "cut" and region.part == 3
+    wait_until(lambda: tab.app.part == 3, "what was cut off is chosen, to be named")
     assert tab.app.pointing.armed == ""
 
 
