@@ -1,8 +1,8 @@
-"""Which object a reviewer sees next: the least confident prediction first."""
+"""Which object a reviewer sees next: the least confident prediction, what was skipped last."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from sessions.document import Document
 from sessions.records import ObjectRecord
@@ -36,21 +36,33 @@ class ReviewOrder:
         self._document = document
         self._known: dict[int, tuple[int, float]] = {}
 
-    def next(self, records: Sequence[ObjectRecord], current: int) -> int | None:
+    def next(
+        self, records: Sequence[ObjectRecord], current: int, skipped: Collection[int] = ()
+    ) -> int | None:
         """The predicted object that is least sure, else the next unfinished one after ``current``.
+
+        Args:
+            records: the queue.
+            current: id of the object that was decided.
+            skipped: ids that a person went past; they come when nothing else is left.
 
         Returns:
             An object's id; None where everything else is decided.
         """
-        predicted = [r for r in records if r.state == "predicted" and r.id != current]
-        if predicted:
-            return min(predicted, key=self._confidence).id
         ids = [r.id for r in records]
         at = ids.index(current) + 1 if current in ids else 0
-        ahead = [*records[at:], *records[:at]]
-        return next(
-            (r.id for r in ahead if r.state in ("todo", "in_progress") and r.id != current), None
-        )
+        ahead = [r for r in (*records[at:], *records[:at]) if r.id != current]
+        for some in (
+            [r for r in ahead if r.id not in skipped],
+            [r for r in ahead if r.id in skipped],
+        ):
+            predicted = [r for r in some if r.state == "predicted"]
+            if predicted:
+                return min(predicted, key=self._confidence).id
+            for record in some:
+                if record.state in ("todo", "in_progress"):
+                    return record.id
+        return None
 
     def _confidence(self, record: ObjectRecord) -> float:
         known = self._known.get(record.id)

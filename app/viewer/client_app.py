@@ -51,6 +51,7 @@ class ClientApp:
         self.stage: Stage = "Annotate"
         self.hidden: frozenset[int] = frozenset()
         self.touch_wanted = False
+        self.skipped: set[int] = set()
         self._unwatch: Callable[[], None] = lambda: None
         self.scene = SceneView(client, in_scene=bench.desk is not None)
         self._in_scene: InScene | None = None
@@ -179,6 +180,7 @@ class ClientApp:
 
     def open(self, object_id: int) -> None:
         """Show another object."""
+        self.skipped.discard(object_id)
         self._unwatch()
         self.motion.begin()
         self.pointing.begin()
@@ -230,12 +232,14 @@ class ClientApp:
         return self._in_scene is not None and self._in_scene.picking
 
     def step(self, by: int) -> None:
-        """Next or previous object of the queue, or of the scene."""
+        """Next or previous object of the queue, or of the scene; going past one skips it."""
         if self._in_scene is not None:
             self._in_scene.step(by)
             return
         ids = [r.id for r in self.bench.records()]
         if self.object is not None and ids:
+            if by > 0:
+                self.skipped.add(self.object.record.id)
             self.open(ids[(ids.index(self.object.record.id) + by) % len(ids)])
 
     def do(self, command: cmd.Command) -> None:

@@ -98,7 +98,7 @@ class Commands:
             app.in_scene.step(1)
             return
         bench, current = app.bench, app.need_object().record
-        following = bench.review_order.next(bench.records(), current.id)
+        following = bench.review_order.next(bench.records(), current.id, app.skipped)
         if following is None:
             return
         app.open(following)

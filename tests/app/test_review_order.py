@@ -63,3 +63,16 @@ def test_where_nothing_is_predicted_the_next_unfinished_object_follows():
     assert order.next(queue, 2) == 4
     assert order.next(queue, 4) == 1
     assert order.next([record(1, "accepted"), record(2, "accepted")], 1) is None
+
+
+def test_what_was_skipped_comes_last():
+    documents = {1: predicted(0.1, 0.9), 2: predicted(0.5, 0.9), 3: predicted(0.6, 0.9)}
+    order = ReviewOrder(documents.__getitem__)
+    queue = [record(1, "predicted"), record(2, "predicted"), record(3, "predicted")]
+    assert order.next(queue, 2, {1}) == 3
+    assert order.next([queue[0], record(2, "accepted"), record(3, "accepted")], 3, {1}) == 1
+    queue = [record(1, "todo"), record(2, "todo"), record(3, "accepted"), record(4, "todo")]
+    assert order.next(queue, 3, {1, 4}) == 2
+    queue = [record(1, "todo"), record(2, "accepted"), record(3, "accepted"), record(4, "todo")]
+    assert order.next(queue, 3, {1, 4}) == 4
+    assert order.next([queue[0], record(4, "accepted")], 4, {1}) == 1
