@@ -63,9 +63,19 @@ class AddRegion:
 
 @dataclass(frozen=True)
 class RemovePrompt:
-    """Take back one prompt; ``index`` counts all the prompts in the order they were given."""
+    """Take back prompts that belong together, such as a click and another mask for it.
+
+    Attributes:
+        index: of the first one; counts all the prompts in the order they were given.
+        count: how many from there on.
+    """
 
     index: int
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise CommandError(f"count must be 1 or more, got {self.count}")
 
 
 @dataclass(frozen=True)

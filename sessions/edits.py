@@ -128,8 +128,8 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             return _decide_objects(document, command, context), "adjust"
         case PickOut():
             return _pick_out(document, command), "adjust"
-        case RemovePrompt(index=index):
-            return _remove_prompt(document, index), "annotate"
+        case RemovePrompt(index=index, count=count):
+            return _remove_prompts(document, index, count), "annotate"
         case ClearPrompts(part=part):
             return _clear_prompts(document, part), "annotate"
         case AddPart(part=part, name=name):
@@ -214,12 +214,13 @@ def _with_prompts(document: Document, prompts: tuple[Click | RegionRef, ...]) ->
     return replace(document, prompts=prompts, segmentation=segmentation)
 
 
-def _remove_prompt(document: Document, index: int) -> Document:
-    count = len(document.prompts)
-    if not 0 <= index < count:
-        have = f"prompts 0..{count - 1}" if count else "no prompts"
-        raise CommandError(f"no prompt {index}; there are {have}")
-    return _with_prompts(document, document.prompts[:index] + document.prompts[index + 1 :])
+def _remove_prompts(document: Document, index: int, count: int) -> Document:
+    total = len(document.prompts)
+    wrong = index if not 0 <= index < total else index + count - 1
+    if not 0 <= wrong < total:
+        have = f"prompts 0..{total - 1}" if total else "no prompts"
+        raise CommandError(f"no prompt {wrong}; there are {have}")
+    return _with_prompts(document, document.prompts[:index] + document.prompts[index + count :])
 
 
 def _clear_prompts(document: Document, part: int | None) -> Document:

@@ -11,11 +11,12 @@ import viser
 from app.open_object import OpenObject
 from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
+from app.viewer.prompt_list import PromptEntry, prompt_entries
 from app.viewer.quick_names import QuickNames
 from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
 from model.segmentation.nodes import ROOM_METRES
-from model.segmentation.prompts import BASE, Click
+from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.document import Document
 
@@ -106,7 +107,7 @@ class AnnotatePanel:
         with gui.add_folder("Prompts", expand_by_default=True):
             self._prompt_note = gui.add_markdown("")
             self._prompt_box = gui.add_folder(None)
-            self._prompt_buttons: list[tuple[Any, int]] = []
+            self._prompt_buttons: list[tuple[Any, PromptEntry]] = []
             self._prompt_actions = gui.add_button_group("Remove", ("Last", "Of this part", "All"))
         self._predict = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
         self._here = gui.add_button(
@@ -267,7 +268,8 @@ class AnnotatePanel:
         if not prompts:
             return
         if action == "Last":
-            self._app.do(cmd.RemovePrompt(len(prompts) - 1))
+            last = prompt_entries(prompts)[-1]
+            self._app.do(cmd.RemovePrompt(last.index, last.count))
         else:
             self._app.do(cmd.ClearPrompts(self._app.part if action == "Of this part" else None))
 
@@ -346,30 +348,27 @@ class AnnotatePanel:
     def _draw_names(self, doc: Document) -> None:
         name = _part_name(doc, self._app.part)
         _show_choice(self._name, self._name_text, name, palette.PART_NAMES)
-        self._quick.show(name is None and self._app.part != BASE)
+        self._quick.show(self._app.part != BASE, name)
         _show_choice(self._category, self._category_text, doc.category, palette.CATEGORIES)
 
     def _draw_prompts(self, doc: Document) -> None:
         app = self._app
-        mine = [(i, p) for i, p in enumerate(doc.prompts) if p.part == app.part]
-        note = f"{len(mine)} on this part, {len(doc.prompts)} in all. Click one to remove it."
+        entries = prompt_entries(doc.prompts)
+        mine = [entry for entry in entries if entry.part == app.part]
+        note = f"{len(mine)} on this part, {len(entries)} in all. Click one to remove it."
         put(self._prompt_note, "content", note if doc.prompts else "None yet.")
         wanted = mine[-PROMPTS_SHOWN:]
-        if [i for _, i in self._prompt_buttons] == [i for i, _ in wanted] and all(
-            button.label == _prompt_label(p)
-            for (button, _), (_, p) in zip(self._prompt_buttons, wanted, strict=True)
-        ):
+        if [entry for _, entry in self._prompt_buttons] == wanted:
             return
         for button, _ in self._prompt_buttons:
             button.remove()
         self._prompt_buttons = []
-        for index, prompt in wanted:
+        for entry in wanted:
             with self._prompt_box:
-                button = app.client.gui.add_button(
-                    _prompt_label(prompt), icon=viser.Icon.X, color="gray"
-                )
-            button.on_click(lambda _, index=index: app.act(lambda: app.do(cmd.RemovePrompt(index))))
-            self._prompt_buttons.append((button, index))
+                button = app.client.gui.add_button(entry.label, icon=viser.Icon.X, color="gray")
+            remove = cmd.RemovePrompt(entry.index, entry.count)
+            button.on_click(lambda _, remove=remove: app.act(lambda: app.do(remove)))
+            self._prompt_buttons.append((button, entry))
 
 
 def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
@@ -384,15 +383,6 @@ def _percent(share: float) -> str:
 
 def _part_name(doc: Document, part: int) -> str | None:
     return next((p.name for p in doc.parts if p.id == part), None)
-
-
-def _prompt_label(prompt: Any) -> str:
-    if isinstance(prompt, Click):
-        x, y, z = prompt.position
-        sign = "+" if prompt.positive else "−"
-        return f"{sign}  {x:.3f}, {y:.3f}, {z:.3f} m"
-    sign = "+" if prompt.positive else "−"
-    return f"{sign}  {prompt.tool}: {prompt.count:,} elements"
 
 
 def _listed(value: str | None, known: tuple[str, ...]) -> str:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 ROWS: Final[tuple[tuple[str, ...], ...]] = (("door", "drawer", "lid"), ("knob", "button", "wheel"))
 """What most parts are; the list beside them has the rest."""
+_CHOSEN = "● "
 
 
 class QuickNames:
@@ -21,9 +22,10 @@ class QuickNames:
         """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
         self._rows = [app.client.gui.add_button_group("", names) for names in ROWS]
         for row in self._rows:
-            row.on_click(lambda e: app.act(lambda: named(e.target.value)))
+            row.on_click(lambda e: app.act(lambda: named(e.target.value.removeprefix(_CHOSEN))))
 
-    def show(self, visible: bool) -> None:
-        """Show or hide them."""
-        for row in self._rows:
+    def show(self, visible: bool, chosen: str | None = None) -> None:
+        """Show or hide them; the ``chosen`` name is marked."""
+        for row, names in zip(self._rows, ROWS, strict=True):
             put(row, "visible", visible)
+            put(row, "options", tuple(_CHOSEN * (name == chosen) + name for name in names))

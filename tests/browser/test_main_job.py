@@ -50,7 +50,7 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     tab.prompt(points["door"])
     tab.button("door").click()
     wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
-    tab.button("door").wait_for(state="hidden")
+    tab.button("● door").wait_for()
     for key, place in (("2", "drawer"), ("3", "base")):
         tab.key(key)
         wait_until(lambda key=key: tab.app.part == int(key), "the key chooses the part")
@@ -420,6 +420,7 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     second = store.get_array(tab.document.segmentation.labels)
     assert (first != second).any()
     assert second[tab.document.prompts[0].element] == 1
+    tab.page.get_by_text("1 on this part, 1 in all").wait_for()
     hint = tab.page.locator("#artiworld-hint")
     wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "the page says which mask it is")
     tab.page.keyboard.press("Shift+Tab")

@@ -126,7 +126,7 @@ commands: st.SearchStrategy[Command] = st.one_of(
     st.builds(
         DecideObjects, st.sampled_from(["accept", "reject"]), st.tuples(parts), st.none() | shares
     ),
-    st.builds(RemovePrompt, parts),
+    st.builds(RemovePrompt, parts, st.integers(1, 3)),
     st.builds(ClearPrompts, st.none() | parts),
     st.builds(AddPart, parts, texts),
     st.builds(NamePart, parts, texts),

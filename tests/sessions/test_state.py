@@ -184,6 +184,17 @@ def test_prompts_are_removed_and_cleared():
         run(RemovePrompt(0))
 
 
+def test_prompts_that_belong_together_are_removed_in_one_step():
+    state = run(click(1), click(2), AddRegion(2, REF, count=3), click(3))
+    fewer = run(RemovePrompt(1, 2), state=state)
+    assert [p.part for p in fewer.present.prompts] == [1, 3]
+    assert run(Undo(), state=fewer).present == state.present
+    with pytest.raises(CommandError, match=r"no prompt 4; there are prompts 0\.\.3"):
+        run(RemovePrompt(2, 3), state=state)
+    with pytest.raises(CommandError, match="1 or more"):
+        RemovePrompt(1, 0)
+
+
 def test_the_key_tells_prompts_and_frames_apart():
     commands = [
         [click(1)],
