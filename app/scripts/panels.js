@@ -1,0 +1,16 @@
+// What viser's panels lack: room for the scroll bar, and the whole text of a clipped button.
+(() => {
+  // A visible bar lies over the right edge of what scrolls.
+  const style = document.createElement("style");
+  style.textContent = `.mantine-ScrollArea-root:has(> .mantine-ScrollArea-scrollbar` +
+    `[data-orientation="vertical"][data-state="visible"]) > .mantine-ScrollArea-viewport` +
+    ` > .mantine-ScrollArea-content { padding-right: 6px; box-sizing: border-box; }`;
+  document.head.append(style);
+
+  let titles = {};
+  window.addEventListener("pointerover", (event) => {
+    const button = event.target instanceof Element && event.target.closest("button[id]");
+    if (button && button.id in titles) button.title = titles[button.id];
+  }, true);
+  window.__artiworldPanels = { titles(texts) { titles = texts; } };
+})();
