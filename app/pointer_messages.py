@@ -49,6 +49,15 @@ def tell_page(client: viser.ClientHandle, **state: Any) -> None:
     _run(client, f"window.__artiworld?.set({json.dumps(state)})")
 
 
+def title_buttons(client: viser.ClientHandle, titles: dict[str, str]) -> None:
+    """Say what stands beside a button while the pointer rests on it.
+
+    Args:
+        titles: by the button's uuid; of all buttons that have one.
+    """
+    _run(client, f"window.__artiworldPanels?.titles({json.dumps(titles)})")
+
+
 def hide_on_page(client: viser.ClientHandle, out: npt.NDArray[np.bool_] | None) -> None:
     """Leave elements out of the drawn scan.
 

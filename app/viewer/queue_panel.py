@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
+from app.pointer_messages import title_buttons
 from app.viewer import palette
+from app.viewer.queue_names import clipped, queue_names
 from app.viewer.text import plain
 from sessions import commands as cmd
 
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 PAGE = 14
+NAME_LENGTH = 22
 ALL = "all"
 _ICONS = {
     "todo": viser.Icon.CIRCLE,
@@ -94,11 +97,12 @@ class QueuePanel:
         records = app.bench.records()
         current = None if app.object is None else app.object.record.id
         words = palette.STATE_WORDS
+        names = queue_names(records)
         chosen = [
             r
             for r in records
             if self._filter.value in (ALL, words[r.state])
-            and self._search.value.lower() in r.name.lower()
+            and self._search.value.lower() in names[r.id].lower()
         ]
         if current != self._followed:
             self._followed = current
@@ -108,7 +112,7 @@ class QueuePanel:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
         now = (
-            tuple((r.id, r.name, r.state) for r in page),
+            tuple((r.id, names[r.id], r.state) for r in page),
             current,
             len(chosen),
             self._first,
@@ -130,11 +134,18 @@ class QueuePanel:
                 continue
             record = page[k]
             here = record.id == current
-            button.label = ("▸ " if here else "") + record.name[:40]
+            button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
             button.icon = _ICONS[record.state]
             button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
-            button.hint = f"{plain(record.name)}: {words[record.state]}"
+            button.hint = f"{plain(names[record.id])}: {words[record.state]}"
             button.visible = True
+        title_buttons(
+            app.client,
+            {
+                button._impl.uuid: f"{names[record.id]}: {words[record.state]}"
+                for button, record in zip(self._buttons, page, strict=False)
+            },
+        )
 
 
 def _pale(state: str) -> palette.Rgb:
