@@ -114,11 +114,8 @@ class JointsPanel:
         self.editor.draw(obj, tree)
 
     def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
-        """Parts without a name, the chosen joint's first, and whether there is no category.
-
-        Nothing is unknown where a person has settled joints: they are not predicted in passing.
-        """
-        if doc.tree is None or doc.prediction is None or doc.locked or doc.edited_joints:
+        """Parts without a name, the chosen joint's first, and whether there is no category."""
+        if doc.tree is None or doc.prediction is None:
             return [], False
         found = [p for p in doc.parts if p.name is None and p.link in doc.tree.joint_of]
         return sorted(found, key=lambda p: p.link != self._app.child), doc.category is None
@@ -130,7 +127,10 @@ class JointsPanel:
         put(self._category, "value", NONE)
         self._quick.show(bool(unnamed))
         what = f"**What is {unnamed[0].link}?**" if unnamed else "**What is the object?**"
-        put(self._what, "content", f"{what} Joints come right more often if that is known.")
+        why = "Joints come right more often if that is known."
+        if _settled(doc):
+            why = "It is kept for the next prediction (P)."
+        put(self._what, "content", f"{what} {why}")
 
     def _categorised(self) -> None:
         if self._category.value != NONE:
@@ -148,8 +148,12 @@ class JointsPanel:
             self._predict_what_is_known()
 
     def _predict_what_is_known(self) -> None:
-        """Predict again once the last name, or the category after it, has been said."""
-        if self._unknown(self._app.need_object().document) == ([], False):
+        """Predict again once the last name, or the category after it, has been said.
+
+        Where a person has settled joints, they are not predicted in passing.
+        """
+        doc = self._app.need_object().document
+        if self._unknown(doc) == ([], False) and not _settled(doc):
             self._app.commands.predict()
 
     def _draw_motion(self, tree: KinematicTree | None, doc: Document) -> None:
@@ -195,6 +199,11 @@ class JointsPanel:
             app.act(lambda: app.choose_joint(joint.child))
         else:
             app.act(lambda: app.motion.play(joint.name))
+
+
+def _settled(doc: Document) -> bool:
+    """Whether a person has changed or locked a joint."""
+    return bool(doc.locked or doc.edited_joints)
 
 
 def _range(joint: Joint) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from browsing import Tab, wait_until
 from objects import write_cabinet, write_cloud
 
 from model.kinematics.joint import motion
+from sessions.commands import SetCategory
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
@@ -71,6 +72,18 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     assert tab.document.category == "StorageFurniture"
     assert tab.document.tree.joint_of["link_2"].type == "prismatic"
     tab.page.get_by_text("What is the object?").wait_for(state="hidden")
+    # Where a joint was changed by hand the question stays, and the answer predicts nothing.
+    wait_until(lambda: not tab.app.object.busy, "the gate has judged")
+    predicted = tab.document.prediction
+    tab.app.do(SetCategory(None))
+    tab.app.motion.stop()
+    tab.key("f")
+    wait_until(lambda: tab.document.edited_joints, "a joint is flipped")
+    tab.page.get_by_text("What is the object?").wait_for()
+    tab.choose("Category", "Table")
+    wait_until(lambda: tab.document.category == "Table", "the category is said")
+    assert tab.document.edited_joints and not tab.app.object.predicting
+    assert tab.document.prediction is predicted
 
 
 def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any) -> None:
@@ -214,6 +227,11 @@ def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
     wait_until(lambda: len(tab.document.prompts) == 2, "undo brings it back")
     tab.key("Control+z")
     wait_until(lambda: [p.id for p in tab.document.parts] == [0, 1], "a click and its part")
+    # What is typed into a list replaces what stands there, and Enter takes the first that fits.
+    tab.field("Category").click()
+    tab.page.keyboard.type("refr")
+    tab.page.keyboard.press("Enter")
+    wait_until(lambda: tab.document.category == "Refrigerator", "the category is chosen")
 
 
 def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> None:
