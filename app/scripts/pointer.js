@@ -1,8 +1,9 @@
 // What viser's page does not send: where the pointer rests (for the preview of a click) and what
-// is drawn with a lasso or a brush; and what it cannot draw: a scan without hidden parts. Messages go out on viser's own websocket; the server answers
-// through window.__artiworld.set({...}).
+// is drawn with a lasso or a brush; and what it cannot draw: a scan without its hidden parts.
+// Messages go out on viser's own websocket; the server answers through window.__artiworld.
 (() => {
-  const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300, SAID_MS = 1800, LATE_MS = 200;
+  const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300;
+  const SAID_MS = 1800, LATE_MS = 200, WATCH_MS = 60;
   const KEYS = { l: "lasso", i: "brush" };
   const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null,
     hint: "", said: "" };
@@ -230,7 +231,6 @@
   // --- hidden parts
 
   // Of the scan that viser has loaded only the index of its triangles, or points, is rewritten.
-  const WATCH_MS = 60;
   let hidden = null, watching = 0;
   const scanned = () => {
     const v = viser(), root = v && v.nodeRefFromName && v.nodeRefFromName["/scan"], found = [];

@@ -274,6 +274,7 @@ class ClientApp:
         """The part that the next clicks belong to; a new one is there once it gets something."""
         if not 0 <= part < MAX_PARTS:
             return
+        self.need_object()
         if self.stage != "Annotate":
             self.set_stage("Annotate")
         self.part = part

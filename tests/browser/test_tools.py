@@ -156,6 +156,7 @@ def test_what_is_hidden_is_neither_drawn_nor_clicked(
         tab.key("h")
         drawn(int((labels != 1).sum()), "without the part")
         tab.key("2")
+        wait_until(lambda: tab.app.part == 2, "part 2")
         tab.prompt(place)
         behind = tab.document.prompts[1].element
         assert behind != front and labels[behind] != 1
