@@ -124,6 +124,7 @@ class Picking:
                 SceneObject(
                     pick.id, pick.name, _pose(pick.position, pick.wxyz), np.ones(3),
                     asset=f"{self._desk.record.path.name}#{pick.id}", room=old.obj.room,
+                    base=old.obj.base,
                 ),
                 self._decision(pick.name), Path(pick.path), self._copy(pick.path),
             )  # fmt: skip

@@ -276,7 +276,8 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
     if clicks is not None:
         category = clicks.category or category
         clicked = ClickedObject(clicks, o.obj.world_from_object, o.obj.anchor)
-    told = [digest, x, y, z, fit, articulate, category, settings.collision, settings.formats]
+    collision = settings.collision and o.obj.solid
+    told = [digest, x, y, z, fit, articulate, category, collision, settings.formats]
     if clicks is not None:
         told += [clicks.key(), o.obj.world_from_object.tolist(), o.obj.anchor]
     told += [settings.predictor, settings.seed] if articulate else []
@@ -284,7 +285,7 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]
     return AssetJob(
         f"{stem}-{short}", o.path, (x, y, z), fit, articulate, category, settings.predictor,  # type: ignore[arg-type]
-        settings.seed, settings.collision, settings.seconds, settings.formats, clicked,
+        settings.seed, collision, settings.seconds, settings.formats, clicked,
     )  # fmt: skip
 
 

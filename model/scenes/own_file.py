@@ -4,7 +4,7 @@
 
     {"artiworld_scene": 1, "name", "source": {"file", "reader", "frame": {…}},
      "objects": [{"id", "description", "category", "room", "asset", "position", "quaternion_wxyz",
-                  "scale", "anchor", "fit", "static", "obstacle", "box",
+                  "scale", "anchor", "fit", "static", "obstacle", "base", "solid", "box",
                   …what the conversion says}],
      "problems": [{"object", "reason", "skipped"}]}
 
@@ -63,5 +63,7 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "fit": None if o.fit is None else [float(v) for v in o.fit],
         "static": o.static,
         "obstacle": o.obstacle,
+        "base": o.base,
+        "solid": o.solid,
         "box": None if o.box is None else [float(v) for v in o.box],
     }

@@ -16,6 +16,7 @@ import numpy as np
 from model.exporters.saved import URDF
 from model.kinematics.urdf import number, xml_name
 from model.scenes.jobs import ASSETS, MISSING, MOVING, write_json
+from model.scenes.overlaps import at_rest
 from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
@@ -48,9 +49,13 @@ def write_results(
         formats: what the scene is written as besides MJCF; the assets are there in them already.
     """
     urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state in MOVING}
-    said = {o.obj.id: _said(o, urdfs.get(o.obj.id)) for o in outcomes}
+    stands, held = at_rest(_stands(outcomes, free_bases), out)
+    told = {s.id: s for s in stands}
+    said = {
+        o.obj.id: _said(o, urdfs.get(o.obj.id), told.get(o.obj.id), held.get(o.obj.id))
+        for o in outcomes
+    }
     write_json(out / SCENE_JSON, scene_to_json(scene, said))
-    stands = _stands(outcomes, free_bases)
     write_scene_mjcf(scene.name, stands, out, SCENE_MJCF)
     files = [SCENE_JSON, SCENE_MJCF]
     for name, write, file in (
@@ -89,7 +94,7 @@ def _urdf(o: Outcome, index: int, out: Path) -> str:
     return f"{folder}/{name}"
 
 
-def _said(o: Outcome, urdf: str | None) -> dict[str, Any]:
+def _said(o: Outcome, urdf: str | None, stand: Stand | None, held: str | None) -> dict[str, Any]:
     out: dict[str, Any] = {
         "state": o.state,
         "reason": o.reason or None,
@@ -97,9 +102,13 @@ def _said(o: Outcome, urdf: str | None) -> dict[str, Any]:
         "why": o.decision.reason,
         "kind": o.decision.kind,
         "expected_parts": list(o.decision.parts),
-        "base": base_of(o),
+        "base": "fixed" if held else base_of(o),
         "urdf": urdf,
     }
+    if held:
+        out["held"] = held
+    if stand is not None and stand.passes:
+        out["passes"] = [asdict(p) for p in stand.passes]
     bounds = o.report.get("bounds")
     if bounds is not None:
         world = o.obj.placed(bounds).world_from_asset
@@ -117,7 +126,10 @@ def _said(o: Outcome, urdf: str | None) -> dict[str, Any]:
 
 
 def base_of(o: Outcome) -> str:
-    """``fixed`` or ``free``: as the object's kind demands, else as the scene says, else fixed."""
+    """``fixed`` or ``free``: as the scene says of its base, else as the object's kind demands,
+    else as the scene says of the object, else fixed."""
+    if o.obj.base is not None:
+        return o.obj.base
     if o.decision.base is not None:
         return o.decision.base
     return "free" if o.obj.static is False else "fixed"

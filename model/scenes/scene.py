@@ -13,7 +13,9 @@ from model.errors import ArtiworldError
 
 FloatArray = npt.NDArray[np.float64]
 Anchor = Literal["origin", "center", "base"]
+Base = Literal["fixed", "free"]
 ANCHORS: tuple[Anchor, ...] = get_args(Anchor)
+BASES: tuple[Base, ...] = get_args(Base)
 FARTHEST = 1e5
 """Metres from the origin: beyond, single precision can't tell a hinge from its neighbour."""
 
@@ -74,6 +76,9 @@ class SceneObject:
         box: (3,) full sizes in metres of an object that is a plain box without an asset, or None.
         place: where the object is in the file, for writing back.
         obstacle: whether it stops what moves into it; the leftovers of a scan don't.
+        base: whether its base may move, where the scene says so; None as its kind demands. What
+            was scanned stays where it was.
+        solid: whether it has collision shapes in the written scene.
     """
 
     id: str
@@ -89,6 +94,8 @@ class SceneObject:
     box: tuple[float, float, float] | None = None
     place: tuple[str | int, ...] = ()
     obstacle: bool = True
+    base: Base | None = None
+    solid: bool = True
 
     def __post_init__(self) -> None:
         pose = _array(self.world_from_object, (4, 4), "world_from_object")

@@ -24,6 +24,23 @@ _BODY_NAMES = ("name", "body1", "body2", "joint1", "joint2")
 _ASSET_NAMES = ("mesh", "material", "texture")
 
 
+@dataclass(frozen=True)
+class Pass:
+    """Two links that start inside one another, so that contact between them would throw them apart.
+
+    Attributes:
+        link: of the object.
+        through: id of the other object.
+        through_link: of that one; None where it is a plain box.
+        depth: metres.
+    """
+
+    link: str
+    through: str
+    through_link: str | None
+    depth: float
+
+
 @dataclass(frozen=True, eq=False)
 class Stand:
     """An object as MuJoCo gets it.
@@ -35,6 +52,7 @@ class Stand:
         free: whether its base may move.
         limits: joint → (lower, upper) where they were shortened.
         box: (3,) full sizes of a plain box.
+        passes: what passes through other objects.
     """
 
     id: str
@@ -43,6 +61,7 @@ class Stand:
     free: bool = False
     limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
     box: tuple[float, float, float] | None = None
+    passes: tuple[Pass, ...] = ()
 
 
 def write_scene_mjcf(name: str, stands: Sequence[Stand], out: Path, file: str) -> Path:
@@ -71,6 +90,12 @@ def write_scene_mjcf(name: str, stands: Sequence[Stand], out: Path, file: str) -
                 made = copy.deepcopy(element)
                 _prefix(made, _BODY_NAMES, stand.id)
                 target.append(made)
+    for stand in stands:
+        for found in stand.passes:
+            ET.SubElement(
+                contact, "exclude", body1=_body(stand.id, found.link),
+                body2=_body(found.through, found.through_link),
+            )  # fmt: skip
     root.extend(e for e in (contact, equality) if len(e))
     path = out / file
     draft = path.with_name(f".{file}.draft")
@@ -111,6 +136,10 @@ def _place(world: ET.Element, body: ET.Element, stand: Stand) -> None:
     if stand.free:
         body.insert(0, ET.Element("freejoint"))
     world.append(body)
+
+
+def _body(id: str, link: str | None) -> str:
+    return xml_name(id) if link is None else f"{xml_name(id)}/{link}"
 
 
 def _box(world: ET.Element, stand: Stand) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from model.exporters.usd import FILE, NAME_KEY
+from model.kinematics.urdf import xml_name
 from model.scenes.jobs import ASSETS
 from model.scenes.own_file import quaternion_wxyz
 from model.scenes.scene import FloatArray
@@ -41,6 +42,7 @@ def write_scene_usd(name: str, stands: Sequence[Stand], out: Path, file: str) ->
     stage.SetDefaultPrim(world)
     usd.ModelAPI(world).SetKind("assembly")
     taken: set[str] = set()
+    prims: dict[str, Any] = {}
     for stand in stands:
         at = f"/World/{_identifier(stand.id, taken)}"
         if stand.key is None:
@@ -56,6 +58,13 @@ def write_scene_usd(name: str, stands: Sequence[Stand], out: Path, file: str) ->
             _stand(gf, made, stand.world_from_asset)
             _hold(gf, geom, physics, made.GetPrim(), stand)
         made.GetPrim().SetCustomDataByKey(NAME_KEY, stand.id)
+        prims[stand.id] = made.GetPrim()
+    for stand in stands:
+        for found in stand.passes:
+            one = _link(prims[stand.id], found.link)
+            other = _link(prims[found.through], found.through_link)
+            pairs = physics.FilteredPairsAPI.Apply(one).CreateFilteredPairsRel()
+            pairs.AddTarget(other.GetPath())
     stage.GetRootLayer().Save()
     del stage
     draft.replace(path)
@@ -76,6 +85,17 @@ def _stand(gf: Any, made: Any, world: FloatArray) -> None:
     made.AddTranslateOp().Set(gf.Vec3d(*world[:3, 3].tolist()))
     double: Any = import_module("pxr.UsdGeom").XformOp.PrecisionDouble
     made.AddOrientOp(double).Set(gf.Quatd(*quaternion_wxyz(world)))
+
+
+def _link(prim: Any, link: str | None) -> Any:
+    """The prim of an object's link; the object's own for a plain box."""
+    if link is None:
+        return prim
+    return next(p for p in prim.GetChildren() if _named(p) == link)
+
+
+def _named(prim: Any) -> str:
+    return xml_name(str(prim.GetCustomDataByKey(NAME_KEY)))
 
 
 def _hold(gf: Any, geom: Any, physics: Any, prim: Any, stand: Stand) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import xml.etree.ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from defusedxml import ElementTree
 
 from model.geometry.formats.gltf import open_gltf
 from model.geometry.readers import read_asset
+from model.geometry.writers import write_cloud
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.urdf import read_urdf
 from model.scenes.registry import read_scene
@@ -182,8 +184,8 @@ def test_mujoco_steps_it_with_collision_shapes(room: Path) -> None:
     assert np.abs(data.qvel).max() < 50
 
 
-def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
-    path = made.write_scan(tmp_path / "room.ply")
+def cabinet_clicks(folder: Path) -> str:
+    """``--clicks`` for the door and the drawer of the cabinet in a scanned room."""
     pose = made.world_pose()
 
     def click(local: tuple[float, float, float], part: int) -> dict:
@@ -195,10 +197,15 @@ def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
         "clicks": [click((0, 0.25, 0.0), 0), click((0.3, 0.0, -0.15), 1),
                    click((0.3, 0.0, 0.25), 2), click((0, -0.25, 0), 0)],
     }  # fmt: skip
-    (tmp_path / "clicks.json").write_text(json.dumps(clicks))
+    (folder / "clicks.json").write_text(json.dumps(clicks))
+    return f"cabinet 4={folder / 'clicks.json'}"
+
+
+def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
+    path = made.write_scan(tmp_path / "room.ply")
     summary = convert(
         path, made.make_assets(tmp_path / "assets"), tmp_path / "out", "--keep-limits",
-        "--clicks", f"cabinet 4={tmp_path / 'clicks.json'}", "--predictor", "geometric",
+        "--clicks", cabinet_clicks(tmp_path), "--predictor", "geometric",
     )  # fmt: skip
     entries = objects_of(tmp_path / "out")
     assert entries["cabinet 4"]["state"] == "predicted", entries["cabinet 4"]["reason"]
@@ -214,6 +221,55 @@ def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
 
     assert KDTree(whole.points.astype(float)).query(every)[0].max() < 1e-6
     assert len(every) == sum(len(p) for p in points) > 8900
+
+
+def test_what_was_scanned_stays_where_it_was(tmp_path: Path) -> None:
+    """A chair whose points are half in the leftovers, and which stands a little in the door."""
+    from pxr import Usd  # type: ignore[import-not-found]
+
+    mujoco = pytest.importorskip("mujoco")
+    path = made.write_scan(tmp_path / "room.ply")
+    cloud = read_asset(path).cloud
+    assert cloud is not None
+    with np.load(tmp_path / "room_labels.npz") as file:
+        instance, classes = file["instance"].copy(), file["segment20"].copy()
+    pose, chair = made.world_pose(), np.flatnonzero(instance == 5)
+    rng = np.random.default_rng(0)
+    local = rng.uniform((0.29, -0.15, -0.4), (0.6, 0.15, 0.0), (len(chair), 3))
+    points = cloud.points.copy()
+    points[chair] = local @ pose[:3, :3].T + pose[:3, 3]
+    classes[chair] = 4
+    instance[chair[::2]] = -1
+    write_cloud(replace(cloud, points=points), path)
+    np.savez(tmp_path / "room_labels.npz", instance=instance, segment20=classes)
+    out = tmp_path / "out"
+    convert(path, made.make_assets(tmp_path / "assets"), out, "--clicks", cabinet_clicks(tmp_path),
+            "--predictor", "geometric", "--collision", "--keep-limits",
+            "--formats", "usd")  # fmt: skip
+    entries = objects_of(out)
+    assert entries["chair 5"]["kind"] == "chair" and entries["chair 5"]["base"] == "fixed"
+    passes = entries["cabinet 4"]["passes"]
+    assert {(p["link"], p["through"]) for p in passes} == {("link_1", "chair 5")}
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    before, solid = data.xpos.copy(), model.geom_contype > 0
+    touched = {model.body(model.geom_bodyid[g]).name for g in np.flatnonzero(solid)}
+    assert "building/link_0" in touched and "background/link_0" not in touched
+    mujoco.mj_step(model, data, nstep=750)
+    assert np.abs(data.xpos - before).max() < 0.01
+    stage = Usd.Stage.Open(str(out / "scene.usda"))
+    filtered = [t.name for p in stage.Traverse()
+                for t in p.GetRelationship("physics:filteredPairs").GetTargets()]  # fmt: skip
+    assert filtered == ["link_0"]
+    ball = mujoco.MjSpec.from_file(str(out / "scene.xml"))
+    body = ball.worldbody.add_body(name="ball", pos=[-0.5, 0.0, 0.2])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], mass=0.1)
+    model = ball.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=750)
+    assert abs(data.body("ball").xpos[2] - 0.05) < 0.03  # the floor carries it
 
 
 def test_clicks_for_nobody_or_beside_it_are_told(

@@ -10,7 +10,7 @@ import numpy as np
 
 from model.errors import InputFileError
 from model.scenes.poses import pose, rotation_from_quaternion
-from model.scenes.scene import ANCHORS, Scene, SceneObject, SceneObjectError
+from model.scenes.scene import ANCHORS, BASES, Scene, SceneObject, SceneObjectError
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
 MARK = "artiworld_scene"
@@ -49,7 +49,7 @@ def _object(place: Place, entry: Any) -> SceneObject:
     anchor = entry.get("anchor", "origin")
     if anchor not in ANCHORS:
         raise SceneObjectError(f"anchor is {shown(anchor)}; one of {', '.join(ANCHORS)} is needed")
-    static = entry.get("static")
+    static, base = entry.get("static"), entry.get("base")
     return SceneObject(
         id=text(entry.get("id"), "id"),
         description=text(entry.get("description"), "description"),
@@ -63,6 +63,8 @@ def _object(place: Place, entry: Any) -> SceneObject:
         static=static if isinstance(static, bool) else None,
         box=_size(entry.get("box"), "box"),
         obstacle=entry.get("obstacle") is not False,
+        base=base if base in BASES else None,
+        solid=entry.get("solid") is not False,
         place=place,
     )
 

@@ -1,6 +1,7 @@
 """A scanned room: PLY with a label a point (or vertex), each labelled instance an object cut out of
 it, walls and floor as a static ``building``, and the leftovers as a static ``background``. The
-leftovers hold bits of everything, so they stop no joint.
+leftovers hold bits of everything, so they stop no joint, and where a floor is labelled they have no
+collision shapes.
 
 Labels are a property of the PLY's vertices, or in an NPZ beside it (``room_labels.npz`` or
 ``room.npz`` for ``room.ply``): ``instance`` (N,), -1 for none, and, for what the objects are,
@@ -70,12 +71,14 @@ class Instance:
     Attributes:
         id, category, description: as the labels tell.
         points: (K,) its vertices, ascending.
+        floor: whether a floor is among them.
     """
 
     id: str
     category: str | None
     description: str
     points: Labels
+    floor: bool = False
 
 
 class ScanRoomReader:
@@ -98,7 +101,7 @@ class ScanRoomReader:
         found, problems = _instances(path, loaded, columns)
         every = [*found, *_rest(loaded, found)]
         entries: list[tuple[Place, Any]] = [(("instance", i.id), i) for i in every]
-        make = partial(_object, path.name, loaded)
+        make = partial(_object, path.name, loaded, any(i.floor for i in found))
         objects, broken = collect(entries, make, lambda i: i.id)
         return Scene(path.stem, path, self.name, objects, (*problems, *broken))
 
@@ -154,13 +157,14 @@ def _instances(
     whole = labels.astype(np.int64)
     order = np.argsort(whole, kind="stable")
     kept, starts = np.unique(whole[order], return_index=True)
-    found, problems, building = [], [], []
+    found, problems, building, floor = [], [], [], False
     for label, points in zip(kept.tolist(), np.split(order, starts[1:]), strict=True):
         if label < 0:
             continue
         category = None if names is None else _commonest(names[points])
         if category in _BUILDING:
             building.append(points)
+            floor |= category == "floor"
             continue
         id = f"{category or 'object'} {label}"
         if len(points) < FEWEST:
@@ -169,7 +173,8 @@ def _instances(
             continue
         found.append(Instance(id, category, category or "object", points))
     if building:
-        found.append(Instance(BUILDING, None, BUILDING, np.sort(np.concatenate(building))))
+        every = np.sort(np.concatenate(building))
+        found.append(Instance(BUILDING, None, BUILDING, every, floor))
     return found, tuple(problems)
 
 
@@ -254,7 +259,9 @@ def _rest(loaded: Loaded, found: list[Instance]) -> list[Instance]:
     return [Instance(BACKGROUND, None, BACKGROUND, points)] if len(points) >= MIN_POINTS else []
 
 
-def _object(file: str, loaded: Loaded, place: Place, instance: Instance) -> SceneObject:
+def _object(
+    file: str, loaded: Loaded, floor: bool, place: Place, instance: Instance
+) -> SceneObject:
     points = loaded.vertices[instance.points]
     points = points[np.isfinite(points).all(1)]
     if not len(points):
@@ -271,6 +278,9 @@ def _object(file: str, loaded: Loaded, place: Place, instance: Instance) -> Scen
         static=True if instance.id in (BACKGROUND, BUILDING, ROOM) else None,
         place=place,
         obstacle=instance.id not in (BACKGROUND, ROOM),
+        base="fixed",  # the shapes of scanned neighbours overlap: let go, they fly apart
+        # Bits of everything would fill the room; they are only needed where they are the floor.
+        solid=not (instance.id == BACKGROUND and floor),
     )
 
 
