@@ -61,7 +61,8 @@ def physics_settings(args: argparse.Namespace) -> PhysicsSettings:
         table = table.with_density(args.density)
     return PhysicsSettings(
         collision, table, _dynamics(args.turning, "--turning", TURNING),
-        _dynamics(args.sliding, "--sliding", SLIDING), not args.free_base,
+        _dynamics(args.sliding, "--sliding", SLIDING),
+        args.turning is None and args.sliding is None, not args.free_base,
     )  # fmt: skip
 
 

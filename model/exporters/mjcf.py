@@ -33,6 +33,8 @@ VISUAL_GROUP = 2
 """MuJoCo's habit for geoms that are only seen."""
 COLLISION_GROUP = 3
 """And for those that are only felt."""
+FRICTION_IMPEDANCE = "0.999 0.9999 0.001 0.5 2"
+"""MuJoCo's friction is soft by default: a lid that it should hold sinks by six degrees a second."""
 LEAST_AREA = 1e-12
 """m² of a material on a part; nobody sees less, and MuJoCo refuses it."""
 
@@ -110,6 +112,7 @@ class _Writer:
             if dynamics is not None:
                 made.set("damping", number(dynamics.damping))
                 made.set("frictionloss", number(dynamics.friction))
+                made.set("solimpfriction", FRICTION_IMPEDANCE)
             if joint.limited and joint.lower != joint.upper:
                 made.set("range", vector((joint.lower or 0.0, joint.upper or 0.0)))
         return body

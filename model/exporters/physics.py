@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from model.collision.build import Collision, CollisionSettings, collision_of
 from model.collision.relief import moving_pairs, overlaps
@@ -12,6 +15,8 @@ from model.collision.shapes import hull_of_shape
 from model.exporters.inertia import inertials_of
 from model.exporters.materials import MaterialTable, read_materials
 from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import Inertial, JointDynamics
 from model.progress import Progress, no_progress
 
@@ -19,6 +24,12 @@ TURNING = JointDynamics(damping=0.05, friction=0.02)
 """N m s/rad and N m: a door that a finger moves and that comes to rest."""
 SLIDING = JointDynamics(damping=2.0, friction=0.5)
 """N s/m and N: a drawer on rails."""
+GRAVITY = 9.81
+"""m/s², along -z: +z is up."""
+HOLD = 1.5
+"""Friction of a joint that holds itself, over what gravity asks for."""
+INNER = 0.05
+"""Share of its range that a joint must be away from both ends to stand somewhere in between."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +40,8 @@ class PhysicsSettings:
         collision: how shapes are made; None leaves them out.
         materials: densities and walls; None is the table that ships.
         turning, sliding: dynamics of revolute and of prismatic joints.
+        hold: whether a joint that gravity would move out of the scanned pose has the friction to
+            hold itself, as a laptop's hinge has.
         fixed_base: whether the root stands still, in formats that say so (MJCF, SDF, USD).
     """
 
@@ -36,6 +49,7 @@ class PhysicsSettings:
     materials: MaterialTable | None = None
     turning: JointDynamics = TURNING
     sliding: JointDynamics = SLIDING
+    hold: bool = True
     fixed_base: bool = True
 
 
@@ -80,13 +94,10 @@ def physics_of(
     if settings.collision is not None:
         collision = collision_of(obj, settings.collision, store=store, progress=progress)
     inertials = inertials_of(obj, material_of=lambda part: table.of(part, obj.category))
-    dynamics = {
-        j.name: settings.turning if j.rotates else settings.sliding
-        for j in obj.tree.joints if j.moves
-    }  # fmt: skip
     return Physics(
-        inertials, collision, dynamics, touching_pairs(obj, collision), settings.fixed_base
-    )
+        inertials, collision, _dynamics(obj.tree, inertials, settings),
+        touching_pairs(obj, collision), settings.fixed_base,
+    )  # fmt: skip
 
 
 def plain_physics(obj: ArticulatedObject) -> Physics:
@@ -97,11 +108,59 @@ def plain_physics(obj: ArticulatedObject) -> Physics:
 def rough_physics(obj: ArticulatedObject) -> Physics:
     """Masses of filled hulls, no collision shapes, the usual dynamics: for driving joints alone."""
     settings = PhysicsSettings(collision=None)
-    dynamics = {
-        j.name: settings.turning if j.rotates else settings.sliding
-        for j in obj.tree.joints if j.moves
-    }  # fmt: skip
-    return Physics(inertials_of(obj), {}, dynamics)
+    inertials = inertials_of(obj)
+    return Physics(inertials, {}, _dynamics(obj.tree, inertials, settings))
+
+
+def _dynamics(
+    tree: KinematicTree, inertials: Mapping[str, Inertial], settings: PhysicsSettings
+) -> dict[str, JointDynamics]:
+    out: dict[str, JointDynamics] = {}
+    for joint in tree.joints:
+        if not joint.moves:
+            continue
+        usual = settings.turning if joint.rotates else settings.sliding
+        asked = HOLD * holding_load(tree, inertials, joint) if settings.hold else 0.0
+        if asked > usual.friction:
+            usual = replace(usual, friction=asked, effort=max(usual.effort, 2 * asked))
+        out[joint.name] = usual
+    return out
+
+
+def holding_load(tree: KinematicTree, inertials: Mapping[str, Inertial], joint: Joint) -> float:
+    """N or N m that a joint resists so that gravity doesn't move it out of the scanned pose; 0
+    where nothing does, or its limit is in the way.
+
+    What stands somewhere within its range (a laptop's lid, the arms of a lamp) is made to stay
+    where it is put, so all of the range counts; what rests at an end of it (an oven's door) is
+    only held there.
+    """
+    if joint.mimic is not None:
+        return 0.0
+    low, high = (joint.lower, joint.upper) if joint.limited else (-math.pi, math.pi)
+    assert low is not None and high is not None
+    load = _load(tree, inertials, joint, 0.0)
+    edge = INNER * (high - low)
+    if (low > -edge and load > 0) or (high < edge and load < 0):
+        return 0.0
+    if low > -edge or high < edge or abs(load) < (TURNING if joint.rotates else SLIDING).friction:
+        return abs(load)
+    return max(abs(_load(tree, inertials, joint, q)) for q in np.linspace(low, high, 13))
+
+
+def _load(tree: KinematicTree, inertials: Mapping[str, Inertial], joint: Joint, q: float) -> float:
+    """Gravity's energy over the joint's value, at ``q``, in N or N m; above 0 where it falls
+    towards lower values."""
+    step = 1e-4
+    energy: list[float] = []
+    for value in (q - step, q + step):
+        poses = tree.pose({joint.name: value})
+        heights = [
+            i.mass * float(poses[k][2, :3] @ i.center + poses[k][2, 3])
+            for k, i in inertials.items() if k in poses
+        ]  # fmt: skip
+        energy.append(GRAVITY * sum(heights))
+    return (energy[1] - energy[0]) / (2 * step)
 
 
 def touching_pairs(obj: ArticulatedObject, collision: Collision) -> tuple[tuple[str, str], ...]:

@@ -12,10 +12,11 @@ import pytest
 
 from model.collision.shapes import hull_of_shape
 from model.exporters.asset_folder import write_asset
-from model.exporters.physics import Physics, physics_of
+from model.exporters.mjcf import MjcfExporter
+from model.exporters.physics import Physics, PhysicsSettings, physics_of
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
-from tests.model.exporters.demos import demo_object
+from tests.model.exporters.demos import DEMOS, demo_object
 
 FORCE = 3.0
 """N at a door's edge: what a finger does without thinking."""
@@ -146,3 +147,31 @@ def test_nothing_moves_by_itself(saved: Saved):
     mujoco.mj_step(model, data, nstep=500)
     for joint in (j for j in obj.tree.joints if j.moves):
         assert abs(data.joint(joint.name).qpos[0]) < 1e-3
+
+
+@pytest.mark.parametrize("name", [n for n in DEMOS if not n.endswith("_scan")])
+def test_what_stands_on_a_floor_stays_in_the_pose_it_was_scanned_in(name: str, tmp_path: Path):
+    obj = demo_object(name)
+    physics = physics_of(obj, PhysicsSettings(fixed_base=False))
+    MjcfExporter().export(obj, tmp_path, physics=physics)
+    spec: Any = mujoco.MjSpec.from_file(str(tmp_path / "object.xml"))
+    hulls = [hull_of_shape(s) for held in physics.collision.values() for s in held]
+    floor = min(h.bounds[0, 2] for h in hulls)
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(type=plane, size=[5, 5, 0.1], pos=[0, 0, floor])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=1000)
+    base = data.body(obj.tree.root)
+    assert np.linalg.norm(base.xpos) < 0.01 and base.xmat[8] > np.cos(np.radians(1.0))
+    for joint in (j for j in obj.tree.joints if j.limited and j.moves):
+        span = joint.upper - joint.lower
+        assert abs(data.joint(joint.name).qpos[0]) < 0.02 * span + 1e-3, joint.name
+
+
+def test_a_lid_weighs_less_than_what_it_is_on():
+    for name, lid in (("laptop", "screen"), ("kettle", "lid")):
+        obj = demo_object(name)
+        masses = physics_of(obj, PhysicsSettings(collision=None)).inertials
+        of = {p.name: masses[p.link].mass for p in obj.parts}
+        assert of.pop(lid) < 0.7 * max(of.values()), name
