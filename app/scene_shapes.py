@@ -6,7 +6,7 @@ import hashlib
 import secrets
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ class Shape:
     """What the browser draws of something rigid, in its own frame, metres.
 
     Attributes:
-        bounds: (2, 3) of the whole, not of the drawn copy.
+        bounds: (2, 3) of the whole, not of the drawn copy; of a scanned asset without stray points.
         vertices: (V, 3), of a cloud its points.
         faces: (F, 3); None of a cloud.
         colors: (F, 3) of a mesh, (V, 3) of a cloud; None where the source has none.
@@ -78,9 +78,9 @@ def shapes(
 
 
 def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
-    from model.scenes.asset_parts import whole
+    from model.scenes.asset_parts import bounds_of, whole
 
-    told = ("colors", str(path.resolve()), stamp(path), max_faces)
+    told = ("without strays", str(path.resolve()), stamp(path), max_faces)
     key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
     kept = workspace / "cache" / "shapes" / f"{key}.npz"
     try:
@@ -91,7 +91,8 @@ def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
             )  # fmt: skip
     except (OSError, ValueError, KeyError, EOFError):
         pass
-    shape = shape_of_part(whole(path), max_faces)
+    part = whole(path)
+    shape = replace(shape_of_part(part, max_faces), bounds=bounds_of((part,)))
     arrays = {k: v for k, v in vars(shape).items() if v is not None}
     kept.parent.mkdir(parents=True, exist_ok=True)
     draft = kept.with_name(f".{key}.{secrets.token_hex(4)}.npz")

@@ -161,7 +161,7 @@ def lay_down(item: SceneItem) -> str:
     Raises:
         InputFileError: where the asset can't be read.
     """
-    from model.scenes.asset_parts import LeftForAnnotator, bounds_of, known_parts, scaled, whole
+    from model.scenes.asset_parts import LeftForAnnotator, known_parts, scaled, size_factors, whole
 
     assert item.path is not None and item.copy is not None
     reason = ""
@@ -175,7 +175,7 @@ def lay_down(item: SceneItem) -> str:
         return reason
     whole_one = not parts
     parts = parts or (whole(item.path),)
-    factors = item.obj.placed(bounds_of(parts)).scale
+    factors = size_factors(item.obj, parts)
     draft = item.copy.with_name(f".{item.copy.name}.{secrets.token_hex(4)}")
     draft.mkdir(parents=True)
     try:
@@ -269,11 +269,11 @@ def _cut_by_prompts(
     file: Path, item: SceneItem, asset: Asset, folder: Path, workspace: Path, segmenter: str
 ) -> Prepared:
     from app.prompt_file import read_prompts
-    from model.scenes.asset_parts import bounds_of, whole
+    from model.scenes.asset_parts import size_factors, whole
 
     assert item.path is not None
     told = read_prompts(file)
-    factors = item.obj.placed(bounds_of((whole(item.path),))).scale
+    factors = size_factors(item.obj, (whole(item.path),))
     clicks: list[Click] = []
     for prompt in told.prompts.items:
         if not isinstance(prompt, Click):

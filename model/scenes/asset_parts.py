@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
@@ -16,11 +17,12 @@ from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
 from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import FOLDER_SUFFIXES, MOBILITY, read_asset, read_part_files
+from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
 from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
-from model.scenes.scene import FloatArray
+from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = 12
 """Connected pieces up to which they pass for parts; beyond, they are screws and panels."""
@@ -119,8 +121,24 @@ def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
 
 
 def bounds_of(parts: tuple[Part, ...]) -> FloatArray:
-    """(2, 3) lowest and highest corner."""
-    return SegmentedObject("bounds", parts).bounds
+    """(2, 3) lowest and highest corner; of scans without stray points, which would have the object
+    stand in the air."""
+    clouds = [p.cloud.points for p in parts if p.mesh is None and p.cloud is not None]
+    meshes = tuple(p for p in parts if p.mesh is not None)
+    each = [SegmentedObject("bounds", meshes).bounds] if meshes else []
+    if clouds:
+        # All at once: what is stray in a part may lie on the surface of another one.
+        points = np.concatenate(clouds)
+        kept = np.ones(len(points), bool)
+        kept[stray_points(points, KDTree(points))] = False
+        each.append(np.stack([points[kept].min(axis=0), points[kept].max(axis=0)]))
+    low, high = np.stack(each).astype(np.float64).swapaxes(0, 1)
+    return np.stack([low.min(axis=0), high.max(axis=0)])
+
+
+def size_factors(obj: SceneObject, parts: tuple[Part, ...]) -> FloatArray:
+    """(3,) factors that bring an asset's parts to the object's size in the scene."""
+    return obj.scale if obj.fit is None else obj.placed(bounds_of(parts)).scale
 
 
 def _stretched(cloud: PointCloud, factors: FloatArray) -> PointCloud:

@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 from model.errors import PromptError
 from model.geometry.parts import split
-from model.scenes.asset_parts import AssetParts, read_unshifted
+from model.kinematics.articulated_object import Part
+from model.scenes.asset_parts import AssetParts, bounds_of, read_unshifted
 from model.scenes.scene import Anchor, FloatArray, SceneObject
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter
@@ -63,7 +64,7 @@ def clicked_parts(path: Path, holder: SceneObject, clicks: ObjectClicks) -> Asse
         InputFileError: where the asset can't be read.
     """
     asset = read_unshifted(path)
-    placed = holder.placed(asset.bounds)
+    placed = holder.placed(bounds_of((Part("link_0", asset.mesh, asset.cloud),)))
     turn, at = placed.world_from_asset[:3, :3], placed.world_from_asset[:3, 3]
     items: list[Click | Region] = list(clicks.prompts.items)
     where = np.array([c.position for c in clicks.prompts.clicks]).reshape(-1, 3)

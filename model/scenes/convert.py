@@ -56,6 +56,8 @@ from model.scenes.ray_map import ray_map
 from model.scenes.results import write_results
 from model.scenes.scene import Scene, SceneObject, SceneObjectError
 
+WRITTEN = 2
+"""Version of what a job writes: what an older one wrote is made anew."""
 LIMITS, LOCK, UNPACKED = "work/limits", "work/lock", "work/unpacked"
 
 
@@ -277,7 +279,7 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
         category = clicks.category or category
         clicked = ClickedObject(clicks, o.obj.world_from_object, o.obj.anchor)
     collision = settings.collision and o.obj.solid
-    told = [digest, x, y, z, fit, articulate, category, collision, settings.formats]
+    told = [WRITTEN, digest, x, y, z, fit, articulate, category, collision, settings.formats]
     if clicks is not None:
         told += [clicks.key(), o.obj.world_from_object.tolist(), o.obj.anchor]
     told += [settings.predictor, settings.seed] if articulate else []

@@ -69,8 +69,9 @@ class SceneObject:
         scale: (3,) positive factors on the asset's axes, its own frame.
         asset: id of the asset in the file's own words, or None.
         room: where it is, or None.
-        anchor: which point of the asset's bounding box sits at the pose: its ``origin``, the box'
-            ``center``, or the middle of its bottom (``base``).
+        anchor: which point of the asset sits at the pose: its ``origin``, its bounding box'
+            ``center``, or the middle of that box' bottom (``base``); a scan's box is without its
+            stray points.
         fit: (3,) metres that the asset's box is stretched to before ``scale``, or None.
         static: whether the file says that it stands still; None where it says nothing.
         box: (3,) full sizes in metres of an object that is a plain box without an asset, or None.

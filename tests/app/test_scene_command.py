@@ -17,7 +17,9 @@ import pytest
 
 from app.cli import main
 from model.exporters.asset_folder import load_object
+from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import read_asset, read_part_files
+from model.geometry.writers import write_cloud
 from model.kinematics.urdf import read_urdf
 from model.scenes.registry import read_scene
 from tests.model.scenes import scenes_made as made
@@ -267,6 +269,20 @@ def test_one_bad_asset_never_ends_the_run(tmp_path: Path) -> None:
     assert entries["cabinet_1"]["state"] == "annotate"
     assert "one connected piece" in entries["cabinet_1"]["reason"]
     assert entries["cabinet_2"]["state"] == "predicted"
+
+
+def test_a_scan_stands_on_the_floor_and_not_on_its_stray_points(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    top = rng.uniform((-0.3, -0.3, 0.03), (0.3, 0.3, 0.04), (4000, 3))
+    stray = rng.uniform((-0.5, -0.5, -0.4), (0.5, 0.5, -0.1), (6, 3))
+    points = np.concatenate([top, stray]).astype(np.float32)
+    write_cloud(PointCloud(points), tmp_path / "slab.ply")
+    entry = {"id": "slab", "description": "slab", "asset": "slab", "position": [1, 2, 0],
+             "quaternion_wxyz": [1, 0, 0, 0], "scale": [1, 1, 1], "anchor": "base"}  # fmt: skip
+    scene = made.write_scene(tmp_path / "room.json", made.own([entry]))
+    convert(scene, tmp_path, tmp_path / "out")
+    _, at = world_of(objects_of(tmp_path / "out")["slab"])
+    np.testing.assert_allclose(at, [1, 2, -0.03], atol=0.005)
 
 
 def test_inspect(assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
