@@ -36,6 +36,7 @@ class Accepting:
         self._asked = 0
         self._done = 0
         self._told_refused: set[int] = set()
+        self._vain: set[tuple[int, DecisionRecord]] = set()
         self.refused: dict[int, tuple[str, Document]] = {}
 
     def why_refused(self, work: Work) -> str:
@@ -49,6 +50,17 @@ class Accepting:
         return frozenset(i for i, _ in self._queue)
 
     # --- decisions
+
+    def in_vain(self, record: DecisionRecord) -> bool:
+        """Whether it was an acceptance and none of its objects was accepted by it."""
+        return all((i, record) in self._vain for i in record.objects)
+
+    def told(self, record: DecisionRecord) -> str:
+        """What was decided, in a few words."""
+        work = self._desk.works.get(record.objects[0])
+        if len(record.objects) > 1 or work is None:
+            return f"{record.decision} {len(record.objects)} objects"
+        return f"{record.decision} {work.item.obj.id}"
 
     def take_up(self) -> None:
         """What was decided and not carried out before the server ended."""
@@ -79,7 +91,7 @@ class Accepting:
                 self._queue.append((i, record))
                 self._asked += 1
             elif work.document.review.state != "rejected":
-                work.live.do(cmd.Reject(record.reason), record.by)
+                work.live.do(cmd.Reject(record.reason, decided_at=record.at), record.by)
 
     def _take_back(self, record: DecisionRecord) -> None:
         self._queue = [(i, r) for i, r in self._queue if r != record]
@@ -89,8 +101,8 @@ class Accepting:
             if work is None:
                 continue
             review = work.document.review
-            if review.state != state or review.by != record.by or review.at < record.at:
-                continue  # not carried out, or decided anew since
+            if (review.state, review.by, review.decided_at) != (state, record.by, record.at):
+                continue  # not carried out by this, or decided anew since
             undoes = work.live.state.can_undo and work.document.label.startswith(record.decision)
             work.live.do(cmd.Undo() if undoes else cmd.Reopen(), record.by)
 
@@ -108,6 +120,7 @@ class Accepting:
             problems = acceptance_problems(doc)
             if doc.review.state == "accepted" or problems:
                 self._drop(entry)
+                self._vain.add(entry)
                 if problems:
                     self.refused[i] = ("; ".join(problems), doc)
                 continue
@@ -152,7 +165,7 @@ class Accepting:
         desk, doc = self._desk, work.document
         assert doc.tree is not None and work.drawn is not None
         doubts = tuple(f"{j.joint}: {j.sentence}" for j in report.joints if j.verdict != "fine")
-        command = cmd.Accept("", doubts)
+        command = cmd.Accept("", doubts, decided_at=record.at)
         store = desk.bench.store
         after = apply(work.live.state, command, Context(record.by, record.at))
         told = acceptance_record(after, store.history(work.id), work.drawn.source, report)
@@ -166,6 +179,7 @@ class Accepting:
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
             self._drop((work.id, record))
+            self._vain.discard((work.id, record))
             work.live.do(command, record.by)
             work.live.do(cmd.Saved(written), record.by)
 
@@ -178,6 +192,7 @@ class Accepting:
     def _refuse(self, work: Work, why: str) -> None:
         self.refused[work.id] = (why, work.document)
         self._told_refused.add(work.id)
+        self._vain.update(e for e in self._queue if e[0] == work.id)
         self._queue = [(i, r) for i, r in self._queue if i != work.id]
         self._done += 1
 

@@ -154,6 +154,22 @@ class SceneDesk(Watched):
         """Carry out one decision about the scene; it is on disk when this returns."""
         self.live.do(command, who)
 
+    def undo(self, who: str) -> str:
+        """Take back the last decision about the scene that did something.
+
+        An acceptance that was refused did nothing. Returns what was taken back, in a few words, or
+        "" where there is nothing.
+        """
+        while self.live.state.can_undo:
+            now, before = self.document, self.live.state.past[-1]
+            gone = now.decided[len(before.decided) :]
+            self.do(cmd.Undo(), who)
+            if not gone:
+                return now.label
+            if not self.accepting.in_vain(gone[-1]):
+                return self.accepting.told(gone[-1])
+        return ""
+
     def set_articulable(self, id: str, articulable: bool, who: str) -> None:
         """Say whether an object is articulated, whatever the finder says."""
         item = self.items[id]

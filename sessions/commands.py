@@ -227,11 +227,13 @@ class Accept:
         comment: for people.
         note_problems: what was known to be doubtful and accepted all the same.
         override: why it was accepted although the gate calls a joint broken, else "".
+        decided_at: when the decision about a whole scene was made that this carries out, else "".
     """
 
     comment: str = ""
     note_problems: tuple[str, ...] = ()
     override: str = ""
+    decided_at: str = ""
 
     def __post_init__(self) -> None:
         put_field(
@@ -240,14 +242,21 @@ class Accept:
         notes = tuple(clean_text(n[:NOTE_LIMIT], NOTE_LIMIT, "a note") for n in self.note_problems)
         put_field(self, "note_problems", notes)
         put_field(self, "override", clean_text(self.override, COMMENT_LIMIT, "the reason"))
+        put_field(self, "decided_at", clean_text(self.decided_at, NAME_LIMIT, "the time"))
 
 
 @dataclass(frozen=True)
 class Reject:
-    """The object goes back to its annotator."""
+    """The object goes back to its annotator.
+
+    Attributes:
+        reason, comment: why.
+        decided_at: as in :class:`Accept`.
+    """
 
     reason: RejectReason
     comment: str = ""
+    decided_at: str = ""
 
     def __post_init__(self) -> None:
         if self.reason not in REJECT_REASONS:
@@ -256,6 +265,7 @@ class Reject:
         put_field(
             self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
         )
+        put_field(self, "decided_at", clean_text(self.decided_at, NAME_LIMIT, "the time"))
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,7 @@ class ReviewRecord:
         comment: the reviewer's words.
         problems: what was known to be doubtful when it was accepted.
         override: why it was accepted although the gate calls a joint broken, else "".
+        decided_at: when the decision about a whole scene was made that brought it there, else "".
     """
 
     state: ReviewState = "todo"
@@ -100,6 +101,7 @@ class ReviewRecord:
     comment: str = ""
     problems: tuple[str, ...] = ()
     override: str = ""
+    decided_at: str = ""
 
 
 @dataclass(frozen=True)

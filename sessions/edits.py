@@ -178,6 +178,7 @@ def _reviewed(
             command.comment,
             command.note_problems if isinstance(command, Accept) else (),
             command.override if isinstance(command, Accept) else "",
+            "" if isinstance(command, Reopen) else command.decided_at,
         )
     elif state != review.state:
         # The reviewer's words stay readable while the annotator mends the object.

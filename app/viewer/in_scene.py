@@ -191,10 +191,8 @@ class InScene:
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""
-        if self.desk.live.state.can_undo:
-            self.desk.do(cmd.Undo(), self._app.who)
-        else:
-            self._app.notify("Nothing to undo", "", "gray")
+        undone = self.desk.undo(self._app.who)
+        self._app.notify(f"Undone: {undone}" if undone else "Nothing to undo", "", "gray")
 
     def redo(self) -> None:
         """Do again what was taken back."""

@@ -186,6 +186,21 @@ def test_rejecting_and_taking_it_back(world: World) -> None:
     assert desk.document.decided == ()
 
 
+def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(world: World) -> None:
+    desk, first, small = world.desk, world.desk.work("first"), world.desk.work("small")
+    assert first is not None and small is not None
+    desk.do(DecideObjects("accept", (small.id,)), "ann")
+    desk.accepting.failed(small, "the gate calls it broken")
+    small.live.do(cmd.Accept(), "ann")  # mended inside, by the same person
+    desk.do(DecideObjects("reject", (first.id,), reason="axis"), "ann")
+    assert desk.undo("ann") == "reject first"
+    assert statuses(desk)["first"] == "predicted"
+    assert desk.undo("ann") == ""  # the refused acceptance is no step
+    assert statuses(desk)["small"] == "accepted"
+    small.live.do(cmd.Undo(), "ann")
+    world.settle()
+
+
 def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> None:
     desk = accepted.desk
     work = desk.work("first")
