@@ -190,7 +190,7 @@ class SceneCard:
         said = desk.document.articulable.get(id)
         if said is not None:
             lines.append(f"A person said: {'articulable' if said else 'static'}.")
-        lines.append(f"Why: {why} ({100 * item.decision.confidence:.0f} % sure)")
+        lines.append(f"Why: {why}")
         if work is None:
             missing = desk.missing_reason(item)
             lines += [f"⚠ {plain(missing, 300)}"] if missing else []

@@ -24,9 +24,16 @@ NEAR = 0.84
 SHORTEST = 5
 """Letters below which no likeness counts: "pan" is not "fan"."""
 _HEAD_ENDS = re.compile(
-    r"\b(with|on|in|at|near|next|beside|under|behind|above|below|from|of|for|holding|containing|"
-    r"that|which|made|and)\b|[,.;:(]"
+    # Not inside of "built-in", nor in "side by side" and "floor to ceiling".
+    r"(?<![\w-])(with|on|in|at|near|next|beside|under|behind|above|below|from|of|for|holding|"
+    r"containing|that|which|made|and|against|inside|between|leading|(?<!side )by|"
+    r"(?<!floor )(?<!wall )(?<!ready )to)(?![\w-])|[,.;:(\[{<]"
 )
+_SIZE = re.compile(
+    r"\b\d+([.,]\d+)?(\s*(x|×|by)\s*\d+([.,]\d+)?)*\s*"
+    r"(m|cm|mm|metres?|meters?|in|inch|inches|ft|foot|feet)\b(\s+(tall|high|wide|deep|long|thick)\b)?"
+)
+"""A measure says nothing about the kind, wherever it stands."""
 
 _COUNTED = re.compile(r"\b(pair|set|stack|row|kind|type) of\b")
 
@@ -123,7 +130,7 @@ class LexiconFinder:
 
     def _match(self, text: str) -> tuple[Kind, str, float] | None:
         """The kind of the head of ``text``, the word that told it, and how alike it is."""
-        text = _COUNTED.sub("", _split_case(text))
+        text = _SIZE.sub(" ", _COUNTED.sub("", _split_case(text)))
         head = _HEAD_ENDS.split(text, maxsplit=1)[0] or text
         if (whole := _plain(text)) in self._kind_of:  # "chest of drawers"
             return self._kind_of[whole], whole, 1.0

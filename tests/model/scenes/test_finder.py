@@ -27,6 +27,16 @@ def finder() -> LexiconFinder:
         ("pair of scissors", "scissors"),
         ("Chest of Drawers", "chest of drawers"),
         ("a coffee table with a drawer", "table"),
+        ("a laptop by Dell", "laptop"),
+        ("a wooden wardrobe 2m tall", "wardrobe"),
+        ("a 1.8 m x 2 m wardrobe", "wardrobe"),
+        ("a glass door leading to the balcony", "door"),
+        ("a door to the garden", "door"),
+        ("a laptop [closed]", "laptop"),
+        ("a laptop closed", "laptop"),
+        ("a built-in oven", "oven"),
+        ("side by side refrigerator", "refrigerator"),
+        ("floor to ceiling cabinet", "cabinet"),
     ],
 )
 def test_found(finder: LexiconFinder, text: str, kind: str) -> None:
