@@ -280,7 +280,9 @@ def _cut_by_prompts(
             raise CommandError(f"{file}: regions count elements of the file; give clicks instead")
         x, y, z = (float(v) for v in np.asarray(prompt.position) * factors)
         clicks.append(Click((x, y, z), prompt.part, prompt.positive))
-    answer = segmenting_tasks.segment(folder, workspace, segmenter, tuple(clicks), "", None)
+    answer = segmenting_tasks.segment(
+        folder, workspace, segmenter, tuple(clicks), "", None, keep=False
+    )
     names = tuple((p, told.names.get(p)) for p in sorted({c.part for c in clicks} - {BASE}))
     return Prepared(
         names=names, clicks=tuple(clicks), labels=answer.labels,

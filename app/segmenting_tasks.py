@@ -16,6 +16,9 @@ from model.progress import Progress, no_progress
 from model.segmentation.prompts import Click, Prompts, Region
 
 ENCODINGS_KEPT = 3
+MOST_KEPT = 400_000
+"""Elements of all encodings that are kept; one takes about a kilobyte an element. The last one is
+kept whatever its size."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class SegmentationAnswer:
     seconds: float
 
 
-_encodings: Recent[tuple[Path, str], Any] = Recent(ENCODINGS_KEPT)
+_encodings: Recent[tuple[Path, str], Any] = Recent(ENCODINGS_KEPT, MOST_KEPT)
 _regions: Recent[tuple[Path, str], npt.NDArray[np.int64]] = Recent(100)
 
 
@@ -54,9 +57,11 @@ def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -
     """The asset as the segmenter has encoded it, kept in this process."""
     from model.segmentation.registry import load_segmenter
 
+    asset = asset_of(folder)
     return _encodings.get(
-        (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset_of(folder), progress)
-    )
+        (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset, progress),
+        asset.element_count,
+    )  # fmt: skip
 
 
 def segment(
@@ -67,9 +72,20 @@ def segment(
     prompts_key: str,
     element: npt.NDArray[np.int32] | None,
     progress: Progress = no_progress,
+    *,
+    keep: bool = True,
 ) -> SegmentationAnswer:
-    """Answer the prompts; labels for all elements go to the workspace, for the shown ones back."""
-    session = session_of(folder, segmenter, progress)
+    """Answer the prompts; labels for all elements go to the workspace, for the shown ones back.
+
+    Args:
+        keep: whether more clicks are to come, so that the encoding is kept for them.
+    """
+    if keep:
+        session = session_of(folder, segmenter, progress)
+    else:
+        from model.segmentation.registry import load_segmenter
+
+        session = load_segmenter(segmenter).encode(asset_of(folder), progress)
     answer = session.segment(prompts_of(workspace, items))
     return _answer(workspace, answer, prompts_key, element)
 

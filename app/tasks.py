@@ -28,20 +28,28 @@ V = TypeVar("V")
 
 
 class Recent(Generic[K, V]):
-    """The last few values of an expensive function; for one process."""
+    """The last few values of an expensive function; for one process.
 
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._kept: OrderedDict[K, V] = OrderedDict()
+    Args:
+        size: how many at most.
+        weight: how heavy they may be together; the last one is kept whatever it weighs.
+    """
 
-    def get(self, key: K, make: Callable[[], V]) -> V:
-        """The value of ``key``; made where it isn't kept."""
+    def __init__(self, size: int, weight: float = float("inf")) -> None:
+        self._size, self._most = size, weight
+        self._kept: OrderedDict[K, tuple[V, float]] = OrderedDict()
+
+    def get(self, key: K, make: Callable[[], V], weight: float = 0.0) -> V:
+        """The value of ``key``; made where it isn't kept, after room for its ``weight`` is."""
         if key not in self._kept:
-            self._kept[key] = make()
-            while len(self._kept) > self._size:
+            while self._kept and (
+                len(self._kept) >= self._size
+                or weight + sum(w for _, w in self._kept.values()) > self._most
+            ):
                 self._kept.popitem(last=False)
+            self._kept[key] = make(), weight
         self._kept.move_to_end(key)
-        return self._kept[key]
+        return self._kept[key][0]
 
 
 @dataclass(frozen=True)
