@@ -20,12 +20,23 @@ from app.scene_tasks import OpenedScene, SceneItem
 from model.errors import ArtiworldError, CommandError
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
-from model.scenes.jobs import ACCEPTED, ASSETS, FAILED, MISSING, PLAIN, PREDICTED, STATIC
+from model.scenes.jobs import (
+    ACCEPTED,
+    ASSETS,
+    FAILED,
+    MISSING,
+    PLAIN,
+    PREDICTED,
+    REJECTED,
+    STATIC,
+    TODO,
+)
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
     from app.scene_rows import Work
+    from model.scenes.convert import Outcome
 
 SECONDS = 1800.0
 
@@ -49,6 +60,22 @@ class MovingCopy:
     said: str
 
 
+@dataclass(frozen=True)
+class Decided:
+    """What people made of an object that can be articulated.
+
+    Attributes:
+        state: ``accepted``, ``predicted``, ``rejected`` or ``todo``; the last two stand rigid.
+        reason: why, for people.
+        by, at: who decided, and when; "" where nobody did.
+    """
+
+    state: str
+    reason: str = ""
+    by: str = ""
+    at: str = ""
+
+
 class Saving:
     """Writes the scene of a desk."""
 
@@ -64,12 +91,12 @@ class Saving:
         desk = self._desk
         if "save" in desk.jobs:
             return
-        scene, items, copies = self._plan(loose)
+        scene, items, copies, decided = self._plan(loose)
         record = desk.record
         out = desk.bench.workspace / "scenes" / f"saved-{record.id}"
         job = desk.bench.geometry.submit(
             save_scene, record.path, scene.reader, tuple(i.obj.id for i in desk.read), items,
-            copies, out, on_progress=desk.jobs.progress("save"), priority=6,
+            copies, decided, out, on_progress=desk.jobs.progress("save"), priority=6,
         )  # fmt: skip
 
         def keep(summary: dict[str, Any]) -> None:
@@ -82,7 +109,9 @@ class Saving:
 
     def _plan(
         self, loose: bool
-    ) -> tuple[OpenedScene, tuple[SceneItem, ...], dict[Path, MovingCopy]]:
+    ) -> tuple[
+        OpenedScene, tuple[SceneItem, ...], dict[Path, MovingCopy], dict[str, Decided]
+    ]:  # fmt: skip
         desk = self._desk
         if desk.scene is None:
             raise CommandError("the scene is still being read")
@@ -94,7 +123,23 @@ class Saving:
         items = [replace(i, copy=i.copy if desk.articulable(i) else None,
                          decision=replace(i.decision, articulable=desk.articulable(i)))
                  for i in desk.items.values()]  # fmt: skip
-        return desk.scene, tuple(items), copies
+        decided = {i: self._decided(w, w.item.copy in copies) for w in desk.wanted() for i in w.ids}
+        return desk.scene, tuple(items), copies, decided
+
+    def _decided(self, work: Work, moves: bool) -> Decided:
+        doc, review = work.document, work.document.review
+        if review.state == "rejected":
+            why = (review.reason or "").replace("_", " ")
+            why = "; ".join(w for w in (why, review.comment) if w)
+            return Decided(REJECTED, f"rejected: {why}" if why else "", review.by, review.at)
+        if review.state == "accepted":
+            return Decided(ACCEPTED, f"accepted by {review.by}", review.by, review.at)
+        if moves:
+            return Decided(PREDICTED)
+        why = self._desk.accepting.why_refused(work) or work.reason
+        if not why:
+            why = "it has no joints yet" if doc.tree is None else "nobody has decided on it"
+        return Decided(TODO, why)
 
     def _moving(self, work: Work, loose: bool) -> MovingCopy | None:
         doc, desk = work.document, self._desk
@@ -162,6 +207,7 @@ def save_scene(
     ids: Sequence[str],
     items: Sequence[SceneItem],
     copies: Mapping[Path, MovingCopy],
+    decided: Mapping[str, Decided],
     out: Path,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -171,6 +217,7 @@ def save_scene(
         format, ids: how the scene's file was read, and the objects that it held then.
         items: its objects now, those that were picked out of others among them.
         copies: working copy → what moves.
+        decided: object that can be articulated → what people made of it.
 
     Returns:
         The summary, as ``artiworld scene convert`` gives it.
@@ -199,6 +246,7 @@ def save_scene(
         else:
             try:
                 _stand(outcome, item, copies, out, made)
+                _tell(outcome, decided.get(item.obj.id))
             except ArtiworldError as error:
                 outcome.state, outcome.reason, outcome.key = FAILED, str(error), None
     shorten_limits(outcomes, out, progress)
@@ -232,6 +280,15 @@ def _stand(
     outcome.key, outcome.report = report["key"], report
     made[report["key"]] = report
     outcome.state, outcome.reason = report["state"], report["reason"]
+
+
+def _tell(outcome: Outcome, decided: Decided | None) -> None:
+    """What people made of an object that stands there; a rigid one isn't static for that."""
+    if decided is None:
+        return
+    outcome.by, outcome.at = decided.by, decided.at
+    if decided.state in (REJECTED, TODO) and outcome.state == STATIC:
+        outcome.state, outcome.reason = decided.state, decided.reason
 
 
 def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

@@ -102,6 +102,7 @@ class Outcome:
         state, reason: what became of it.
         report: of its asset's job.
         changes: joints whose limits were shortened.
+        by, at: who decided on it, and when (ISO 8601, UTC); "" where nobody did.
     """
 
     obj: SceneObject
@@ -113,6 +114,8 @@ class Outcome:
     reason: str = ""
     report: dict[str, Any] = field(default_factory=dict)
     changes: list[dict[str, Any]] = field(default_factory=list)
+    by: str = ""
+    at: str = ""
 
 
 def convert_scene(

@@ -40,6 +40,8 @@ PREDICTED, STATIC, ANNOTATE, FAILED = "predicted", "static", "annotate", "failed
 ACCEPTED = "accepted"
 """As predicted, and a person said that it is right."""
 MOVING = (PREDICTED, ACCEPTED)
+REJECTED, TODO = "rejected", "todo"
+"""What people said no to, and what nobody has decided on; both stand there rigid."""
 MISSING, PLAIN = "missing", "plain"
 """States of objects whose asset isn't there, and of plain boxes without one."""
 

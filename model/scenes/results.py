@@ -105,6 +105,8 @@ def _said(o: Outcome, urdf: str | None, stand: Stand | None, held: str | None) -
         "base": "fixed" if held else base_of(o),
         "urdf": urdf,
     }
+    if o.by:
+        out["decided"] = {"by": o.by, "at": o.at}
     if held:
         out["held"] = held
     if stand is not None and stand.passes:

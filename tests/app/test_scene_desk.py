@@ -21,7 +21,7 @@ from app.workbench import Workbench
 from model.errors import CommandError
 from model.geometry.readers import read_asset
 from sessions import commands as cmd
-from sessions.scene_commands import DecideObjects, SetArticulable
+from sessions.scene_commands import DecideObjects
 from sessions.store import Store
 from tests.model.scenes.chat_server import chat_server
 from tests.model.scenes.saved import points_in_place
@@ -215,7 +215,11 @@ def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> Non
 def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> None:
     mujoco = pytest.importorskip("mujoco")
     world, desk = accepted, accepted.desk
-    desk.do(SetArticulable("small", False), "ann")
+    desk.set_articulable(EVIL, True, "ann")
+    small = desk.work("small")
+    assert small is not None
+    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "bob")
+    world.settle()
     desk.saving.save(False, "ann")
     wait(lambda: desk.document.saved, "the scene is saved")
     world.settle()
@@ -223,10 +227,14 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     out = Path(desk.document.saved.folder)
     said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
     assert {i: o["state"] for i, o in said.items()} == {
-        "first": "accepted", "twin": "accepted", "small": "static", EVIL: "static",
+        "first": "accepted", "twin": "accepted", "small": "rejected", EVIL: "todo",
         "lost": "missing", "slab": "plain",
     }  # fmt: skip
     assert said["first"]["urdf"] and not said["small"]["urdf"]
+    assert said["small"]["decided"]["by"] == "bob" and said["small"]["reason"] == "rejected: axis"
+    assert said["first"]["decided"]["by"] == "ann" and "cut it by clicks" in said[EVIL]["reason"]
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["states"]["rejected"] == summary["states"]["todo"] == 1
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     moving = [model.joint(i).name for i in range(model.njnt)]
     assert len(moving) == 4 and sum(n.startswith("first/") for n in moving) == 2

@@ -167,7 +167,11 @@ VERSION_1 = [
 ]
 
 
-NEWER_FIELDS = {"accept": {"override": ""}, "remove_prompt": {"count": 1}}
+NEWER_FIELDS = {
+    "accept": {"override": "", "decided_at": ""},
+    "reject": {"decided_at": ""},
+    "remove_prompt": {"count": 1},
+}
 """What later versions added, with its default."""
 NEWER_REGION = {"like": None}
 """The same for each region of a tool."""
