@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial import KDTree
+
 from model.errors import ConfigurationError, InputFileError
 from model.scenes.protocol import SceneReader
-from model.scenes.scene import Scene
+from model.scenes.scene import Scene, SceneProblem
 
 ENTRY_POINTS = "artiworld.scene_readers"
 """Entry-point group of plug-ins; each names a callable without arguments that gives a reader."""
 
+FAR_APART = 30.0
+"""Metres from most objects to their nearest neighbour; a room's stand within a few."""
 _HEAD = 2**16
 
 
@@ -136,17 +142,34 @@ def read_scene(path: str | Path, format: str | None = None) -> Scene:
     """
     path = Path(path)
     if format is not None:
-        return load_reader(format).read(path)
+        return _checked(load_reader(format).read(path))
     head = _head(path)
     for name in reader_names():
         reader = load_reader(name)
         if reader.recognises(path, head):
-            return reader.read(path)
+            return _checked(reader.read(path))
     raise InputFileError(
         path,
         "is no scene of a known format",
         f"known are {', '.join(reader_names())}; name one with --format",
     )
+
+
+def _checked(scene: Scene) -> Scene:
+    """With a note where objects stand so far apart that their places can't be metres."""
+    at = np.array([o.world_from_object[:3, 3] for o in scene.objects]).reshape(-1, 3)
+    if len(at) < 3:
+        return scene
+    near = float(np.median(KDTree(at).query(at, k=2)[0][:, 1]))
+    sizes = [max(o.fit or o.box or (0.0,)) for o in scene.objects]
+    if near < max(FAR_APART, 4 * max(sizes)):
+        return scene
+    told = (
+        f"its objects stand {near:.0f} m from one another: are their places in millimetres or "
+        "centimetres? Metres are taken"
+    )
+    note = SceneProblem(scene.path.name, told, skipped=False)
+    return replace(scene, problems=(*scene.problems, note))
 
 
 def _head(path: Path) -> bytes:

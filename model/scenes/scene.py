@@ -53,6 +53,11 @@ class SceneProblem:
     reason: str
     skipped: bool = True
 
+    @property
+    def told(self) -> str:
+        """The reason, and first of all whether the object was left out."""
+        return f"left out: {self.reason}" if self.skipped else self.reason
+
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:

@@ -3,6 +3,8 @@ format."""
 
 from __future__ import annotations
 
+import difflib
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +12,24 @@ import numpy as np
 
 from model.errors import InputFileError
 from model.scenes.poses import pose, rotation_from_quaternion
-from model.scenes.scene import ANCHORS, BASES, Scene, SceneObject, SceneObjectError
+from model.scenes.scene import ANCHORS, BASES, Scene, SceneObject, SceneObjectError, SceneProblem
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
 MARK = "artiworld_scene"
 FORMAT = 1
+
+
+_KNOWN = frozenset({MARK, "name", "source", "objects", "problems"})
+_ASKED = (
+    "id", "description", "category", "room", "asset", "position", "quaternion_wxyz", "scale",
+    "anchor", "fit", "static", "obstacle", "base", "solid", "box",
+)  # fmt: skip
+_KNOWN_OF_OBJECT = frozenset({
+    *_ASKED,
+    # What a conversion says of it, and where it is written back to.
+    "state", "reason", "articulable", "why", "kind", "expected_parts", "urdf", "decided", "held",
+    "passes", "world_from_urdf", "asset_folder", "joints", "shortened", "articulation",
+})  # fmt: skip
 
 
 class OwnReader:
@@ -38,7 +53,21 @@ class OwnReader:
         entries = [(("objects", i), e) for i, e in enumerate(data["objects"])]
         objects, problems = collect(entries, _object, lambda e: maybe_text(e.get("id")))
         name = maybe_text(data.get("name")) or path.stem
-        return Scene(name, path, self.name, objects, problems)
+        return Scene(name, path, self.name, objects, (*_unknown(path, data), *problems))
+
+
+def _unknown(path: Path, data: dict[str, Any]) -> list[SceneProblem]:
+    """Notes on entries that mean nothing here, such as ``units``: everything is metres."""
+    counts = Counter(k for k in data if k not in _KNOWN)
+    notes = [f"{shown(k)} means nothing to a scene" for k in counts]
+    entries = [e for e in data["objects"] if isinstance(e, dict)]
+    for key, count in Counter(k for e in entries for k in e if k not in _KNOWN_OF_OBJECT).items():
+        near = difflib.get_close_matches(key, _ASKED, 1)
+        more = f"; is it {near[0]!r}?" if near else ""
+        notes.append(f"{shown(key)} of {count} objects means nothing here{more}")
+    if notes:
+        notes[-1] += " (metres and +z up are taken)"
+    return [SceneProblem(path.name, n, skipped=False) for n in notes]
 
 
 def _object(place: Place, entry: Any) -> SceneObject:
@@ -46,6 +75,14 @@ def _object(place: Place, entry: Any) -> SceneObject:
         raise SceneObjectError(f"is {shown(entry)}; an object with id and pose is needed")
     w, x, y, z = numbers(entry.get("quaternion_wxyz"), 4, "quaternion_wxyz")
     turn = rotation_from_quaternion(np.array([x, y, z, w]))
+    scale = numbers(entry.get("scale"), 3, "scale")
+    if (scale < 0).sum() == 2:  # two mirrors are half a turn
+        turn, scale = turn @ np.diag(np.sign(scale)), np.abs(scale)
+    elif (scale < 0).any() and scale.all():
+        raise SceneObjectError(
+            f"scale {scale.tolist()} mirrors it; write the asset's geometry out mirrored, or give "
+            "the scene as GLB or USD"
+        )
     anchor = entry.get("anchor", "origin")
     if anchor not in ANCHORS:
         raise SceneObjectError(f"anchor is {shown(anchor)}; one of {', '.join(ANCHORS)} is needed")
@@ -54,7 +91,7 @@ def _object(place: Place, entry: Any) -> SceneObject:
         id=text(entry.get("id"), "id"),
         description=text(entry.get("description"), "description"),
         world_from_object=pose(numbers(entry.get("position"), 3, "position"), turn),
-        scale=numbers(entry.get("scale"), 3, "scale"),
+        scale=scale,
         asset=maybe_text(entry.get("asset")),
         category=maybe_text(entry.get("category")),
         room=maybe_text(entry.get("room")),

@@ -137,6 +137,35 @@ def test_ids_that_are_there_twice_stay_apart(tmp_path: Path) -> None:
     assert len(scene.problems) == 2 and not any(p.skipped for p in scene.problems)
 
 
+def test_what_a_scene_file_says_in_vain_is_told(tmp_path: Path) -> None:
+    objects = [{**made.own()["objects"][0], "id": f"c{i}", "position": [1000 * i, 400, 0],
+                "rotation": [0, 0, 90]} for i in range(4)]  # fmt: skip
+    path = made.write_scene(tmp_path / "s.json", {**made.own(objects), "units": "mm"})
+    scene = read_scene(path)
+    told = " ".join(p.told for p in scene.problems)
+    assert len(scene.objects) == 4 and not any(p.skipped for p in scene.problems)
+    assert "'units'" in told and "'rotation' of 4 objects" in told and "1000 m" in told
+    good = made.write_scene(tmp_path / "good.json", made.own())
+    assert read_scene(good).problems == ()
+    again = scene_to_json(scene, {"c0": {"state": "static", "base": "free", "held": "x"}})
+    assert not [p for p in read_scene(made.write_scene(tmp_path / "again.json", again)).problems
+                if "means nothing" in p.reason]  # fmt: skip
+
+
+def test_two_mirrors_are_half_a_turn_and_one_is_told(tmp_path: Path) -> None:
+    whole = made.own()["objects"][0]
+    pair = [{**whole, "id": "turned", "scale": [-1, -2, 1]},
+            {**whole, "id": "mirrored", "scale": [-1, 1, 1]}]  # fmt: skip
+    scene = read_scene(made.write_scene(tmp_path / "s.json", made.own(pair)))
+    (turned,) = scene.objects
+    np.testing.assert_allclose(
+        turned.world_from_object[:3, :3] * turned.scale,
+        made.world_pose()[:3, :3] * [-1, -2, 1], atol=1e-9,
+    )  # fmt: skip
+    (left,) = scene.problems
+    assert left.object == "mirrored" and left.told.startswith("left out: ") and "GLB" in left.told
+
+
 def test_words_of_mesatask_are_centimetres(tmp_path: Path) -> None:
     said = {"instance": "pot_1", "description": "a pot with a lid", "z_rotation": 90,
             "size": [20, 30, 10], "position": [50, 60, 5]}  # fmt: skip
