@@ -101,10 +101,8 @@ class SceneDesk(Watched):
 
     def status(self, item: SceneItem) -> Status:
         """Where an object stands."""
-        if item.obj.box is None and (
-            item.path is None or isinstance(self.shapes.get(item.path), str)
-        ):
-            return "missing"
+        if item.obj.box is None and self.missing_reason(item):
+            return "missing" if item.path is None and not item.problem else "failed"
         work = self.work(item.obj.id)
         if work is None:
             return "static"
@@ -128,6 +126,8 @@ class SceneDesk(Watched):
         """Why an object isn't shown, or ""."""
         if item.obj.box is not None:
             return ""
+        if item.problem:
+            return item.problem
         if item.path is None:
             named = item.obj.asset
             return f"asset {named!r} is in none of the folders" if named else "it names no asset"

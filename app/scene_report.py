@@ -6,12 +6,14 @@ Nothing is loaded from elsewhere and nothing runs in it. Every name is escaped.
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from model.errors import ArtiworldError, InputFileError
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
+from model.scenes.results import SCENE_JSON
 from model.scenes.scene import SceneProblem
 
 STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
@@ -30,6 +33,7 @@ STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
     "rejected": ("rejected", (224, 49, 49)),
     "accepted": ("accepted", (47, 158, 68)),
     "static": ("static", (196, 200, 206)),
+    "failed": ("failed: its asset can't be read", (90, 96, 104)),
     "missing": ("missing", (90, 96, 104)),
 }
 """State → words and colour, in the order of the page."""
@@ -85,8 +89,14 @@ def write_report(
     shapes: Mapping[Path, Shape | str],
     workspace: Path,
     progress: Progress = no_progress,
+    *,
+    saved: Path | None = None,
 ) -> Path:
     """Write the page.
+
+    Args:
+        saved: folder that the scene was saved in last; limits that its surroundings shorten are
+            shown as they are there.
 
     Raises:
         InputFileError: where it can't be written.
@@ -104,8 +114,12 @@ def write_report(
     legend = "".join(
         f"<li>{_dot(s)}{escape(STATES[s][0])}: <b>{counts[s]}</b></li>" for s in order if counts[s]
     )
-    told = "".join(f"<li class=warn>{escape(p.object)}: {escape(p.reason)}</li>" for p in problems)
-    body = "".join(_line(r, drawn.get(r.work) if r.work is not None else None) for r in rows)
+    told = "".join(f"<li class=warn>{escape(p.object)}: {escape(p.told)}</li>" for p in problems)
+    entries = _saved_entries(saved)
+    body = "".join(
+        _line(r, drawn.get(r.work) if r.work is not None else None, entries.get(r.item.obj.id, {}))
+        for r in rows
+    )
     page = (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(name)}</title>"
         f"<style>{STYLE}</style><h1>{escape(name)}</h1><p class=note>{len(rows)} objects. "
@@ -143,7 +157,18 @@ def _img(data: bytes | None, alt: str) -> str:
     )
 
 
-def _line(row: ReportRow, picture: bytes | None) -> str:
+def _saved_entries(folder: Path | None) -> dict[str, dict[str, Any]]:
+    """Object → what the saved scene says of it; of none where it isn't there any more."""
+    if folder is None:
+        return {}
+    try:
+        told = json.loads((folder / SCENE_JSON).read_text(encoding="utf-8"))
+        return {o["id"]: o for o in told["objects"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> str:
     obj, decision = row.item.obj, row.item.decision
     state = f"{_dot(row.status)}{escape(STATES[row.status][0])}"
     if row.by and row.status in ("accepted", "rejected"):
@@ -152,9 +177,16 @@ def _line(row: ReportRow, picture: bytes | None) -> str:
     reason = escape(decision.reason)
     if row.said is not None:
         reason += f"<br>A person said: {'articulable' if row.said else 'static'}."
-    reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in row.notes)
+    notes = list(row.notes)
+    if saved.get("held"):
+        notes.append(f"Its base is fixed in the saved scene: it {saved['held']}")
+    for name in dict.fromkeys(p["through"] for p in saved.get("passes", ())):
+        notes.append(f"Starts inside {name}, and passes through it in the saved scene")
+    reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in notes)
+    shorter = {c["joint"]: c for c in saved.get("shortened", ())}
     joints = "" if row.tree is None else "<br>".join(
-        _joint(j, row.names.get(j.child, j.name), row.sure.get(j.child))
+        _joint(j, row.names.get(j.child, j.name), row.sure.get(j.child),
+               shorter.get(j.name))
         for j in row.tree.joints if j.moves
     )  # fmt: skip
     about = (
@@ -168,16 +200,31 @@ def _line(row: ReportRow, picture: bytes | None) -> str:
     )
 
 
-def _joint(joint: Joint, name: str, sure: float | None) -> str:
-    span = ""
-    if joint.limited:
-        low, high = joint.lower or 0.0, joint.upper or 0.0
-        span = (
-            f" {math.degrees(low):.0f}…{math.degrees(high):.0f}°" if joint.rotates
-            else f" {1000 * low:.0f}…{1000 * high:.0f} mm"
-        )  # fmt: skip
+def _joint(joint: Joint, name: str, sure: float | None, shorter: Mapping[str, Any] | None) -> str:
+    """A joint with its range; ``shorter``: what the saved scene has instead."""
+    limits = (joint.lower or 0.0, joint.upper or 0.0) if joint.limited else None
     told = "" if sure is None else f", {100 * sure:.0f} % sure"
+    if shorter is not None and _same(limits, shorter["was"]):
+        hits = ", ".join(dict.fromkeys(shorter["hits"].values()))
+        was = "" if limits is None else f" instead of{_span(joint, limits)}"
+        limits = shorter["limits"]
+        told += f"<br><span class=note>{escape(f'saved so{was}, because of {hits}')}</span>"
+    span = "" if limits is None else _span(joint, limits)
     return f"{escape(name)}: {joint.type}{span}{told}"
+
+
+def _span(joint: Joint, limits: Sequence[float]) -> str:
+    low, high = limits
+    if joint.rotates:
+        return f" {math.degrees(low):.0f}…{math.degrees(high):.0f}°"
+    return f" {1000 * low:.0f}…{1000 * high:.0f} mm"
+
+
+def _same(limits: Sequence[float] | None, was: Sequence[float] | None) -> bool:
+    """Whether a joint still has the limits that it had when the scene was saved."""
+    if limits is None or was is None:
+        return limits is was
+    return bool(np.allclose(limits, was, atol=1e-4))
 
 
 def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]) -> bytes | None:

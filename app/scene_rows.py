@@ -10,8 +10,10 @@ from app.scene_tasks import SceneItem
 from sessions.document import Document
 from sessions.live import LiveSession
 
-Status = Literal["static", "todo", "predicted", "accepted", "rejected", "missing"]
-STATUSES: tuple[Status, ...] = ("predicted", "todo", "rejected", "accepted", "static", "missing")
+Status = Literal["static", "todo", "predicted", "accepted", "rejected", "failed", "missing"]
+STATUSES: tuple[Status, ...] = (
+    "predicted", "todo", "rejected", "accepted", "static", "failed", "missing",
+)  # fmt: skip
 """In the order in which a reviewer wants to see them."""
 
 

@@ -168,8 +168,9 @@ class Saving:
         path = desk.bench.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
         job = desk.bench.geometry.submit(
             write_report, path, desk.scene.name, tuple(rows), desk.scene.problems,
-            dict(desk.shapes), desk.bench.workspace, on_progress=desk.jobs.progress("report"),
-            priority=6,
+            dict(desk.shapes), desk.bench.workspace,
+            saved=None if desk.document.saved is None else Path(desk.document.saved.folder),
+            on_progress=desk.jobs.progress("report"), priority=6,
         )  # fmt: skip
         desk.start("report", job, lambda _: done(path))
         desk.changed()
@@ -241,6 +242,8 @@ def save_scene(
         outcomes.append(outcome)
         if item.obj.box is not None:
             outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
+        elif item.problem:
+            outcome.state, outcome.reason = FAILED, item.problem
         elif item.path is None:
             outcome.state, outcome.reason = MISSING, "its asset is in none of the folders"
         else:

@@ -44,6 +44,7 @@ class SceneItem:
         path: its asset, or None.
         copy: where its working copy is or will be, or None.
         truth: whether the asset is known to move; None where nobody knows.
+        problem: why the geometry that the scene's file holds for it can't be used, else "".
     """
 
     obj: SceneObject
@@ -51,6 +52,7 @@ class SceneItem:
     path: Path | None = None
     copy: Path | None = None
     truth: bool | None = None
+    problem: str = ""
 
     @property
     def category(self) -> str | None:
@@ -110,6 +112,7 @@ def read(
     from model.scenes.convert import decide
     from model.scenes.embedded import unpack
     from model.scenes.finder_registry import FinderOptions, default_cache, load_finder
+    from model.scenes.jobs import FAILED
     from model.scenes.registry import read_scene
 
     progress(0.1, "reading")
@@ -130,7 +133,8 @@ def read(
             told = (stamps[o.path], o.obj.scale.tolist(), o.obj.fit)
             key = hashlib.sha256(repr(told).encode()).hexdigest()[:12]
             copy = workspace / "scenes" / f"{_plain(o.path.stem)}-{key}"
-        items.append(SceneItem(o.obj, o.decision, o.path, copy, o.truth))
+        problem = o.reason if o.state == FAILED else ""
+        items.append(SceneItem(o.obj, o.decision, o.path, copy, o.truth, problem))
     return OpenedScene(scene.name, scene.reader, tuple(items), scene.problems, index.ambiguous)
 
 

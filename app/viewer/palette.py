@@ -124,6 +124,7 @@ SCENE_COLORS: Final[dict[str, Rgb]] = {
     "rejected": (224, 49, 49),
     "accepted": (47, 158, 68),
     "static": (196, 200, 206),
+    "failed": (90, 96, 104),
     "missing": (90, 96, 104),
 }
 """Objects of a scene by where they stand; what is to do must not look like what stands still."""
@@ -139,6 +140,7 @@ SCENE_WORDS: Final[dict[str, str]] = {
     "rejected": "rejected",
     "accepted": "accepted",
     "static": "static",
+    "failed": "failed",
     "missing": "missing",
 }
 

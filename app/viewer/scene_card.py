@@ -138,9 +138,7 @@ class SceneCard:
             lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         problems = () if desk.scene is None else desk.scene.problems
         if problems:
-            told = "\n".join(
-                f"- {plain(p.object, 40)}: {plain(p.reason, 200)}" for p in problems[:6]
-            )
+            told = "\n".join(f"- {plain(p.object, 40)}: {plain(p.told, 200)}" for p in problems[:6])
             more = f"\n- and {len(problems) - 6} more" if len(problems) > 6 else ""
             lines.append(f"⚠ About the file:\n{told}{more}")
         put(self._status, "content", "\n\n".join(lines))
@@ -159,7 +157,7 @@ class SceneCard:
         put(self._joints, "visible", bool(joints))
         put(self._joints, "content", joints)
         can_work = item is not None and item.path is not None and row is not None
-        can_work = can_work and row is not None and row.status != "missing"
+        can_work = can_work and row is not None and row.status not in ("failed", "missing")
         put(self._kind, "visible", can_work)
         if item is not None:
             yes = desk.articulable(item)

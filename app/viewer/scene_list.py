@@ -26,6 +26,7 @@ _ICONS = {
     "rejected": viser.Icon.CIRCLE_X,
     "accepted": viser.Icon.CIRCLE_CHECK,
     "static": viser.Icon.LOCK,
+    "failed": viser.Icon.ALERT_TRIANGLE,
     "missing": viser.Icon.QUESTION_MARK,
 }
 
@@ -138,7 +139,7 @@ def legend(counts: Counter[Any], own: bool) -> str:
     others, with their counts; our own words and numbers only."""
 
     def square(state: Status) -> str:
-        if own or state in ("static", "missing"):
+        if own or state in ("static", "failed", "missing"):
             return "border:1.5px dashed #98a0a8"
         return f"background:rgb{palette.SCENE_COLORS[state]}"
 
@@ -149,7 +150,7 @@ def legend(counts: Counter[Any], own: bool) -> str:
         f"<span>{palette.SCENE_WORDS[s]}</span>"
         f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
         for s in STATUSES
-        if s != "missing" or counts[s]
+        if s not in ("failed", "missing") or counts[s]
     )
     return (
         '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'

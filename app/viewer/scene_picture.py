@@ -125,7 +125,7 @@ class ScenePicture:
         for id, where in status.items():
             item = self._desk.items[id]
             found = self.stand(item)
-            if found is None or where == "missing":
+            if found is None or where in ("failed", "missing"):
                 continue
             if where == "static" and found[0].faces is not None:
                 continue  # merged

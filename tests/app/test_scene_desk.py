@@ -52,6 +52,7 @@ OBJECTS = [
     entry("small", "cab", 3.0, "cabinet", scale=[0.5, 0.6, 0.7]),
     entry(EVIL, "rock", 4.5, "rock"),
     entry("lost", "nowhere", 6.0, "cabinet"),
+    entry("bad", "broken", 7.5, "cabinet"),
     entry("slab", None, 1.0, "floor", box=[8.0, 3.0, 0.1]),
 ]
 
@@ -62,6 +63,7 @@ class World:
     def __init__(self, folder: Path, scene: Path | None = None) -> None:
         self.folder = folder
         self.assets = make_assets(folder / "assets")
+        (self.assets / "broken.glb").write_bytes(b"no glTF at all")
         self.scene = scene or write_scene(folder / "home.json", own(OBJECTS))
         self.bench: Workbench | None = None
         self.open()
@@ -122,11 +124,12 @@ def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
     desk = world.desk
     assert statuses(desk) == {
         "first": "predicted", "twin": "predicted", "small": "predicted", EVIL: "static",
-        "lost": "missing", "slab": "static",
+        "lost": "missing", "bad": "failed", "slab": "static",
     }  # fmt: skip
     assert desk.twins("first") == ["first", "twin"] and desk.twins("small") == ["small"]
     assert desk.work("first") is desk.work("twin") is not desk.work("small")
     assert "nowhere" in desk.missing_reason(desk.items["lost"])
+    assert "broken.glb" in desk.missing_reason(desk.items["bad"])
     work = desk.work("small")
     assert work is not None and work.document.tree is not None
     kinds = {j.type for j in work.document.tree.joints}
@@ -228,11 +231,12 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
     assert {i: o["state"] for i, o in said.items()} == {
         "first": "accepted", "twin": "accepted", "small": "rejected", EVIL: "todo",
-        "lost": "missing", "slab": "plain",
+        "lost": "missing", "bad": "failed", "slab": "plain",
     }  # fmt: skip
     assert said["first"]["urdf"] and not said["small"]["urdf"]
     assert said["small"]["decided"]["by"] == "bob" and said["small"]["reason"] == "rejected: axis"
     assert said["first"]["decided"]["by"] == "ann" and "cut it by clicks" in said[EVIL]["reason"]
+    assert "broken.glb" in said["bad"]["reason"]
     summary = json.loads((out / "summary.json").read_text())
     assert summary["states"]["rejected"] == summary["states"]["todo"] == 1
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
@@ -306,3 +310,22 @@ def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:
     assert "<script" not in page and "&lt;script&gt;" in page
     assert "src='http" not in page and page.count("data:image/png;base64") >= 3
     assert "accepted" in page and "ann" in page and "drawer" in page and "nowhere" in page
+
+
+def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
+    desk = accepted.desk
+    work, saved = desk.work("first"), desk.document.saved
+    assert work is not None and work.document.tree is not None and saved is not None
+    joint = next(j for j in work.document.tree.joints if j.rotates)
+    path = Path(saved.folder) / "scene.json"
+    told = json.loads(path.read_text())
+    (entry,) = (o for o in told["objects"] if o["id"] == "first")
+    entry["shortened"] = [{"joint": joint.name, "was": [joint.lower, joint.upper],
+                           "limits": [0.0, 0.5], "hits": {"upper": "wall <b>"}}]  # fmt: skip
+    path.write_text(json.dumps(told))
+    done: list[Path] = []
+    desk.saving.report(done.append)
+    wait(lambda: done, "the report")
+    page = done[0].read_text(encoding="utf-8")
+    assert "revolute 0…29°" in page and "because of wall &lt;b&gt;" in page
+    assert page.count("because of wall") == 1  # not of its twin
