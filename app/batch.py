@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from model.errors import InputFileError
+from model.evaluation.pool import in_processes
 
 T = TypeVar("T")
 
@@ -93,16 +94,15 @@ def _pool(
     function: Callable[[Any], T], left: dict[int, Any], jobs: int
 ) -> Iterator[tuple[int, T | Exception]]:
     """Answers of what is in ``left``, from which the answered are taken."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(left)), mp_context=context) as pool:
-        futures = {pool.submit(_tried, function, task): i for i, task in left.items()}
+    with in_processes(partial(_tried, function), list(left.values()), jobs, "spawn") as futures:
+        numbers = dict(zip(futures, list(left), strict=True))
         for future in as_completed(futures):
             try:
                 answer = future.result()
             except BrokenProcessPool:
                 continue
-            del left[futures[future]]
-            yield futures[future], answer
+            del left[numbers[future]]
+            yield numbers[future], answer
 
 
 def _tried(function: Callable[[Any], T], task: Any) -> T | Exception:

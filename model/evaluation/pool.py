@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import TypeVar
+from multiprocessing import resource_tracker
+from typing import Any, TypeVar
 
 T = TypeVar("T")
+A = TypeVar("A")
 
 
 class OutOfTimeError(Exception):
@@ -36,12 +40,12 @@ def robust_map(
         batch = alone[:1] or waiting
         done: set[str] = set()
         try:
-            with ProcessPoolExecutor(max_workers=min(jobs, len(batch))) as pool:
-                futures = {pool.submit(function, i): i for i in batch}
+            with in_processes(function, batch, jobs) as futures:
+                of_id = dict(zip(futures, batch, strict=True))
                 for future in as_completed(futures):
                     result = future.result()
-                    done.add(futures[future])
-                    yield futures[future], result
+                    done.add(of_id[future])
+                    yield of_id[future], result
         except BrokenProcessPool:
             # A process died. Those not done are tried one by one; who dies alone is at fault.
             left = [i for i in batch if i not in done]
@@ -50,6 +54,62 @@ def robust_map(
                 yield left[0], None
             suspects.update(left)
         waiting = [i for i in waiting if i not in done]
+
+
+@contextmanager
+def in_processes(
+    function: Callable[[A], T], tasks: Sequence[A], jobs: int, method: str = "fork"
+) -> Iterator[list[Future[T]]]:
+    """``function`` of each task in processes that end with the block, whatever ends it.
+
+    Ctrl+C goes to the whole process group. The workers don't hear it: the block does, and kills
+    them, so that nobody waits for tasks under way and none stays behind.
+
+    Args:
+        function: can be pickled.
+        tasks: the argument of each call.
+        jobs: processes at most.
+        method: how they start. "fork" is 3 to 6 s quicker, as nothing is imported anew; it must not
+            be used where this process has threads that compute.
+    """
+    context: Any = multiprocessing.get_context(method)
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=context)
+    try:
+        with _interrupts_held():
+            futures = [pool.submit(function, task) for task in tasks]
+        yield futures
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.kill()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl+C is heard after the block, and never by processes that are started in it.
+
+    Where Python forks, an interrupt can be raised in a place that swallows it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # interrupts are none of its business
+        return
+    resource_tracker.ensure_running()  # on its start it lets interrupts through again
+    heard: list[Any] = []
+    before = signal.getsignal(signal.SIGINT)
+    if callable(before):
+        # What this thread blocks may come by another one.
+        signal.signal(signal.SIGINT, lambda *how: heard.append(how))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if callable(before):
+            signal.signal(signal.SIGINT, before)
+    if heard and callable(before):
+        before(*heard[0])
 
 
 @contextmanager

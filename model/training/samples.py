@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from model.datasets.protocol import GroundTruth
 from model.datasets.registry import recognised
 from model.datasets.splits import training_ids
 from model.errors import ArtiworldError, ConfigurationError
+from model.evaluation.pool import in_processes
 from model.progress import Progress, no_progress
 from model.training.labels import Labels, label
 
@@ -178,7 +179,7 @@ def write_shards(
     folder.mkdir(parents=True, exist_ok=True)
     written = 0
     for first in range(math.ceil(count / shard)):
-        written += _write_one(folder, first, count, seed, shard, families)
+        written += _write_one(folder, count, seed, shard, families, first)
         progress((first + 1) * shard / count, f"{written} objects")
     return written
 
@@ -203,16 +204,15 @@ def make_shards(
         return
     folder.mkdir(parents=True, exist_ok=True)
     firsts = range(math.ceil(count / shard))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, missing), mp_context=context) as pool:
-        waiting = [pool.submit(_write_one, folder, k, count, seed, shard, families) for k in firsts]
+    write = partial(_write_one, folder, count, seed, shard, families)
+    with in_processes(write, firsts, min(jobs, missing), "spawn") as waiting:
         for done, job in enumerate(as_completed(waiting)):
             job.result()
             progress((done + 1) / len(waiting), f"{(done + 1) * shard} objects")
 
 
 def _write_one(
-    folder: Path, number: int, count: int, seed: int, shard: int, families: Sequence[str] | None
+    folder: Path, count: int, seed: int, shard: int, families: Sequence[str] | None, number: int
 ) -> int:
     path = folder / f"{seed:04d}_{number:05d}.npz"
     if path.exists():

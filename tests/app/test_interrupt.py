@@ -1,0 +1,62 @@
+"""Ctrl+C on commands that work in several processes: they end at once, and nothing stays behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from model.datasets.registry import DatasetOptions, open_dataset
+from model.exporters.urdf import UrdfExporter
+
+
+def in_group(group: int) -> list[int]:
+    """Processes of a group, but for those that have ended and that nobody has collected."""
+    out = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, group_of = stat.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(group_of) == group and state != "Z":
+            out.append(int(stat.parent.name))
+    return out
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1.5])
+@pytest.mark.parametrize("command", ["evaluate", "check"])
+def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path: Path) -> None:
+    if command == "evaluate":
+        words = ["--data", "procedural", "--family", "Oven", "--n", "50"]
+    else:
+        data = open_dataset(DatasetOptions("procedural", families=("Oven",), n=8))
+        for i in data.ids():
+            (tmp_path / i).mkdir()
+            UrdfExporter().export(data.load(i).object, tmp_path / i)
+        words = [str(tmp_path), "--no-cache"]
+    run = subprocess.Popen(
+        [sys.executable, "-m", "app.cli", command, *words, "--jobs", "2"],
+        start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        end = time.monotonic() + 120
+        while len(in_group(run.pid)) < 3:
+            assert run.poll() is None and time.monotonic() < end, "it never began"
+            time.sleep(0.01)
+        time.sleep(seconds)
+        os.killpg(run.pid, signal.SIGINT)
+        _, told = run.communicate(timeout=20)
+        assert run.returncode == 130
+        assert "Traceback" not in told
+        end = time.monotonic() + 5
+        while left := in_group(run.pid):
+            assert time.monotonic() < end, left
+            time.sleep(0.05)
+    finally:
+        if in_group(run.pid):
+            os.killpg(run.pid, signal.SIGKILL)
