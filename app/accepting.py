@@ -1,4 +1,8 @@
-"""Accepting one open object: its asset is written, read back, and only then the decision counts."""
+"""Accepting one open object: its asset is written, read back, and only then the decision counts.
+
+The asset is a draft until nothing can speak against the decision any more; then it takes the place
+of the one that was accepted before.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from model.errors import CommandError
+from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
 from model.geometry.asset import Source
 from sessions import commands as cmd
@@ -44,13 +49,16 @@ def accept(obj: OpenObject, comment: str, who: str, at: str, override: str = "")
         after, obj.bench.store.history(obj.record.id), _source_record(obj), gate, override
     )
     folder = asset_folder(obj.bench.workspace, obj.record)
-    job = obj.bench.save_asset(obj.source(doc), doc.tree, folder, record, obj.jobs.progress("save"))
+    source = obj.source(doc)
+    job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
 
-    def keep(written: str) -> None:
+    def keep(draft: Path) -> None:
         now = obj.document
-        if now.tree != doc.tree or now.segmentation != doc.segmentation:
+        if now.segmentation is None or (now.tree, obj.source(now)) != (doc.tree, source):
             obj.tell("Not accepted", "It was edited meanwhile: accept it again", "yellow")
             return
+        # Only now: an asset that was accepted before stays until this one is to take its place.
+        written = str(publish(draft, folder, record).folder)
         obj.do(command, who)
         obj.do(cmd.Saved(written), who)
         obj.tell("Accepted", f"Saved in {written}", "green")

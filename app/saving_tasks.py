@@ -10,7 +10,6 @@ import secrets
 import shutil
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from app.part_tasks import PartSource, articulated_object
 from app.tasks import asset_of
@@ -82,20 +81,3 @@ def _drop_drafts(folder: Path) -> None:
     found = sorted(folder.iterdir(), key=lambda p: p.stat().st_mtime)
     for old in found[:-DRAFTS_KEPT]:
         shutil.rmtree(old, ignore_errors=True)
-
-
-def save_asset_folder(
-    source: PartSource,
-    tree: KinematicTree,
-    folder: Path,
-    provenance: dict[str, Any],
-    progress: Progress = no_progress,
-) -> str:
-    """Write the accepted asset, or move its draft in place. Returns the folder.
-
-    Raises:
-        ArtiworldError: where what was written doesn't load as it should.
-    """
-    from model.exporters.asset_folder import publish
-
-    return str(publish(prepare_asset(source, tree, progress), folder, provenance).folder)

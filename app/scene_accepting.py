@@ -7,11 +7,13 @@ is right. What a killed server left undone is done when the scene is opened agai
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.accepting import acceptance_record, asset_folder
 from app.judging_tasks import judge_joints
 from app.part_tasks import PartSource
+from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
@@ -170,14 +172,15 @@ class Accepting:
         after = apply(work.live.state, command, Context(record.by, record.at))
         told = acceptance_record(after, store.history(work.id), work.drawn.source, report)
         folder = asset_folder(desk.bench.workspace, store.object(work.id))
-        job = desk.bench.save_asset(source, doc.tree, folder, told, _silent)
+        job = desk.bench.draft_asset(source, doc.tree, _silent)
 
-        def keep(written: str) -> None:
+        def keep(draft: Path) -> None:
             now = work.document
             if now.tree != doc.tree or now.segmentation != doc.segmentation:
                 return  # edited meanwhile: it is judged again
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
+            written = str(publish(draft, folder, told).folder)
             self._drop((work.id, record))
             self._vain.discard((work.id, record))
             work.live.do(command, record.by)

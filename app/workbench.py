@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from app import saving_tasks
 from app.config import ServeConfig
@@ -115,20 +115,16 @@ class Workbench:
         if preparing is not None:
             preparing[2].cancel()
 
-    def save_asset(
+    def draft_asset(
         self,
         source: PartSource,
         tree: KinematicTree,
-        folder: Path,
-        record: dict[str, Any],
         on_progress: Callable[[float, str], None],
-    ) -> Job[str]:
-        """Write an accepted asset, after its draft where that is being written."""
+    ) -> Job[Path]:
+        """Write the draft of what is accepted, or wait for the one that is being written."""
         if self._preparing is not None and self._preparing[:2] != (source, tree):
             self.stop_preparing()
-        return self.saving.submit(
-            saving_tasks.save_asset_folder, source, tree, folder, record, on_progress=on_progress
-        )
+        return self.saving.submit(saving_tasks.prepare_asset, source, tree, on_progress=on_progress)
 
     def close(self) -> None:
         """End the workers."""

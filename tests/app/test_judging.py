@@ -136,6 +136,28 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     assert np.isfinite(gate["joints"][0]["depth"])
 
 
+def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject) -> None:
+    obj = cupboard
+    notes: list[str] = []
+    obj.watch(lambda: None, lambda *note: notes.append(note[0]))
+    obj.do(cmd.SetJoint(DOOR), "tester")
+    judged(obj)
+    if obj.document.review.state != "accepted":
+        accept(obj, "", "tester", NOW)
+        wait(lambda: obj.document.review.state == "accepted", "accepted")
+    saved = wait(lambda: obj.document.saved, "saved")
+    before = (Path(saved.folder) / "provenance.json").read_bytes()
+    obj.do(cmd.Reopen(), "tester")
+    obj.do(cmd.SetJoint(replace(DOOR, upper=1.2)), "tester")
+    judged(obj)
+    obj.bench.saving.submit(time.sleep, 1.0, priority=9)
+    accept(obj, "too early", "tester", NOW)
+    obj.do(cmd.SetJoint(replace(DOOR, upper=1.1)), "tester")
+    wait(lambda: "Not accepted" in notes, "it is told")
+    assert obj.document.review.state != "accepted"
+    assert (Path(saved.folder) / "provenance.json").read_bytes() == before
+
+
 def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch) -> None:
     tree = cupboard.document.tree
     assert tree is not None

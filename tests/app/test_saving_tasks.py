@@ -15,8 +15,9 @@ import trimesh
 from app import part_tasks, saving_tasks, tasks
 from app.display_tasks import open_asset
 from app.part_tasks import PartSource
-from app.saving_tasks import DRAFTS_KEPT, prepare_asset, save_asset_folder
+from app.saving_tasks import DRAFTS_KEPT, prepare_asset
 from app.tasks import ReadOptions
+from model.exporters.asset_folder import publish
 from model.exporters.reload import reload_check
 from model.exporters.saved import load_object, read_provenance
 from model.kinematics.joint import Joint
@@ -41,6 +42,10 @@ def no_drafts(source: PartSource) -> None:
     saving_tasks.shutil.rmtree(source.workspace / "drafts", ignore_errors=True)
 
 
+def accepted(source: PartSource, tree: KinematicTree, folder: Path, record: dict) -> Path:
+    return publish(prepare_asset(source, tree), folder, record).folder
+
+
 def drafts(source: PartSource) -> list[str]:
     folder = source.workspace / "drafts"
     return sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
@@ -51,14 +56,14 @@ def test_accepting_moves_what_was_prepared(source, tmp_path, monkeypatch):
     assert prepare_asset(source, TREE) == draft
     with monkeypatch.context() as patch:  # nothing is cut or written a second time
         patch.setattr(part_tasks, "parts_of", None)
-        folder = save_asset_folder(source, TREE, tmp_path / "a", {"by": "me"})
+        folder = accepted(source, TREE, tmp_path / "a", {"by": "me"})
     assert drafts(source) == []
     record = read_provenance(folder)
     assert record["by"] == "me" and record["asset"]["name"] == "box"
     assert reload_check(folder) == []
     # Accepted again after an edit and without a draft, over the first.
     wider = KinematicTree(TREE.links, (replace(DOOR, upper=2.0),))
-    assert save_asset_folder(source, wider, tmp_path / "a", {"by": "her"}) == folder
+    assert accepted(source, wider, tmp_path / "a", {"by": "her"}) == folder
     assert load_object(folder).tree.joints[0].upper == pytest.approx(2.0)
     assert read_provenance(folder)["by"] == "her"
 
@@ -87,5 +92,5 @@ def test_a_kill_while_preparing_leaves_no_half_draft(source, tmp_path: Path, ste
     child.join()
     assert child.exitcode == -signal.SIGKILL
     assert len(drafts(source)) == 1 and drafts(source)[0].startswith(".")
-    folder = save_asset_folder(source, TREE, tmp_path / "a", {})
+    folder = accepted(source, TREE, tmp_path / "a", {})
     assert reload_check(folder) == []
