@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.part_tasks import PartSource
+from app.segmenting_tasks import source_regions
 from app.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.geometry.asset import Asset, ElementKind, UpAxis
 from model.geometry.point_cloud import PointCloud
@@ -29,6 +30,7 @@ class OpenedAsset:
         glb: the displayed mesh with its materials, z up, else None.
         glb_order: (D,) displayed face of each triangle of ``glb``; None for a cloud.
         part_names: names by part id where the source was already cut into parts.
+        source_parts: these parts, part → reference of its stored elements and their number.
     """
 
     name: str
@@ -49,7 +51,7 @@ class OpenedAsset:
     glb: bytes | None = None
     glb_order: npt.NDArray[np.int32] | None = None
     part_names: tuple[str, ...] = ()
-    has_parts: bool = False
+    source_parts: dict[int, tuple[str, int]] = field(default_factory=dict)
     category: str | None = None
     warnings: tuple[str, ...] = ()
     front: tuple[float, float, float] = (0.0, -1.0, 0.0)
@@ -79,10 +81,13 @@ def open_asset(
     progress(0.02, "Reading")
     asset, folder = working_copy(path, workspace, options, progress)
     progress(0.8, "Preparing the picture")
-    return _opened(asset, folder, path)
+    as_it_came = options.left_out is None and not options.face_cuts
+    return _opened(asset, folder, path, source_regions(asset, workspace) if as_it_came else {})
 
 
-def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
+def _opened(
+    asset: Asset, folder: Path, path: Path, source_parts: dict[int, tuple[str, int]]
+) -> OpenedAsset:
     from model.geometry.display import display_asset
     from model.geometry.glb import face_order, mesh_to_glb
 
@@ -108,7 +113,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
         glb_order=None if mesh is None else face_order(mesh),
         part_names=asset.part_names,
-        has_parts=asset.element_part is not None,
+        source_parts=source_parts,
         category=asset.category,
         warnings=asset.warnings,
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]

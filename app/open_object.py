@@ -147,8 +147,7 @@ class OpenObject(Watched):
         with self._lock:
             self.asset = asset
         if self.state.seq == 0:
-            if asset.has_parts:
-                self.segmenting.take_source_parts(asset)
+            self.segmenting.take_source_parts(asset)
             if asset.category:
                 self.do(cmd.SetCategory(asset.category), "source file")
         for warning in asset.warnings:

@@ -298,7 +298,7 @@ def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace:
     """The parts that the asset is in. Every element is claimed, the base's too, so that the
     segmenter has nothing to guess when a person goes on from here."""
     labels = element_part.astype(np.int16)
-    regions = segmenting_tasks.source_regions_of(asset, workspace)
+    regions = segmenting_tasks.source_regions(asset, workspace)
     names = tuple(
         (i, asset.part_names[i] if i < len(asset.part_names) else None) for i in sorted(regions)
     )

@@ -87,10 +87,7 @@ class Segmenting:
     def take_source_parts(self, asset: OpenedAsset) -> None:
         """Parts that the source file was cut into become regions, which the person can edit."""
         obj = self._obj
-        regions = obj.bench.geometry.submit(
-            segmenting_tasks.source_regions, asset.folder, obj.bench.workspace
-        ).result(120)
-        for part, (ref, count) in regions.items():
+        for part, (ref, count) in asset.source_parts.items():
             name = asset.part_names[part] if part < len(asset.part_names) else None
             if part:
                 obj.do(cmd.AddPart(part, name), "source file")

@@ -90,13 +90,8 @@ def segment(
     return _answer(workspace, answer, prompts_key, element)
 
 
-def source_regions(folder: Path, workspace: Path) -> dict[int, tuple[str, int]]:
+def source_regions(asset: Asset, workspace: Path) -> dict[int, tuple[str, int]]:
     """The parts that the source was already cut into: part → stored elements and their number."""
-    return source_regions_of(asset_of(folder), workspace)
-
-
-def source_regions_of(asset: Asset, workspace: Path) -> dict[int, tuple[str, int]]:
-    """As :func:`source_regions`, of an asset at hand."""
     part = asset.element_part
     if part is None:
         return {}

@@ -67,6 +67,10 @@ def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenObject]:
     config = ServeConfig(workspace=folder / "workspace")
     bench = Workbench(config, Store(folder / "workspace"), [source])
     obj = bench.object(bench.records()[0].id)
+    # The parts that the source is in come with it: nothing of them waits behind other work.
+    other = bench.geometry.submit(time.sleep, 5.0)
+    wait(lambda: len(obj.document.parts) == 2, "the source's parts")
+    assert not other.done
     wait(
         lambda: obj.document.segmentation is not None and obj.document.segmentation_current, "parts"
     )
