@@ -15,6 +15,8 @@ from app.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.geometry.asset import Asset, ElementKind, UpAxis
 from model.geometry.point_cloud import PointCloud
 from model.progress import Progress, no_progress
+from sessions.checks import NAME_LIMIT
+from sessions.text import clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,7 @@ def _opened(
 
     shown = display_asset(asset)
     source = asset.source
+    part_names, category, remarks = _short_names(asset)
     mesh, cloud = shown.mesh, shown.cloud
     return OpenedAsset(
         name=asset.name,
@@ -112,12 +115,23 @@ def _opened(
         display_colors=None if cloud is None else _colors(cloud),
         glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
         glb_order=None if mesh is None else face_order(mesh),
-        part_names=asset.part_names,
+        part_names=part_names,
         source_parts=source_parts,
-        category=asset.category,
-        warnings=asset.warnings,
+        category=category,
+        warnings=(*asset.warnings, *remarks),
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
     )
+
+
+def _short_names(asset: Asset) -> tuple[tuple[str, ...], str | None, tuple[str, ...]]:
+    """Part names and category as a person could have typed them, and what is to be told of that."""
+    names = tuple(clipped(n, NAME_LIMIT) for n in asset.part_names)
+    category = None if asset.category is None else clipped(asset.category, NAME_LIMIT)
+    longest = max(map(len, (*asset.part_names, asset.category or "")), default=0)
+    if longest <= NAME_LIMIT:
+        return names, category, ()
+    remark = f"a name or the category has {longest:,} characters: cut to {NAME_LIMIT}"
+    return names, category, (remark,)
 
 
 def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float, float]:

@@ -236,7 +236,7 @@ def check_output(out: Path, *inputs: Path) -> None:
     if out.exists() and not out.is_dir():
         raise ConfigurationError(f"--out {out} is a file; give a folder")
     for source in inputs:
-        if out.resolve() == source.resolve():
+        if os.path.realpath(out) == os.path.realpath(source):  # where links lead in a circle, too
             raise ConfigurationError(f"--out {out} is where the input is; give another folder")
     above = next((p for p in (out, *out.absolute().parents) if p.exists()), Path("/"))
     if not above.is_dir() or not os.access(above, os.W_OK):
@@ -261,7 +261,8 @@ def write_json(path: Path, value: Any) -> None:
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+        text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        draft.write_bytes(text.encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
         draft.replace(path)
     except OSError as error:
         raise InputFileError(path, f"can't be written: {error.strerror}") from error

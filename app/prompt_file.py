@@ -26,6 +26,8 @@ import numpy as np
 from model.errors import ArtiworldError, InputFileError
 from model.geometry.asset import Asset
 from model.segmentation.prompts import MAX_PARTS, Click, Prompts, Region
+from sessions.checks import NAME_LIMIT
+from sessions.text import clean_text
 
 FORMAT = 1
 MAX_BYTES = 64 * 2**20
@@ -147,8 +149,8 @@ def _parse(path: Path, tree: Any) -> PromptFile:
     if version != FORMAT or isinstance(version, bool):
         raise _Fault("format", f"{_seen(version)} is unknown", f"this version reads {FORMAT}")
     category = tree.get("category")
-    if category is not None and not isinstance(category, str):
-        raise _Fault("category", f"needs text, got {_seen(category)}")
+    if category is not None:
+        category = _name(category, "category") or None
     names: dict[int, str] = {}
     for i, part in enumerate(_list(tree, "parts")):
         number, name = _parse_part(part, f"parts[{i}]")
@@ -171,10 +173,18 @@ def _parse_part(value: Any, place: str) -> tuple[int, str]:
     part = _object(value, place, ("id", "name"))
     if "id" not in part:
         raise _Fault(f"{place}.id", "is missing", 'as in {"id": 1, "name": "door"}')
-    name = part.get("name", "")
-    if not isinstance(name, str):
-        raise _Fault(f"{place}.name", f"needs text, got {_seen(name)}")
-    return _part_id(part["id"], f"{place}.id"), name.strip()
+    name = _name(part.get("name", ""), f"{place}.name")
+    return _part_id(part["id"], f"{place}.id"), name
+
+
+def _name(value: Any, place: str) -> str:
+    """Text as the app takes it too: short, and nothing in it that can't be written."""
+    if not isinstance(value, str):
+        raise _Fault(place, f"needs text, got {_seen(value)}")
+    text = clean_text(value, len(value), place)
+    if len(text) > NAME_LIMIT:
+        raise _Fault(place, f"has {len(text):,} characters", f"at most {NAME_LIMIT} are allowed")
+    return text
 
 
 def _parse_click(value: Any, place: str, default_part: int | None) -> Click:

@@ -27,6 +27,8 @@ from model.progress import Progress, no_progress
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
+from sessions.checks import NAME_LIMIT
+from sessions.text import clipped
 
 PROMPTS = ".prompts.json"
 """Clicks kept beside an asset."""
@@ -300,7 +302,8 @@ def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace:
     labels = element_part.astype(np.int16)
     regions = segmenting_tasks.source_regions(asset, workspace)
     names = tuple(
-        (i, asset.part_names[i] if i < len(asset.part_names) else None) for i in sorted(regions)
+        (i, clipped(asset.part_names[i], NAME_LIMIT) if i < len(asset.part_names) else None)
+        for i in sorted(regions)
     )
     return Prepared(
         names=names,

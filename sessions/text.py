@@ -33,6 +33,12 @@ def clean_text(text: str, limit: int, what: str, *, lines: bool = False) -> str:
     return kept
 
 
+def clipped(text: str, limit: int) -> str:
+    """As :func:`clean_text` leaves it, cut where it is too long."""
+    kept = clean_text(text, len(text), "text")
+    return kept if len(kept) <= limit else kept[: limit - 1].rstrip() + "…"
+
+
 def _kept(character: str) -> bool:
     return (
         unicodedata.category(character) not in _STRIPPED_CATEGORIES

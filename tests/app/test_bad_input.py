@@ -11,6 +11,9 @@ import pytest
 import trimesh
 
 from app.cli import main
+from app.display_tasks import open_asset
+from app.tasks import ReadOptions
+from sessions.commands import AddPart, SetCategory
 from tests.app.run_cli import artiworld, assert_users_mistake, box, cupboard, write_prompts
 
 CLICK = [{"position": [0.0, 0.0, 0.0], "part": 1}]
@@ -75,6 +78,12 @@ def one_point(folder: Path) -> Path:
     return ply(folder / "one.ply", np.zeros((1, 3)))
 
 
+def circle_of_links(folder: Path) -> Path:
+    path = folder / "circle.ply"
+    path.symlink_to(path.name)
+    return path
+
+
 def missing(folder: Path) -> Path:
     return folder / "nothere.ply"
 
@@ -106,7 +115,7 @@ def gltf_that_leaves_its_folder(folder: Path) -> Path:
 
 SCANS = [
     empty_file, all_nan, garbage_as_ply, garbage_as_xyz, garbage_as_obj, truncated_glb, no_faces,
-    no_faces_stl, one_point, missing, unknown_type, gltf_that_leaves_its_folder,
+    no_faces_stl, one_point, missing, circle_of_links, unknown_type, gltf_that_leaves_its_folder,
 ]  # fmt: skip
 
 
@@ -123,6 +132,19 @@ def test_segment_names_the_file_and_leaves_no_output(make, tmp_path, capfd):
     assert not out.exists()
 
 
+def test_long_names_of_a_folder_of_parts_are_cut_with_a_remark(tmp_path):
+    for i in range(2):
+        box((i, 0, 0), (i + 0.9, 1, 1)).export(tmp_path / f"link_{i}.ply")
+    parts = [{"file": "link_0.ply"}, {"file": "link_1.ply", "name": "door " * 50}]
+    described = {"category": "x" * 100_000, "parts": parts}
+    (tmp_path / "object.json").write_text(json.dumps(described))
+    opened = open_asset(tmp_path, tmp_path / "workspace", ReadOptions())
+    assert len(opened.source_parts) == 2
+    assert AddPart(1, opened.part_names[1]).name.startswith("door door")
+    assert SetCategory(opened.category).category.endswith("x…")
+    assert any("100,000 characters" in w for w in opened.warnings)
+
+
 @pytest.mark.parametrize("make", [empty_file, truncated_glb])
 def test_the_same_through_the_real_program(make, tmp_path):
     scan = make(tmp_path)
@@ -131,7 +153,9 @@ def test_the_same_through_the_real_program(make, tmp_path):
     assert_users_mistake(done, scan.name)
 
 
-@pytest.mark.parametrize("make", [m for m in SCANS if m not in (missing, unknown_type)])
+@pytest.mark.parametrize(
+    "make", [m for m in SCANS if m not in (missing, circle_of_links, unknown_type)]
+)
 def test_predict_names_the_broken_part(make, tmp_path, capfd):
     folder = tmp_path / "parts"
     folder.mkdir()

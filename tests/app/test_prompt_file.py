@@ -56,6 +56,11 @@ def test_a_bare_list_of_clicks(tmp_path):
     assert [(c.part, c.positive) for c in file.prompts.clicks] == [(1, True), (1, False)]
 
 
+def test_half_a_character_in_a_name_is_left_out(tmp_path):
+    text = '{"parts": [{"id": 1, "name": "do\\ud800or"}], "clicks": [{"point": [0, 0, 0]}]}'
+    assert read(tmp_path, text).names == {1: "door"}
+
+
 def test_a_byte_order_mark_is_no_fault(tmp_path):
     text = "\ufeff" + json.dumps([{"point": [0, 0, 0], "part": 2}])
     assert read(tmp_path, text).prompts.clicks[0].part == 2
@@ -80,6 +85,8 @@ GOOD = {"position": [0, 0, 0], "part": 1}
         ({"parts": [{"name": "door"}], "clicks": [GOOD]}, "parts[0].id"),
         ({"parts": [{"id": 1}, {"id": 1}], "clicks": [GOOD]}, "parts[1].id"),
         ({"parts": [{"id": 1, "name": 7}], "clicks": [GOOD]}, "parts[0].name"),
+        ({"parts": [{"id": 1, "name": "x" * 81}], "clicks": [GOOD]}, "parts[0].name: has 81"),
+        ({"category": "x" * 100_000, "clicks": [GOOD]}, "category: has 100,000"),
         ([GOOD, 5], "clicks[1]: needs an object"),
         ([GOOD, {"part": 1}], "clicks[1].position: is missing"),
         ([{**GOOD, "point": [0, 0, 0]}], "clicks[0].position: is given twice"),
