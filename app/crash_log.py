@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import sys
 import tempfile
 import traceback
 from datetime import UTC, datetime
 from pathlib import Path
+
+_SECRET = ("token", "database", "password", "secret", "api-key")
+"""How options end whose value is nobody else's business."""
+_LOGIN = re.compile(r"://[^/\s?#]*@")
 
 
 def crash_folder() -> Path:
@@ -26,8 +31,8 @@ def write_crash(error: BaseException) -> Path:
     lines = [
         f"{now} UTC, Python {platform.python_version()}, {platform.platform()}",
         "arguments: " + " ".join(_without_secrets(sys.argv[1:])),
-        "".join(traceback.format_exception(error)),
-        getattr(error, "details", ""),
+        _without_login("".join(traceback.format_exception(error))),
+        _without_login(getattr(error, "details", "")),
     ]
     for folder in (crash_folder(), Path(tempfile.gettempdir())):
         path = folder / f"artiworld-{now}-{os.getpid()}.log"
@@ -43,11 +48,20 @@ def write_crash(error: BaseException) -> Path:
 def _without_secrets(words: list[str]) -> list[str]:
     out: list[str] = []
     for i, word in enumerate(words):
-        name = word.partition("=")[0]
-        if i and words[i - 1] in ("--token", "--database"):
+        name, separator, _ = word.partition("=")
+        if i and _is_secret(words[i - 1]):
             out.append("…")
-        elif "=" in word and name in ("--token", "--database"):
+        elif separator and _is_secret(name):
             out.append(f"{name}=…")
         else:
-            out.append(word)
+            out.append(_without_login(word))
     return out
+
+
+def _is_secret(option: str) -> bool:
+    return option.startswith("--") and option.endswith(_SECRET)
+
+
+def _without_login(text: str) -> str:
+    """Addresses without the name and the password in them."""
+    return _LOGIN.sub("://…@", text)

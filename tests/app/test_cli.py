@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import re
@@ -18,7 +19,8 @@ import yourdfpy
 
 from app import headless
 from app.batch import Crashed, run_all
-from app.cli import main
+from app.cli import main, make_parser
+from app.crash_log import write_crash
 from model.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
 from tests.app.run_cli import (
@@ -513,6 +515,26 @@ def test_our_fault_is_code_1_with_details_in_a_file(monkeypatch, tmp_path, capsy
     text = log.read_text()
     assert "ZeroDivisionError" in text and "in broken" in text
     assert "secret" not in text and "pw" not in text
+
+
+def test_no_option_with_a_secret_gets_into_the_file(monkeypatch, tmp_path):
+    def options(parser):
+        for action in parser._actions:
+            yield from (o for o in action.option_strings if o.startswith("--"))
+            if isinstance(action, argparse._SubParsersAction):
+                for below in action.choices.values():
+                    yield from options(below)
+
+    found = {o for o in options(make_parser()) if re.search("token|secret|password|key|datab", o)}
+    assert found >= {"--token", "--backend-token", "--database"}
+    urls = {o for o in options(make_parser()) if o.endswith(("url", "backend", "predictor"))}
+    assert "--finder-url" in urls
+    words = [w for o in sorted(found) for w in (o, "hush", f"{o}=hush")]
+    words += [w for o in sorted(urls) for w in (o, "https://me:hush@h/v1", f"{o}=http://hush@h/v1")]
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["artiworld", "serve", *words, "kept"])
+    text = write_crash(RuntimeError("no answer from https://me:hush@h/v1")).read_text()
+    assert "hush" not in text and "…@h/v1" in text and "kept" in text
 
 
 def test_debug_shows_the_traceback(monkeypatch, capsys):
