@@ -25,6 +25,10 @@ _KEYS = {
     "faces": ("faces", "triangles"),
 }
 
+MOST_RATIO = 200
+"""An archive that unpacks to more than this many times its size holds no scan."""
+_RATIO_FROM = 50_000_000
+
 
 def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     """Read one NPZ file. Pickled objects are never loaded.
@@ -35,9 +39,12 @@ def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     data = read_bytes(path, max_bytes)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            # No more than this is read of an entry, whatever it really holds.
             size = sum(i.file_size for i in archive.infolist())
-        if size > max_bytes:
-            raise InputFileError(path, f"unpacks to {size / 2**30:.1f} GiB, over the limit")
+        if size > min(max_bytes, max(_RATIO_FROM, MOST_RATIO * len(data))):
+            raise InputFileError(
+                path, f"unpacks to {size / 2**30:.2f} GiB, over the limit", "thin the scan first"
+            )
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             found = {
                 role: next((np.asarray(file[k]) for k in keys if k in file.files), None)
@@ -58,9 +65,10 @@ def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     check_indices(path, faces, len(points))
     if normals is not None and normals.shape[1] != 3:
         normals = None
+    single = points.dtype.kind == "f" and points.dtype.itemsize <= 4
     return Loaded(
-        points[:, :3].astype(np.float64),
-        faces.astype(np.int64),
+        np.ascontiguousarray(points[:, :3], np.float32 if single else np.float64),
+        faces.astype(np.int64, copy=False),
         normals,
         None if colors is None else colors_from(np.ascontiguousarray(colors)),
     )

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import time
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from model.errors import ArtiworldError, InputFileError
+from model.geometry.formats.npz import read_npz
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import SUFFIXES, find_assets, read_asset, read_part_files
@@ -260,6 +262,28 @@ def samples(tmp_path: Path, textured: Mesh, cloud: PointCloud) -> list[Path]:
     (folder / "cloud.pcd").write_bytes(head.format("binary").encode() + small.points.tobytes())
     np.savez(folder / "cloud.npz", points=small.points)
     return [p for p in sorted(folder.iterdir()) if p.suffix in SUFFIXES]
+
+
+def test_an_archive_that_unpacks_to_far_more_is_refused_before_it_is_unpacked(tmp_path) -> None:
+    path = tmp_path / "bomb.npz"
+    np.savez_compressed(path, points=np.zeros((6_000_000, 3), np.float32))
+    assert path.stat().st_size < 200_000
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputFileError, match="unpacks to"):
+            read_asset(path)
+        assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_points_of_an_archive_keep_their_precision(tmp_path) -> None:
+    points = np.random.default_rng(0).normal(size=(50, 4))
+    for kind in (np.float16, np.float32, np.float64, ">f4"):
+        np.savez(tmp_path / "cloud.npz", points=points.astype(kind))
+        read = read_npz(tmp_path / "cloud.npz").vertices
+        assert read.dtype == (np.float64 if kind is np.float64 else np.float32)
+        assert (read == points.astype(kind)[:, :3]).all()
 
 
 TOKENS = [
