@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from app import display_tasks, judging_tasks, part_tasks, picking_tasks
 from app.display_tasks import OpenedAsset, PartPayload
-from app.jobs import Job
+from app.jobs import Job, JobFailed
 from app.judging import JointCheck, Judging
 from app.part_tasks import PartSource
 from app.running_jobs import RunningJobs
 from app.segmenting import Segmenting
-from app.tasks import ReadOptions
+from app.tasks import ReadOptions, stamp
 from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
 from model.gate.report import GateReport
@@ -36,6 +36,8 @@ from sessions.store import ObjectRecord
 if TYPE_CHECKING:
     from app.workbench import Workbench
 
+Stamp = tuple[tuple[str, int, int], ...]
+
 
 class OpenObject(Watched):
     """One object as all its tabs see it: asset, session, labels, running jobs."""
@@ -46,9 +48,11 @@ class OpenObject(Watched):
         self.live: LiveSession = bench.hub.session(record.id)
         self.asset: OpenedAsset | None = None
         self.problem: str | None = None
+        self._worker_died = False
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
         self._frame: tuple[Any, ...] | None = None
+        self._failed_on: Stamp | None = None
         self.jobs = RunningJobs(f"object {record.id}", self.changed)
         self._lock = threading.RLock()
         super().__init__()
@@ -113,16 +117,24 @@ class OpenObject(Watched):
 
     # --- opening
 
-    def ensure_open(self) -> None:
-        """Read the asset in the background unless it is read or being read."""
+    def ensure_open(self, *, again: bool = False) -> None:
+        """Read the asset in the background unless it is read or being read.
+
+        What failed is tried again once the file changed.
+
+        Args:
+            again: also where it failed and nothing changed.
+        """
         with self._lock:
             doc = self.document
             frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
             if "open" in self.jobs or (self.asset is not None and self._frame == frame):
                 return
-            if self.problem is not None and self._frame == frame:
+            now = (frame, None if self.problem is None else _stamp(self.record.path))
+            if self.problem is not None and not again and now == (self._frame, self._failed_on):
                 return
             self._frame, self.problem = frame, None
+            self._failed_on = _stamp(self.record.path)
             self.asset = None
             self.segmenting.forget()
             self.payloads.clear()
@@ -142,6 +154,16 @@ class OpenObject(Watched):
                 priority=5,
             )
             self.start("open", job, self._opened)
+
+    def come_back(self) -> None:
+        """Somebody wants to see it: read it, also where its worker died when it was read last."""
+        self.ensure_open(again=self._worker_died)
+
+    def try_again(self) -> None:
+        """Read what could not be read."""
+        if self.problem is not None:
+            self.ensure_open(again=True)
+            self.changed()
 
     def _opened(self, asset: OpenedAsset) -> None:
         with self._lock:
@@ -253,6 +275,8 @@ class OpenObject(Watched):
 
     def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         newest = self.jobs.drop(what, job)
+        if what == "open":
+            self._worker_died = isinstance(job.error, JobFailed)
         error = self.jobs.hand_over(what, job, keep)
         if isinstance(error, BackendError):
             self.backend_away = True
@@ -272,3 +296,11 @@ class OpenObject(Watched):
         if what == "open":
             self.problem = message
         self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
+
+
+def _stamp(path: str | Path) -> Stamp:
+    """Tells whether a file or folder changed; () where there is none."""
+    try:
+        return stamp(Path(path))
+    except OSError:
+        return ()

@@ -78,7 +78,7 @@ class Workbench:
             if object_id not in self._open:
                 self._open[object_id] = OpenObject(self, self.store.object(object_id))
             opened = self._open[object_id]
-        opened.ensure_open()
+        opened.come_back()
         return opened
 
     def on_queue(self, listener: Listener) -> Callable[[], None]:

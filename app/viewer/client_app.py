@@ -98,6 +98,10 @@ class ClientApp:
             back.on_click(lambda _: self.act(self.in_scene.leave))
             self._in_scene.build_pick_panel()
         self.status = gui.add_markdown("")
+        self.again_button = gui.add_button(
+            "Try again", icon=viser.Icon.REFRESH, color="gray", visible=False
+        )
+        self.again_button.on_click(lambda _: self.act(lambda: self.need_object().try_again()))
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self.cancel_button = gui.add_button(
             "Cancel", icon=viser.Icon.PLAYER_STOP, color="gray", visible=False

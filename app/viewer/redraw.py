@@ -51,9 +51,10 @@ class Redraw:
             app.in_scene.draw()
             put(app.in_scene.folder, "visible", app.object is None)
             put(app.object_folder, "visible", app.object is not None)
+        broken = app.object is not None and app.object.problem is not None
         for stage, folder in app.folders.items():
-            if folder.visible != (stage == app.stage):
-                folder.visible = stage == app.stage
+            # There is nothing to click on where the file can't be opened.
+            put(folder, "visible", stage == app.stage and not (broken and stage == "Annotate"))
         labels = tuple(("● " if s == app.stage else "") + s for s in STAGES)
         if app.stage_buttons.options != labels:
             app.stage_buttons.options = labels
@@ -122,6 +123,7 @@ class Redraw:
             fraction, message = obj.busy[shown[0]]
             lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         put(self._app.status, "content", "\n\n".join(lines))
+        put(self._app.again_button, "visible", obj.problem is not None)
         put(self._app.progress, "visible", bool(shown))
         put(self._app.progress, "value", round(100 * fraction, 1))
         stoppable = {"predict", "save", "room"} & set(obj.busy)

@@ -82,6 +82,10 @@ def kill_myself(number: int = signal.SIGKILL) -> None:
     time.sleep(5)
 
 
+def killed_while_opening(*_: object) -> None:
+    kill_myself()
+
+
 def append(path: str, text: str, seconds: float = 0.0) -> str:
     time.sleep(seconds)
     with Path(path).open("a") as file:

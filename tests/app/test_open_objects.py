@@ -1,0 +1,76 @@
+"""Objects that can't be opened, and objects that nobody looks at any more."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+
+from app import display_tasks
+from app.config import ServeConfig
+from app.workbench import Workbench
+from sessions.store import Store
+from tests.app.job_functions import killed_while_opening
+
+GOOD = trimesh.creation.box((1, 0.5, 0.7))
+
+
+def wait(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if value := condition():
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"waited in vain for: {what}")
+
+
+@pytest.fixture
+def bench_of(tmp_path: Path) -> Iterator[Callable[..., Workbench]]:
+    made: list[Workbench] = []
+
+    def begin(*paths: Path) -> Workbench:
+        workspace = tmp_path / "workspace"
+        config = ServeConfig(workspace=workspace)
+        made.append(Workbench(config, Store(workspace), list(paths)))
+        return made[-1]
+
+    yield begin
+    for bench in made:
+        bench.close()
+
+
+def test_a_file_that_changed_is_tried_again(bench_of, tmp_path: Path) -> None:
+    path = tmp_path / "box.ply"
+    path.write_bytes(b"ply\nformat ascii 1.0\n")
+    bench = bench_of(path)
+    number = bench.records()[0].id
+    obj = bench.object(number)
+    wait(lambda: obj.problem, "the problem")
+    bench.object(number)
+    assert obj.problem and "open" not in obj.jobs
+    GOOD.export(path)
+    bench.object(number)
+    wait(lambda: obj.asset, "it opens")
+    assert obj.problem is None
+
+
+def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
+    bench_of, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "box.ply"
+    GOOD.export(path)
+    bench = bench_of(path)
+    number = bench.records()[0].id
+    with monkeypatch.context() as patch:
+        patch.setattr(display_tasks, "open_asset", killed_while_opening)
+        obj = bench.object(number)
+        wait(lambda: obj.problem, "the worker died")
+        obj.try_again()
+        wait(lambda: obj.problem, "it died again")
+    assert "killed" in obj.problem
+    bench.object(number)
+    wait(lambda: obj.asset, "it opens")
