@@ -58,7 +58,7 @@ class OpenObject(Watched):
         super().__init__()
         self.segmenting = Segmenting(self)
         self.judging = Judging(self)
-        self.live.subscribe(lambda state, command: self._state_changed())
+        self._unsubscribe = self.live.subscribe(lambda state, command: self._state_changed())
 
     # --- state
 
@@ -114,6 +114,15 @@ class OpenObject(Watched):
             doc.category,
             self.asset.name,
         )
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a tab shows it or a job works on it."""
+        return self.watched or bool(self.jobs)
+
+    def let_go(self) -> None:
+        """Hear of nothing any more: what is decided is on disk, all else can be made again."""
+        self._unsubscribe()
 
     # --- opening
 

@@ -30,6 +30,9 @@ class RunningJobs:
         self._changed = changed
         self._jobs: dict[str, Job[Any]] = {}
 
+    def __bool__(self) -> bool:
+        return bool(self._jobs)
+
     def __contains__(self, what: str) -> bool:
         return what in self._jobs
 

@@ -15,6 +15,11 @@ class Watched:
         self._listeners: list[Listener] = []
         self._notices: list[Notice] = []
 
+    @property
+    def watched(self) -> bool:
+        """Whether any tab shows it."""
+        return bool(self._listeners)
+
     def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
         """Call ``listener`` on every change, ``notice(title, body, colour)`` with news."""
         self._listeners.append(listener)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,9 @@ from sessions.store import ObjectRecord, Store
 if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
 
+OPEN_KEPT = 4
+"""Objects that stay open though no tab shows them, so that going back to them is quick."""
+
 
 class Workbench:
     """Workers, store and open objects of one server."""
@@ -36,7 +40,7 @@ class Workbench:
         self.saving = WorkerProcess("saving")
         self._preparing: tuple[PartSource, KinematicTree, Job[Path]] | None = None
         self._lock = threading.RLock()
-        self._open: dict[int, OpenObject] = {}
+        self._open: OrderedDict[int, OpenObject] = OrderedDict()  # the one asked for last is last
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
         self.desk: SceneDesk | None = None
         self._queue_listeners: list[Listener] = []
@@ -78,8 +82,16 @@ class Workbench:
             if object_id not in self._open:
                 self._open[object_id] = OpenObject(self, self.store.object(object_id))
             opened = self._open[object_id]
+            self._open.move_to_end(object_id)
+            self._let_go()
         opened.come_back()
         return opened
+
+    def _let_go(self) -> None:
+        """Keep of the objects that nobody uses only those that were asked for last."""
+        for i in list(self._open)[:-OPEN_KEPT]:
+            if not self._open[i].in_use:
+                self._open.pop(i).let_go()
 
     def on_queue(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""

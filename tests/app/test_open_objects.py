@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,9 +12,11 @@ from typing import Any
 import pytest
 import trimesh
 
-from app import display_tasks
+from app import display_tasks, workbench
 from app.config import ServeConfig
+from app.open_object import OpenObject
 from app.workbench import Workbench
+from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.job_functions import killed_while_opening
 
@@ -26,6 +30,12 @@ def wait(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any
             return value
         time.sleep(0.02)
     raise AssertionError(f"waited in vain for: {what}")
+
+
+def settled(bench: Workbench, number: int) -> OpenObject:
+    obj = bench.object(number)
+    wait(lambda: obj.asset and not obj.jobs, "it is open and nothing is under way")
+    return obj
 
 
 @pytest.fixture
@@ -74,3 +84,30 @@ def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
     assert "killed" in obj.problem
     bench.object(number)
     wait(lambda: obj.asset, "it opens")
+
+
+def test_objects_that_nobody_looks_at_are_let_go_and_come_back(
+    bench_of, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workbench, "OPEN_KEPT", 1)
+    paths = [tmp_path / f"box_{i}.ply" for i in range(3)]
+    for path in paths:
+        GOOD.export(path)
+    bench = bench_of(*paths)
+    first, shown, other = [r.id for r in bench.records()]
+    before = weakref.ref(settled(bench, first))
+    before().do(cmd.AddPart(1, "door"), "tester")
+    before().do(cmd.SetCategory("Oven"), "tester")
+    looked_at = settled(bench, shown)
+    stop = looked_at.watch(lambda: None, lambda *_: None)
+    settled(bench, other)
+    gc.collect()
+    assert before() is None
+    assert bench.object(shown) is looked_at
+    back = settled(bench, first)
+    assert back.document.part_names == {1: "door"} and back.document.category == "Oven"
+    back.do(cmd.Undo(), "tester")
+    assert back.document.category is None
+    stop()
+    bench.object(other)
+    assert bench.object(shown) is not looked_at
