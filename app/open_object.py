@@ -123,6 +123,9 @@ class OpenObject(Watched):
     def let_go(self) -> None:
         """Hear of nothing any more: what is decided is on disk, all else can be made again."""
         self._unsubscribe()
+        self.asset = None  # at once: objects like this one wait long for the garbage collector
+        self.payloads.clear()
+        self.segmenting.forget()
 
     # --- opening
 
