@@ -13,6 +13,9 @@ from model.errors import ConfigurationError
 
 MIN_TOKEN_LENGTH = 8
 ATTEMPTS = 5
+"""Wrong tokens after which an address is told to wait."""
+GUESSES = 100
+"""Wrong tokens that are no mistakes any more: not even the right one is heard from there."""
 ATTEMPT_SECONDS = 60.0
 _ADDRESSES_KEPT = 10_000
 
@@ -91,22 +94,24 @@ class Login:
         return False
 
     def try_token(self, token: str, address: str) -> bool | None:
-        """True for the right token, False for a wrong one, None after too many wrong ones."""
+        """True for the right token, False for a wrong one, None after too many wrong ones.
+
+        Behind a proxy all visitors have one address: one's mistakes must not keep the others out,
+        so the right token is still heard. Only where somebody guesses, nothing is.
+        """
         if self._token is None:
             return True
         now = time.monotonic()
         recent = [t for t in self._failures.get(address, []) if now - t < ATTEMPT_SECONDS]
-        if len(recent) >= ATTEMPTS:
+        if len(recent) >= GUESSES:
             return None
-        right = hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode())
-        if right:
-            self._failures.pop(address, None)
-        else:
-            self._failures[address] = [*recent, now]
-            self._failures.move_to_end(address)
-            while len(self._failures) > _ADDRESSES_KEPT:
-                self._failures.popitem(last=False)
-        return right
+        if hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
+            return True  # the wrong ones still count: a visitor who knows it shields no guesser
+        self._failures[address] = [*recent, now]
+        self._failures.move_to_end(address)
+        while len(self._failures) > _ADDRESSES_KEPT:
+            self._failures.popitem(last=False)
+        return False if len(recent) < ATTEMPTS else None
 
     def cookie(self, port: int, *, secure: bool) -> str:
         """The ``Set-Cookie`` header of a visitor who knew the token."""
