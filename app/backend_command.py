@@ -8,7 +8,7 @@ import socket
 import sys
 
 from app.login import Login
-from app.network import check_address, is_loopback
+from app.network import check_address, is_loopback, url
 from model.errors import ConfigurationError
 from model.remote import TOKEN_VARIABLE, is_backend
 
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         for job in [worker.submit(backend_tasks.ready) for worker in workers]:
             job.result()
         listener = _listen(args.host, args.port)
-        address = f"http://{_shown(args.host)}:{listener.getsockname()[1]}"
+        address = url(args.host, listener.getsockname()[1])
         print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
         config = uvicorn.Config(
             Backend(settings, workers).application(),
@@ -118,12 +118,6 @@ def _listen(host: str, port: int) -> socket.socket:
     listener.bind(address)
     listener.listen(128)
     return listener
-
-
-def _shown(host: str) -> str:
-    if host in ("0.0.0.0", "::"):
-        return socket.gethostname()
-    return f"[{host}]" if ":" in host else host
 
 
 # --- the other commands' side

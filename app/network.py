@@ -23,6 +23,16 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def url(host: str, port: int) -> str:
+    """Where a browser finds what listens at ``host`` and ``port``."""
+    name = host.strip("[]")
+    if name == "127.0.0.1":
+        name = "localhost"
+    elif name in ("0.0.0.0", "::", ""):
+        name = socket.gethostname()
+    return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
+
+
 def check_address(host: str, port: int) -> None:
     """Raise where nothing can listen at ``host`` and ``port``; viser itself would wait for ever.
 

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
-import threading
-import time
 from pathlib import Path
-from urllib.parse import quote
 
 from app.backend_command import add_client_options, chosen_predictor, greet
 from app.config import TOKEN_VARIABLE, ServeConfig
@@ -64,14 +60,7 @@ def run(args: argparse.Namespace) -> int:
     config = make_config(args)
     from app.server import serve  # viser, only now that the options are right
 
-    if config.token is not None:
-        name = "localhost" if is_loopback(config.host) else _name_of(config.host)
-        print(
-            f"Log in at http://{name}:{config.port}/login?token={quote(config.token)}", flush=True
-        )
-    if args.open:
-        threading.Thread(target=_open_when_ready, args=(config,), daemon=True).start()
-    serve(config)
+    serve(config, open_browser=args.open)
     return 0
 
 
@@ -159,24 +148,3 @@ def _check_names(args: argparse.Namespace) -> None:
 
         load_finder(args.finder, FinderOptions(args.finder_url))
     check_predictor(args.predictor)
-
-
-def _name_of(host: str) -> str:
-    return socket.gethostname() if host in ("0.0.0.0", "::", "") else host
-
-
-def _open_when_ready(config: ServeConfig, seconds: float = 60.0) -> None:
-    import webbrowser
-    from urllib.error import URLError
-    from urllib.request import urlopen
-
-    address = f"http://localhost:{config.port}"
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        try:
-            with urlopen(address + "/healthz", timeout=2):
-                break
-        except (URLError, OSError):
-            time.sleep(0.2)
-    login = f"/login?token={quote(config.token)}" if config.token else "/"
-    webbrowser.open(address + login)

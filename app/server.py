@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+import webbrowser
 from pathlib import Path
+from urllib.parse import quote
 
 import viser
 
 from app.config import ServeConfig
 from app.guard import guarded_server
+from app.network import url
 from app.scene_desk import SceneDesk
 from app.viewer.client_app import ClientApp
 from app.workbench import Workbench
@@ -54,8 +57,13 @@ class Server:
     @property
     def url(self) -> str:
         """Where a browser finds it."""
-        host = "localhost" if self.config.host in ("127.0.0.1", "::1") else self.config.host
-        return f"http://{host}:{self.viser.get_port()}"
+        return url(self.config.host, self.viser.get_port())
+
+    @property
+    def login_url(self) -> str:
+        """Where a browser finds it and is logged in."""
+        token = self.config.token
+        return self.url if token is None else f"{self.url}/login?token={quote(token)}"
 
     def close(self) -> None:
         """End the tabs, the workers and the listener."""
@@ -82,10 +90,14 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     return found
 
 
-def serve(config: ServeConfig) -> None:
+def serve(config: ServeConfig, *, open_browser: bool = False) -> None:
     """Run until interrupted."""
     server = Server(config)
+    if config.token is not None:
+        print(f"Log in at {server.login_url}", flush=True)
     print(f"ArtiWorld is ready: {server.url}", flush=True)
+    if open_browser:
+        threading.Thread(target=webbrowser.open, args=(server.login_url,), daemon=True).start()
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from app.cli import make_parser
+from app.network import url
 from app.serve_command import make_config
 from model.errors import ArtiworldError
 from model.resources import static_assets
@@ -92,12 +93,29 @@ def test_serve_answers_and_ends_at_ctrl_c_with_its_workers(scan, tmp_path):
 
 
 def test_an_open_host_gets_a_token_and_prints_how_to_log_in(scan, tmp_path):
-    words = (scan, "--workspace", tmp_path / "w", "--host", "0.0.0.0")
+    words = (scan, "--workspace", tmp_path / "w", "--host", "0.0.0.0", "--port", 0)
     with serving(*words) as (_, port, printed):
         assert get(port, "/")[0] == 303
+        assert f":{port}/login" in printed
         (path,) = re.findall(r"Log in at http://[\w.-]+:\d+(/login\?token=[\w-]{20,})", printed)
         status, headers, _ = get(port, path)
         assert status == 303 and "HttpOnly" in headers["Set-Cookie"]
+
+
+@pytest.mark.parametrize(
+    ("host", "shown"),
+    [
+        ("127.0.0.1", "localhost"),
+        ("::1", "[::1]"),
+        ("::", socket.gethostname()),
+        ("0.0.0.0", socket.gethostname()),
+        ("scans.example.org", "scans.example.org"),
+        ("2001:db8::7", "[2001:db8::7]"),
+        ("[2001:db8::7]", "[2001:db8::7]"),
+    ],
+)
+def test_addresses_as_a_browser_takes_them(host, shown):
+    assert url(host, 8123) == f"http://{shown}:8123"
 
 
 def test_defaults():
