@@ -119,7 +119,8 @@ class KinematicTree:
 
         Returns:
             link → (4, 4) ``posed_from_rest``: moves the link's rest-frame geometry to its pose, in
-            the object frame. All are the identity at q = 0. See CONVENTIONS.md, "Link poses".
+            the object frame. All are the identity at q = 0, but for links behind a joint that
+            mimics another one with an offset. See CONVENTIONS.md, "Link poses".
         """
         values = self.joint_values(q)
         out = {self.root: np.eye(4)}

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,10 +38,17 @@ class Click:
     element: int | None = None
 
     def __post_init__(self) -> None:
-        if len(self.position) != 3 or not all(math.isfinite(v) for v in self.position):
-            raise PromptError(f"a click needs three finite coordinates, got {self.position}")
-        if not 0 <= self.part < MAX_PARTS:
-            raise PromptError(f"a click's part must be 0..{MAX_PARTS - 1}, got {self.part}")
+        given = tuple(self.position) if isinstance(self.position, Iterable) else ()
+        if len(given) != 3 or not all(_is_number(v) and math.isfinite(v) for v in given):
+            raise PromptError(f"a click needs three finite coordinates, got {self.position!r:.80}")
+        if not isinstance(self.positive, bool | np.bool_):
+            raise PromptError(f"positive must be True or False, got {self.positive!r:.80}")
+        if self.element is not None:
+            object.__setattr__(self, "element", _whole(self.element, "a click's element"))
+        # Plain numbers, as keys are made of their text.
+        object.__setattr__(self, "position", tuple(float(v) for v in given))
+        object.__setattr__(self, "part", _part(self.part, "a click's part"))
+        object.__setattr__(self, "positive", bool(self.positive))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +65,11 @@ class Region:
     positive: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.part < MAX_PARTS:
-            raise PromptError(f"a region's part must be 0..{MAX_PARTS - 1}, got {self.part}")
-        elements = np.unique(np.asarray(self.elements, dtype=np.int64))
+        object.__setattr__(self, "part", _part(self.part, "a region's part"))
+        given = np.asarray(self.elements)
+        if given.size and given.dtype.kind not in "iu":
+            raise PromptError(f"a region's elements must be whole numbers, got {given.dtype}")
+        elements = np.unique(given.astype(np.int64))
         if len(elements) and elements[0] < 0:
             raise PromptError("a region's elements must be 0 or more")
         elements.flags.writeable = False
@@ -81,7 +93,7 @@ class Prompts:
         return tuple(sorted({BASE, *(p.part for p in self.items)}))
 
     def key(self) -> str:
-        """Digest of the prompts: equal prompts have equal keys."""
+        """Digest of the prompts: equal prompts have equal keys (but 0.0 and -0.0 differ)."""
         digest = hashlib.sha256()
         for p in self.items:
             if isinstance(p, Click):
@@ -97,7 +109,7 @@ class PartSegmentation:
     """One label for each element of an asset. -1 is unassigned; label i is ``link_i``.
 
     Attributes:
-        labels: (E,) int16, read-only.
+        labels: (E,) int16, read-only; any integers from -1 to ``MAX_PARTS`` - 1 are taken.
         segmenter: who answered.
         seconds: how long it took.
     """
@@ -107,9 +119,18 @@ class PartSegmentation:
     seconds: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
-        labels = np.array(self.labels, dtype=np.int16)
-        if labels.ndim != 1:
-            raise PromptError(f"labels must have shape (E,), got {labels.shape}")
+        given = np.asarray(self.labels)
+        if given.ndim != 1:
+            raise PromptError(f"labels must have shape (E,), got {given.shape}")
+        if given.size:
+            if given.dtype.kind not in "iu":
+                raise PromptError(f"labels must be integers, got {given.dtype}")
+            low, high = int(given.min()), int(given.max())
+            if low < UNASSIGNED or high >= MAX_PARTS:
+                raise PromptError(
+                    f"labels must be {UNASSIGNED}..{MAX_PARTS - 1}, got {low}..{high}"
+                )
+        labels = np.array(given, dtype=np.int16)
         labels.flags.writeable = False
         object.__setattr__(self, "labels", labels)
 
@@ -117,3 +138,20 @@ class PartSegmentation:
     def parts(self) -> tuple[int, ...]:
         """Ids of the parts that own at least one element, ascending, without -1."""
         return tuple(int(i) for i in np.unique(self.labels) if i >= 0)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _whole(value: Any, what: str) -> int:
+    if not isinstance(value, Integral) or isinstance(value, bool):
+        raise PromptError(f"{what} must be a whole number, got {value!r:.80}")
+    return int(value)
+
+
+def _part(value: Any, what: str) -> int:
+    part = _whole(value, what)
+    if not 0 <= part < MAX_PARTS:
+        raise PromptError(f"{what} must be 0..{MAX_PARTS - 1}, got {part}")
+    return part
