@@ -24,7 +24,8 @@ class Bench:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
-    add("what", choices=("ui", "scene", "segment", "predict"))
+    add("what", choices=("ui", "scene", "segment", "predict"),
+        help="the screen of one object, of a scene; the segmenter; the predictor")  # fmt: skip
     add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
     add("--sets", nargs="+", metavar="NAME",
         help="segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs")  # fmt: skip

@@ -34,7 +34,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="openai finder: address of the server, such as http://localhost:11434/v1")  # fmt: skip
     add("--workspace", type=Path, default=Path("workspace"), metavar="DIR",
         help="where sessions and accepted assets are kept (default: ./workspace)")  # fmt: skip
-    add("--database", metavar="URL", help="SQLAlchemy URL (default: SQLite in the workspace)")
+    add("--database", metavar="URL",
+        help="URL of a SQLite or PostgreSQL database (default: one in the workspace)")  # fmt: skip
     add(
         "--host", default="127.0.0.1", help="where to listen; others than this machine need a token"
     )

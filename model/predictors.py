@@ -49,10 +49,12 @@ BUILT_IN: dict[str, Callable[[], Predictor]] = {
 def _table() -> dict[str, Callable[[], Predictor]]:
     from importlib.metadata import entry_points  # the command line wants the default's name alone
 
+    from model.plug_ins import load_plug_in
+
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.
-        table.setdefault(point.name, lambda point=point: point.load()())
+        table.setdefault(point.name, lambda point=point: load_plug_in(point, "predictor"))
     return table
 
 
@@ -68,7 +70,8 @@ def load_predictor(name: str = DEFAULT) -> Predictor:
     the weights in that folder, and ``hybrid:FOLDER``, the small one with weights of one's own.
 
     Raises:
-        ConfigurationError: where there is none, naming those that are there.
+        ConfigurationError: where there is none, naming those that are there, or where a plug-in
+            can't be loaded.
     """
     check_predictor(name)
     if is_backend(name):

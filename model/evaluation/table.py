@@ -29,6 +29,7 @@ def progress_bar() -> Iterator[Progress]:
     with RichProgress(
         TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn(),
         console=console, transient=True,
+        disable=not console.is_terminal,  # it would leave an empty line in a file
     ) as bar:  # fmt: skip
         task = bar.add_task("starting", total=1.0)
 

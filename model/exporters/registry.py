@@ -11,6 +11,7 @@ from model.exporters.physics import Physics
 from model.exporters.protocol import Exporter
 from model.exporters.saved import load_object
 from model.kinematics.articulated_object import ArticulatedObject
+from model.plug_ins import load_plug_in
 from model.progress import Progress, no_progress
 
 ENTRY_POINTS = "artiworld.exporters"
@@ -67,7 +68,7 @@ def _table() -> dict[str, Callable[[], Exporter]]:
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.
-        table.setdefault(point.name, lambda point=point: point.load()())
+        table.setdefault(point.name, lambda point=point: load_plug_in(point, "export format"))
     return table
 
 
@@ -88,7 +89,7 @@ def load_exporter(name: str) -> Exporter:
         raise ConfigurationError(f"no export format {name!r}; there are {', '.join(table)}")
     try:
         made = table[name]()
-    except ImportError as error:
+    except ImportError as error:  # of a built-in one: an extra isn't installed
         raise ConfigurationError(f"the export format {name!r} can't be loaded: {error}") from error
     if not isinstance(made, Exporter):
         raise ConfigurationError(

@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from model.errors import ConfigurationError
+from model.plug_ins import load_plug_in
 from model.progress import Progress, no_progress
 from model.scenes.finders import LexiconFinder
 from model.scenes.protocol import ArticulableFinder
@@ -71,7 +72,7 @@ def load_finder(
         raise ConfigurationError(
             f"no finder {name!r}; there are {', '.join([KNOWN, *plugins])}"
         )  # fmt: skip
-    made = plugins[name].load()()
+    made = load_plug_in(plugins[name], "finder")
     if not isinstance(made, ArticulableFinder):
         raise ConfigurationError(f"the plug-in {name!r} is no finder: it needs name and find")
     return made

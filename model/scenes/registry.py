@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.errors import ConfigurationError, InputFileError
+from model.plug_ins import load_plug_in
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import Scene, SceneProblem
 
@@ -93,7 +94,7 @@ def _table() -> dict[str, Callable[[], SceneReader]]:
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.
-        table.setdefault(point.name, lambda point=point: point.load()())
+        table.setdefault(point.name, lambda point=point: load_plug_in(point, "scene format"))
     return table
 
 

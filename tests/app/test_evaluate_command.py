@@ -125,3 +125,9 @@ def test_an_object_that_cannot_be_annotated_is_said() -> None:
     found = annotate(AnnotatorConfig(data, ("geometric",)), "Spaceship_0_0")
     assert [s.predictor for s in found] == ["geometric", BY_HAND]
     assert not any(s.right for s in found) and "Spaceship" in found[0].why
+
+
+def test_a_mistake_is_one_line_without_a_bar_before_it(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--data", "partnet-mobility"]) == 2
+    told = capfd.readouterr().err
+    assert told.startswith("artiworld: ") and told.count("\n") == 1

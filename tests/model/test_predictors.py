@@ -31,7 +31,13 @@ def test_plug_ins_load_and_cannot_replace_built_ins(monkeypatch: pytest.MonkeyPa
         def load(self):
             return lambda: f"plug-in {self.name}"
 
-    points = [Point("mine"), Point("geometric")]
+    class Broken(Point):
+        def load(self):
+            raise ImportError("no module named 'theirs'")
+
+    points = [Point("mine"), Point("geometric"), Broken("broken")]
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: points)
     assert predictors.load_predictor("mine") == "plug-in mine"
     assert isinstance(predictors.load_predictor("geometric"), Predictor)
+    with pytest.raises(ConfigurationError, match="'broken' can't be loaded: no module"):
+        predictors.load_predictor("broken")
