@@ -74,6 +74,40 @@ def test_contact_snap_finds_the_hinge_line() -> None:
     assert np.abs(snapped.origin[:2]) == pytest.approx([0, 0], abs=0.015)
 
 
+def frame(inside: float = 0.02) -> np.ndarray:
+    """What a flush door lies on all round, ``inside`` its outline, and the body behind it."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-0.5, 0.5, (40000, 3)) * (0.4, 0.0, 0.6)
+    edge = np.max(np.abs(points) / (0.2 - inside, 1.0, 0.3 - inside), axis=1)
+    points[:, 1] = np.where((edge > 0.95) & (edge <= 1.0), 0.012, 0.3)
+    return points + (1.0, 2.0, 0.5)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_contact_snap_leaves_a_flush_door_on_its_hinged_side(side: int) -> None:
+    child = panel()
+    origin = (1.0 + 0.15 * side, 2.0, 0.4)
+    snapped = origin_on_contact(door(origin=origin), child, frame(0.0), reach=0.007)
+    assert snapped.origin[:2] == pytest.approx((1.0 + 0.2 * side, 2.01), abs=0.003)
+    assert snapped.axis == pytest.approx((0, 0, 1), abs=1e-6)
+
+
+def test_contact_snap_refuses_a_face_that_says_no_line() -> None:
+    with pytest.raises(KinematicsError, match="touch over a face"):
+        origin_on_contact(door(origin=(0.82, 2.0, 0.4)), panel(), frame(0.06), reach=0.007)
+
+
+def test_contact_snap_of_a_knob_or_a_pin_takes_the_middle() -> None:
+    rng = np.random.default_rng(4)
+    angle, height = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(0, 0.5, 4000)
+    ring = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), height], axis=1)
+    snapped = origin_on_contact(door(), ring, ring * (1.02, 1.02, 0.3), reach=0.003)
+    assert snapped.origin[:2] == pytest.approx((0, 0), abs=0.005)
+    rod = rng.uniform(0, 1, (4000, 3)) * (1.0, 0.02, 0.02)
+    snapped = origin_on_contact(door(), rod, rod * (0.05, 1.0, 1.0), reach=0.005)
+    assert snapped.origin[0] == pytest.approx(0.025, abs=0.02)
+
+
 def test_contact_snap_says_when_nothing_touches() -> None:
     far = np.random.default_rng(2).uniform(0, 1, (100, 3))
     with pytest.raises(KinematicsError, match="don't touch"):
