@@ -271,6 +271,8 @@ class ClientApp:
             self.motion.q = {}
         else:
             self.pointing.disarm()
+        if stage != "Review":
+            self.motion.clear_moment()
         self.stage = stage
         self.invalidate()
 

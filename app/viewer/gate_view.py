@@ -50,17 +50,13 @@ class GateView:
         if verdict is None or report is None or obj.document.tree is None:
             raise CommandError("the joints are still being judged")
         app.choose_joint(verdict.child)
-        app.motion.reset()
         self._shown = (report, joint)
         worst = verdict.worst
         if worst is None:
-            app.scene.marks.show_moment(None, "")
+            app.motion.show_moment(None, "")
             app.notify("Nothing to see", verdict.sentence, "gray")
-            return
-        app.motion.q = {k: v for k, v in worst.q.items() if k in obj.document.tree.by_name}
-        app.joints_panel.show_q(app.motion.q)
-        app.motion.pose()
-        app.scene.marks.show_moment(worst.where, moment_text(worst.kind, worst.depth))
+        else:
+            app.motion.show_moment(worst, moment_text(worst.kind, worst.depth))
 
     def show_next(self) -> None:
         """The worst moment of the next joint that isn't fine (Tab)."""
@@ -92,7 +88,7 @@ class GateView:
         if self._shown is not None and self._shown[0] is not report:
             # Other joints, another answer: what was shown is no longer so.
             self._shown = None
-            self._app.scene.marks.show_moment(None, "")
+            self._app.motion.clear_moment()
         key = None if report is None else (report, tuple(doc.part_names.items()))
         if key == self._key:
             return

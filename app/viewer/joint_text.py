@@ -81,6 +81,6 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCheck]) -> str:
             other = f" with {plain(part_title(doc, check.other))}" if check.other else ""
             lines.append(
                 f"⚠ Collides{other} at {at:.0f} {unit}: {1000 * check.depth:.1f} mm deep "
-                "(red ball)."
+                "(red ball in that pose)."
             )
     return "\n\n".join(lines) or "Chosen by you."

@@ -9,6 +9,7 @@ import numpy as np
 from viser import transforms as vtf
 
 from app.viewer.animation import Animation
+from model.gate.report import Finding
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -28,6 +29,7 @@ class Motion:
         self.gizmo_on = False
         self._gizmo: Any = None
         self._gizmo_key: Any = None
+        self._moment: dict[str, float] | None = None
         self._animation = Animation(self._animate)
 
     def begin(self) -> None:
@@ -40,8 +42,8 @@ class Motion:
         self._animation.stop()
 
     def forget_scene(self) -> None:
-        """The scene was cleared, and the handles with it."""
-        self._gizmo, self._gizmo_key = None, None
+        """The scene was cleared, and the handles and marks with it."""
+        self._gizmo, self._gizmo_key, self._moment = None, None, None
 
     def set_q(self, name: str, value: float) -> None:
         """Move one joint; radians or metres."""
@@ -80,7 +82,33 @@ class Motion:
         if tree is None:
             return
         names = tree.by_name
-        app.scene.parts.pose(tree.pose({k: v for k, v in self.q.items() if k in names}))
+        if self._moment is not None and self.q != self._moment:
+            self.clear_moment()
+        poses = tree.pose({k: v for k, v in self.q.items() if k in names})
+        with app.client.atomic():
+            app.scene.parts.pose(poses)
+            app.scene.marks.pose(poses)
+
+    def show_moment(self, moment: Finding | None, text: str) -> None:
+        """Pose everything as at a moment, and mark it until the pose changes; None is rest."""
+        app = self._app
+        self.reset()
+        self.clear_moment()
+        if moment is None:
+            return
+        tree = app.need_object().document.tree
+        names = {} if tree is None else tree.by_name
+        self.q = {k: v for k, v in moment.q.items() if k in names}
+        app.joints_panel.show_q(self.q)
+        self.pose()
+        app.scene.marks.show_moment(moment.where, text)
+        self._moment = dict(self.q)
+
+    def clear_moment(self) -> None:
+        """Take the mark of a moment away."""
+        if self._moment is not None:
+            self._moment = None
+            self._app.scene.marks.show_moment(None, "")
 
     # --- handles
 

@@ -145,7 +145,7 @@ class Redraw:
         app.scene.show_prompts(clicks, visible=app.stage == "Annotate")
         app.scene.show_parts(payloads, moving, app.hidden)
         app.scene.marks.show_axes(self._axis_marks(obj, doc) if moving else ())
-        app.scene.marks.show_contacts(obj.checks, visible=moving)
+        app.scene.marks.show_contacts(obj.checks, doc.tree if moving else None)
         app.motion.pose()
         app.motion.draw_gizmo()
         pad = app.scene.touch
@@ -167,6 +167,7 @@ class Redraw:
             marks.append(
                 AxisMark(
                     joint.name,
+                    joint.parent,
                     joint.origin,
                     joint.axis,
                     length,
@@ -179,6 +180,7 @@ class Redraw:
                 marks.append(
                     AxisMark(
                         f"ghost-{joint.name}",
+                        predicted.parent,
                         predicted.origin,
                         predicted.axis,
                         length,

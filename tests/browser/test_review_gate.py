@@ -92,6 +92,20 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     expected = obj.document.tree.pose(worst.q)["link_1"][:3, 3]
     wait_until(lambda: np.allclose(frame.position, expected, atol=1e-6), "the posed link")
     tab.page.screenshot(path=str(tmp_path / "worst.png"))
+    contact = tab.app.client.scene.get_handle_by_name("/contact/0")
+    assert contact.visible
+
+    # The mark of a moment goes with its pose, and with the step.
+    tab.page.evaluate("document.activeElement?.blur()")
+    tab.key("r")
+    wait_until(lambda: not tab.app.motion.q, "back at rest")
+    assert tab.app.client.scene.get_handle_by_name("/moment") is None
+    wait_until(lambda: not contact.visible, "no contact at rest")
+    joint_button(tab, r"link_1.*: broken").click()
+    tab.wait_node("/moment")
+    tab.step("Joints")
+    assert tab.app.client.scene.get_handle_by_name("/moment") is None
+    tab.step("Review")
 
     # Against the gate the key is not enough.
     tab.page.evaluate("document.activeElement?.blur()")

@@ -1,0 +1,81 @@
+"""Marks of joints follow the pose; what is drawn goes to a client that only notes it."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.judging import JointCheck
+from app.viewer.joint_marks import AxisMark, JointMarks
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+LOWER = Joint("lower", "revolute", "link_0", "link_1", (1, 0, 0), (0, 0, 0.1), -1.6, 1.6)
+UPPER = Joint("upper", "revolute", "link_1", "link_2", (1, 0, 0), (0, 0, 0.6), -1.6, 1.6)
+TREE = KinematicTree(("link_0", "link_1", "link_2"), (LOWER, UPPER))
+
+
+class Notes:
+    """A client whose scene keeps what was added by name, and counts it."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, Any] = {}
+        self.added = 0
+        self.scene = self
+        self.add_arrows = self.add_icosphere = self._add
+
+    def _add(self, name: str, *_: Any, position: Any = (0, 0, 0), **__: Any) -> Any:
+        self.added += 1
+        node = SimpleNamespace(wxyz=(1, 0, 0, 0), position=position, visible=True)
+        node.remove = lambda: self.nodes.pop(name)
+        self.nodes[name] = node
+        return node
+
+
+@pytest.fixture
+def drawn() -> tuple[Notes, JointMarks]:
+    client = Notes()
+    marks = JointMarks(client, 1.0)  # type: ignore[arg-type]
+    marks.show_axes(
+        AxisMark(j.name, j.parent, j.origin, j.axis, 0.3, (0, 0, 0), False) for j in TREE.joints
+    )
+    return client, marks
+
+
+def test_axes_move_with_what_the_joint_hangs_on(drawn: tuple[Notes, JointMarks]) -> None:
+    client, marks = drawn
+    before = client.added
+    marks.pose(TREE.pose({"lower": math.pi / 2, "upper": 0.3}))
+    upper, lower = client.nodes["/axis/upper"], client.nodes["/axis/lower"]
+    half = math.sqrt(0.5)
+    np.testing.assert_allclose(upper.wxyz, (half, half, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(upper.position, (0, 0.1, 0.1), atol=1e-9)
+    np.testing.assert_allclose(lower.position, 0, atol=1e-9)
+    marks.pose(TREE.pose({}))
+    np.testing.assert_allclose(upper.position, 0, atol=1e-9)
+    assert client.added == before  # a pose sends no geometry
+
+
+def test_contacts_show_in_their_pose_alone(drawn: tuple[Notes, JointMarks]) -> None:
+    client, marks = drawn
+    where = (0.0, -0.2, 0.4)
+    marks.show_contacts([JointCheck("upper", 1.2, 0.01, where, "link_1")], TREE)
+    ball = client.nodes["/contact/0"]
+
+    def shown(**q: float) -> bool:
+        marks.pose(TREE.pose(q))
+        return ball.visible
+
+    assert not shown()
+    assert not shown(upper=0.6)
+    assert shown(upper=1.18)
+    np.testing.assert_allclose(ball.position, where)
+    # What carries both takes the mark along.
+    assert shown(lower=math.pi / 2, upper=1.2)
+    np.testing.assert_allclose(ball.position, (0.0, -0.3, -0.1), atol=1e-9)
+    marks.show_contacts([], None)
+    assert "/contact/0" not in client.nodes
