@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,13 @@ if TYPE_CHECKING:
 
 SNAP_SECONDS = 30.0
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_ALONG = "The axis runs along that side of the part's box"
+_THERE = {
+    "Box edge": "The axis lies on an edge of the part's box",
+    "Contact": "The axis lies where the parts touch",
+    "Centre": "The origin is the middle of the part's box",
+    "free range": "The range ends where the part would collide",
+}
 DEFAULT_LIMITS = {"revolute": (0.0, math.pi / 2), "prismatic": (0.0, 0.3)}
 
 
@@ -48,15 +56,15 @@ class JointEditor:
         self._locked = gui.add_checkbox("Keep when predicting again", False)
         self._reset = gui.add_button("Reset to the prediction", color="gray")
         app.on_update(self._child, self._child_chosen)
-        app.on_update(self._name, lambda: self._change(name=self._name.value.strip()))
-        app.on_update(self._type, lambda: self.set_type(self._type.value))
-        app.on_update(self._parent, lambda: self._change(parent=_link(self._parent.value)))
-        app.on_update(self._axis, lambda: self._change(axis=tuple(self._axis.value)))
-        app.on_update(
+        self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
+        self._on_edit(self._type, lambda: self.set_type(self._type.value))
+        self._on_edit(self._parent, lambda: self._change(parent=_link(self._parent.value)))
+        self._on_edit(self._axis, lambda: self._change(axis=tuple(self._axis.value)))
+        self._on_edit(
             self._origin, lambda: self._change(origin=tuple(v / 1000 for v in self._origin.value))
         )
-        app.on_update(self._lower, lambda: self._limit("lower", self._lower.value))
-        app.on_update(self._upper, lambda: self._limit("upper", self._upper.value))
+        self._on_edit(self._lower, lambda: self._limit("lower", self._lower.value))
+        self._on_edit(self._upper, lambda: self._limit("upper", self._upper.value))
         app.on_update(self._locked, self._lock)
         self._axis_to.on_click(lambda e: app.act(lambda: self._preset(e.target.value)))
         self._axis_box.on_click(lambda e: app.act(lambda: self._snap(f"axis {e.target.value}")))
@@ -66,6 +74,17 @@ class JointEditor:
         self._reset.on_click(lambda _: app.act(self._reset_joint))
 
     # --- what a person does
+
+    def _on_edit(self, field: Any, edit: Callable[[], None]) -> None:
+        """After an edit the field shows what the joint has, even where the edit was refused."""
+
+        def edited() -> None:
+            try:
+                edit()
+            finally:
+                self._app.joints_panel.forget()
+
+        self._app.on_update(field, edited)
 
     def _need_joint(self) -> Joint:
         joint = self._app.joint
@@ -118,13 +137,14 @@ class JointEditor:
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:
-            self._app.notify("Already there", f"The axis is on its {to.lower()}", "gray")
+            self._app.notify("Already there", _THERE.get(to, _ALONG), "gray")
         else:
             self._app.set_joint(snapped)
 
     def _limit(self, which: str, value: float) -> None:
         joint = self._need_joint()
-        if joint.limited:
+        before = getattr(joint, which)
+        if before is not None and value != round(shown(joint, before), 1):
             self._change(**{which: math.radians(value) if joint.rotates else value / 1000})
 
     def _limits(self, what: str) -> None:
@@ -134,6 +154,8 @@ class JointEditor:
         assert joint.lower is not None and joint.upper is not None
         if what == "Free range":
             self._snap("free range")
+        elif 0.0 in (joint.lower, joint.upper):
+            self._app.notify("Already there", "Zero is an end of the range", "gray")
         elif abs(joint.lower) < abs(joint.upper):
             self._change(lower=0.0)
         else:
@@ -174,8 +196,8 @@ class JointEditor:
         ):
             put(box, "label", f"{word} [{unit}]")
             put(box, "visible", joint.limited)
-            if value is not None and abs(box.value - shown(joint, value)) > 1e-4:
-                box.value = round(shown(joint, value), 3)
+            if value is not None:
+                put(box, "value", round(shown(joint, value), 1))
         for widget in (
             self._axis,
             self._axis_to,

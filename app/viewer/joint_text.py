@@ -6,18 +6,20 @@ import math
 
 from app.judging import JointCheck
 from app.viewer.text import plain
-from model.kinematics.joint import Joint
+from model.kinematics.joint import Joint, value_text
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
+BASE = "base"
+
 
 def part_title(doc: Document, link: str) -> str:
-    """What people call a link: its part's name, else the link's own."""
+    """What people call a link: its part's name, else the link's own, of the root "base"."""
     digits = link.removeprefix("link_")
     for part in doc.parts:
         if str(part.id) == digits and part.name:
             return f"{part.name} {part.id}"
-    return link
+    return BASE if doc.tree is not None and link == doc.tree.root else link
 
 
 def titled(doc: Document, link: str) -> str:
@@ -38,8 +40,29 @@ def range_text(joint: Joint) -> str:
     if not joint.limited:
         return ""
     assert joint.lower is not None and joint.upper is not None
-    unit = "°" if joint.rotates else " mm"
-    return f"{shown(joint, joint.lower):.0f} to {shown(joint, joint.upper):.0f}{unit}"
+    lower = value_text(joint.lower, joint.rotates).rstrip("° m")
+    return f"{lower} to {value_text(joint.upper, joint.rotates)}"
+
+
+def sure_text(doc: Document, child: str) -> str:
+    """How sure the prediction of a joint is; what a person edited is no prediction."""
+    if child in doc.edited_joints:
+        return "edited"
+    sure = None if doc.prediction is None else doc.prediction.confidence.get(child)
+    return "" if sure is None else f"{100 * sure:.0f} %"
+
+
+def range_doubts(joint: Joint) -> list[str]:
+    """What is odd about the range, in sentences."""
+    if not joint.limited:
+        return []
+    assert joint.lower is not None and joint.upper is not None
+    out = []
+    if joint.rotates and max(abs(joint.lower), abs(joint.upper)) > 2 * math.pi + 1e-6:
+        out.append("It turns more than once round; a continuous joint has no limits.")
+    if joint.lower > 1e-6 or joint.upper < -1e-6:
+        out.append("The scanned pose, 0, lies outside of the range.")
+    return out
 
 
 def tree_text(tree: KinematicTree, doc: Document, checks: list[JointCheck]) -> str:
@@ -54,13 +77,14 @@ def tree_text(tree: KinematicTree, doc: Document, checks: list[JointCheck]) -> s
         title = plain(part_title(doc, link))
         line = f"{'  ' * depth[link]}- **{title}**"
         if joint is not None:
-            sure = None if doc.prediction is None else doc.prediction.confidence.get(link)
+            sure = sure_text(doc, link)
             line += f" {joint.type} {range_text(joint)}"
-            line += "" if sure is None else f" · {100 * sure:.0f} % sure"
+            line += f" · {sure} sure" if sure.endswith("%") else f" · {sure}" if sure else ""
             line += " · locked" if link in doc.locked else ""
+            line += " · ⚠ odd range" if range_doubts(joint) else ""
             line += " · ⚠ collides" if joint.name in hits else ""
-        else:
-            line += " base"
+        elif title != BASE:
+            line += f" {BASE}"
         lines.append(line)
     return "\n".join(lines)
 
@@ -74,13 +98,13 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCheck]) -> str:
             lines.append(f"*{plain(note, 300)}*")
         if joint != doc.prediction.joint(joint.child):
             lines.append("Edited; the grey arrow is the prediction.")
+    lines += [f"⚠ {said}" for said in range_doubts(joint)]
     for check in checks:
         if check.joint == joint.name:
-            at = shown(joint, check.q)
-            unit = "°" if joint.rotates else "mm"
+            at = value_text(check.q, joint.rotates)
             other = f" with {plain(part_title(doc, check.other))}" if check.other else ""
             lines.append(
-                f"⚠ Collides{other} at {at:.0f} {unit}: {1000 * check.depth:.1f} mm deep "
+                f"⚠ Collides{other} at {at}: {1000 * check.depth:.1f} mm deep "
                 "(red ball in that pose)."
             )
     return "\n\n".join(lines) or "Chosen by you."

@@ -70,10 +70,14 @@ class JointsPanel:
         for name, slider in self._sliders.items():
             joint = tree.by_name.get(name)
             if joint is not None:
-                value = shown(joint, q.get(name, 0.0))
+                value = round(shown(joint, q.get(name, 0.0)), 1)
                 put(slider, "value", min(max(value, slider.min), slider.max))
 
     # --- drawing
+
+    def forget(self) -> None:
+        """Draw everything again, as fields may hold what was refused."""
+        self._drawn = None
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
@@ -170,14 +174,14 @@ class JointsPanel:
             for joint in moving:
                 low, high = _range(joint)
                 unit = "°" if joint.rotates else "mm"
-                step = max((high - low) / 400, 1e-4)
-                start = min(max(shown(joint, app.motion.q.get(joint.name, 0.0)), low), high)
+                step = max(round((high - low) / 400, 1), 0.1)
+                start = round(shown(joint, app.motion.q.get(joint.name, 0.0)), 1)
                 slider = gui.add_slider(
                     f"{part_title(doc, joint.child)} [{unit}]",
                     min=low,
                     max=high,
-                    step=float(f"{step:.2g}"),
-                    initial_value=start,
+                    step=step,
+                    initial_value=min(max(start, low), high),
                     hint=f"{joint.name}: {joint.type}",
                 )
                 slider.on_update(lambda e, j=joint: self._slid(e, j))
@@ -191,6 +195,8 @@ class JointsPanel:
             return
         value = event.target.value
         q = math.radians(value) if joint.rotates else value / 1000
+        if joint.lower is not None and joint.upper is not None:  # the slider's ends are rounded
+            q = min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))
         self._app.act(lambda: self._app.motion.set_q(joint.name, q))
 
     def _row_clicked(self, which: str, joint: Joint) -> None:
@@ -211,5 +217,5 @@ def _range(joint: Joint) -> tuple[float, float]:
         return -180.0, 180.0
     assert joint.lower is not None and joint.upper is not None
     low, high = shown(joint, joint.lower), shown(joint, joint.upper)
-    low, high = math.floor(min(low, 0.0) * 10) / 10, math.ceil(max(high, 0.0) * 10) / 10
-    return (low, high) if high > low else (low, low + 1e-3)
+    low, high = round(min(low, 0.0), 1), round(max(high, 0.0), 1)
+    return (low, high) if high > low else (low, low + 0.1)

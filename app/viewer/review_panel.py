@@ -14,7 +14,7 @@ import viser
 from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
-from app.viewer.joint_text import part_title, range_text
+from app.viewer.joint_text import part_title, range_text, sure_text
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
@@ -142,7 +142,7 @@ class ReviewPanel:
         decided = doc.review.state in DECIDED
         broken = report is not None and report.verdict == "broken" and not decided
         put(self._override, "visible", broken)
-        words = "Fix and accept" if doc.edited_joints else "Accept"
+        words = "Accept with your edits" if doc.edited_joints else "Accept"
         put(self._accept, "label", f"{words} against the gate (Y)" if broken else f"{words} (Y)")
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
@@ -187,10 +187,9 @@ def summary(doc: Document) -> str:
     rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
     for joint in doc.tree.joints:
         edited = " ✎" if joint.child in doc.edited_joints else ""
-        sure = None if doc.prediction is None else doc.prediction.confidence.get(joint.child)
         rows.append(
             f"| {plain(part_title(doc, joint.child), 40)}{edited} | {joint.type} "
-            f"| {range_text(joint)} | {'' if sure is None else f'{100 * sure:.0f} %'} |"
+            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
         )
     lines.append("\n".join(rows))
     problems = [] if doc.prediction is None else [plain(p, 300) for p in doc.prediction.problems]

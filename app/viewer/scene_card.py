@@ -9,7 +9,7 @@ import viser
 from app.scene_desk import SceneDesk
 from app.scene_rows import Work
 from app.viewer import palette
-from app.viewer.joint_text import part_title, range_text
+from app.viewer.joint_text import part_title, range_text, sure_text
 from app.viewer.review_panel import REASONS
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -225,11 +225,10 @@ def _joint_table(doc: Document) -> str:
         return ""
     rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
     for joint in (j for j in doc.tree.joints if j.moves):
-        sure = None if doc.prediction is None else doc.prediction.confidence.get(joint.child)
         edited = " ✎" if joint.child in doc.edited_joints else ""
         rows.append(
             f"| {plain(part_title(doc, joint.child), 30)}{edited} | {joint.type} "
-            f"| {range_text(joint)} | {'' if sure is None else f'{100 * sure:.0f} %'} |"
+            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
         )
     return "\n".join(rows)
 

@@ -203,7 +203,7 @@ def _note(structure: Structure, answer: Answer, part: int) -> str:
     decision = answer.decisions[part]
     kind = v.TYPES[decision.type]
     asked = answer.choices(part, "type")
-    said = f"{kind} {asked[0].probability:.0%}" if asked else kind
+    said = f"{kind} (the type {100 * asked[0].probability:.0f} % sure)" if asked else kind
     if decision.slot < 0:
         return said
     offered = (

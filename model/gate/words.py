@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
+from model.kinematics.joint import Joint, value_text
 
 
 def title(obj: ArticulatedObject, link: str) -> str:
-    """A link in people's words: "door 2", else its own name."""
+    """A link in people's words: "door 2"; else its own name, of the root "base"."""
     name = next((p.name for p in obj.parts if p.link == link), None)
     digits = link.removeprefix("link_")
     if not name or name == link or not digits.isdigit():
-        return link
+        return "base" if link == obj.tree.root and not name else link
     return f"{name} {digits}"
 
 
@@ -24,10 +22,7 @@ def length(metres: float) -> str:
 
 def value(joint: Joint, q: float) -> str:
     """Degrees or millimetres."""
-    shown = math.degrees(q) if joint.rotates else 1000 * q
-    text = f"{shown:.0f}" if abs(shown) >= 10 or shown == round(shown) else f"{shown:.1f}"
-    text = "0" if text in ("-0", "-0.0", "0.0") else text
-    return f"{text}°" if joint.rotates else f"{text} mm"
+    return value_text(q, joint.rotates)
 
 
 def interval(joint: Joint, lower: float, upper: float) -> str:

@@ -35,6 +35,9 @@ CATEGORY_OPENING: dict[tuple[str, str], float] = {
     ("phone", "flap"): 2.6,
 }
 
+NOTED: dict[str, str] = {"temple": "folding arm"}
+"""What notes call a mechanism, where its own name is a narrow word."""
+
 FOLDED_TOTAL = 3.0
 """Whole range (rad) assumed for a panel that was scanned open, from closed to far open."""
 
@@ -50,7 +53,7 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
         down = float(np.cross(best.axis, arm)[2]) <= 0
         return replace(best, axis=best.axis if down else -best.axis, lower=0.0, upper=0.3)
     twin = _mirrored_twin(context)
-    if best.note.startswith("temple") and twin is not None and not context.closed:
+    if best.note.startswith(NOTED["temple"]) and twin is not None and not context.closed:
         # Arms of a pair fold towards each other.
         arm = context.shape.center - best.origin
         inward = context.scene.shapes[twin].center - context.shape.center

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import PartContext
-from model.geometric.edge_limits import CATEGORY_OPENING, OPENING
+from model.geometric.edge_limits import CATEGORY_OPENING, NOTED, OPENING
 from model.geometric.hypothesis import UP, Hypothesis, snapped, unit
 from model.geometric.scene import TOUCHING
 
@@ -112,10 +112,9 @@ def _arm_hypotheses(context: PartContext) -> list[Hypothesis]:
         if np.linalg.norm(normal) < 0.25:
             continue
         axis = snapped(unit(normal), _frame_axes(context), 0.15)
+        note = f"{NOTED['temple']}: folds in the arms' plane"
         score = 6.0 + 0.5 * (1 - abs(float(axis[2]))) - (1.0 if j == context.parent else 0.0)
-        found.append(
-            Hypothesis("revolute", axis, end, -1.2, 1.2, score, "temple: folds in the arms' plane")
-        )
+        found.append(Hypothesis("revolute", axis, end, -1.2, 1.2, score, note))
     return found
 
 
@@ -326,6 +325,7 @@ def _with_limits(
         axis = -axis
     key = (context.category, mechanism)
     opening = CATEGORY_OPENING.get(key, OPENING[mechanism])
+    noted = NOTED.get(mechanism, mechanism)
     return Hypothesis(
-        "revolute", axis, origin, 0.0, opening, score, f"{mechanism}: {why}" if why else mechanism
+        "revolute", axis, origin, 0.0, opening, score, f"{noted}: {why}" if why else noted
     )

@@ -15,6 +15,12 @@ JointType = Literal["revolute", "continuous", "prismatic", "fixed"]
 JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 
 
+def value_text(q: float, rotates: bool) -> str:
+    """A joint value as people read it: degrees or millimetres, to one decimal ("94.5°", "3 mm")."""
+    shown = round(math.degrees(q) if rotates else 1000 * q, 1) + 0.0
+    return f"{shown:.1f}".removesuffix(".0") + ("°" if rotates else " mm")
+
+
 @dataclass(frozen=True)
 class Mimic:
     """A joint that follows another: q = multiplier * q(joint) + offset."""
@@ -88,7 +94,8 @@ class Joint:
             elif not (math.isfinite(self.lower) and math.isfinite(self.upper)):
                 out.append(f"limits must be finite, got {self.lower}..{self.upper}")
             elif self.lower > self.upper:
-                out.append(f"lower limit {self.lower} is above upper limit {self.upper}")
+                lower, upper = (value_text(q, self.rotates) for q in (self.lower, self.upper))
+                out.append(f"lower limit {lower} is above upper limit {upper}")
         return out
 
     @property

@@ -125,13 +125,23 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     )
     tab.button("Undo").click()
     wait_until(lambda: tab.document.tree == tree, "undo brings the limit back")
+
+    # What is refused leaves the fields, and is said in the unit that they have.
+    tab.set_number("Upper [°]", -20)
+    tab.page.get_by_text("lower limit 0° is above upper limit -20°").first.wait_for()
+    assert tab.document.tree == tree
+    shown = f"{math.degrees(door.upper):.1f}".removesuffix(".0")
+    wait_until(lambda: tab.field("Upper [°]").input_value() == shown, "the limit that holds")
+    tab.set_number("Axis", 0, index=2)
+    tab.page.get_by_text("axis must not be zero").first.wait_for()
+    wait_until(lambda: float(tab.field("Axis", 2).input_value()) == door.axis[2], "the axis")
     tab.button("Redo").click()
     wait_until(lambda: tab.document.tree != tree, "redo")
 
     # Accept; the asset on disk loads and moves alike.
     tab.step("Review")
     wait_until(lambda: not tab.app.object.busy, "sweeps are done")
-    tab.button("Fix and accept (Y)").click()
+    tab.button("Accept with your edits (Y)").click()
     wait_until(lambda: tab.document.review.state == "accepted", "accepted")
     saved = wait_until(lambda: tab.document.saved, "saved")
     check_saved(Path(saved.folder), tab)

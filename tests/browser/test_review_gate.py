@@ -69,6 +69,20 @@ def joint_button(tab: Tab, words: str) -> Any:
     return tab.page.get_by_role("button", name=re.compile(words)).first
 
 
+def check_marks_leave(tab: Tab, contact: Any) -> None:
+    """The mark of a moment goes with its pose, and with the step."""
+    tab.page.evaluate("document.activeElement?.blur()")
+    tab.key("r")
+    wait_until(lambda: not tab.app.motion.q, "back at rest")
+    assert tab.app.client.scene.get_handle_by_name("/moment") is None
+    wait_until(lambda: not contact.visible, "no contact at rest")
+    joint_button(tab, r"link_1.*: broken").click()
+    tab.wait_node("/moment")
+    tab.step("Joints")
+    assert tab.app.client.scene.get_handle_by_name("/moment") is None
+    tab.step("Review")
+
+
 def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     start: Any, open_tab: Any, tmp_path: Path
 ) -> None:
@@ -95,17 +109,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     contact = tab.app.client.scene.get_handle_by_name("/contact/0")
     assert contact.visible
 
-    # The mark of a moment goes with its pose, and with the step.
-    tab.page.evaluate("document.activeElement?.blur()")
-    tab.key("r")
-    wait_until(lambda: not tab.app.motion.q, "back at rest")
-    assert tab.app.client.scene.get_handle_by_name("/moment") is None
-    wait_until(lambda: not contact.visible, "no contact at rest")
-    joint_button(tab, r"link_1.*: broken").click()
-    tab.wait_node("/moment")
-    tab.step("Joints")
-    assert tab.app.client.scene.get_handle_by_name("/moment") is None
-    tab.step("Review")
+    check_marks_leave(tab, contact)
 
     # Against the gate the key is not enough.
     tab.page.evaluate("document.activeElement?.blur()")
@@ -169,7 +173,7 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     tab.page.get_by_text(re.compile("Gate: ✓ 14 fine")).first.wait_for()
     # No reason is asked for any more.
     assert tab.page.get_by_role("button", name=re.compile("against the gate")).count() == 0
-    tab.button("Fix and accept (Y)").click()
+    tab.button("Accept with your edits (Y)").click()
     saved = wait_until(lambda: obj.document.saved, "saved", 300)
     gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["override"]) == ("fine", "")

@@ -69,7 +69,7 @@ def test_a_door_hinged_where_nothing_holds_it_is_broken_and_the_axis_can_be_shif
     found = report.of("door")
     assert found.verdict == "broken"
     assert found.worst.kind == "detached"
-    assert found.sentence.startswith("Comes off link_0")
+    assert found.sentence.startswith("Comes off base")
     after = mended(bad, report, "door", "shift")
     assert abs(after.tree.by_name["door"].origin[0] + 0.4) < 0.03
     assert judge(after).verdict == "fine"
@@ -135,7 +135,7 @@ def kettle(rim: float) -> ArticulatedObject:
 def test_a_lid_with_a_rim_is_lifted_off_too(rim, verdict):
     found = judge(kettle(rim)).of("j")
     assert found.verdict == verdict
-    assert found.sentence.startswith("Lifts off link_0")
+    assert found.sentence.startswith("Lifts off base")
 
 
 def test_a_floating_part_is_broken():
@@ -145,7 +145,7 @@ def test_a_floating_part_is_broken():
     report = judge(two(joint, base, above))
     found = report.of("j")
     assert (found.verdict, found.worst.kind) == ("broken", "floating")
-    assert "link_0 is 400 mm away" in found.sentence
+    assert "base is 400 mm away" in found.sentence
     near = part("link_1", box([0.4, 0.4, 0.13], [0.6, 0.6, 0.2]))
     assert judge(two(joint, base, near)).of("j").verdict == "look"
 
@@ -166,7 +166,7 @@ def test_a_part_that_is_wedged_in_is_jammed():
     joint = Joint("j", "prismatic", "link_0", "link_1", (1, 0, 0), lower=-0.2, upper=0.2)
     found = judge(two(joint, walls, plug)).of("j")
     assert (found.verdict, found.worst.kind) == ("broken", "jammed")
-    assert found.sentence == "Can't move from rest: it runs into link_0 at once."
+    assert found.sentence == "Can't move from rest: it runs into base at once."
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -1,0 +1,60 @@
+"""What the panels say of a joint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from app.viewer.joint_text import joint_note, range_text, tree_text
+from model.errors import KinematicsError
+from model.gate.words import interval
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint, value_text
+from model.kinematics.tree import KinematicTree
+from sessions.document import Document, PartInfo
+
+DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))
+TREE = KinematicTree(("link_0", "link_1"), (DOOR,))
+
+
+def document(joint: Joint = DOOR) -> Document:
+    return Document(
+        parts=(PartInfo(1, "door"),),
+        tree=TREE.with_joint(joint),
+        prediction=Prediction(TREE, confidence={"link_1": 0.22}),
+    )
+
+
+def test_one_rounding_everywhere() -> None:
+    assert range_text(DOOR) == "0 to 94.5°"
+    assert interval(DOOR, 0.0, DOOR.upper or 0.0) == "0° to 94.5°"
+    assert value_text(0.0905, rotates=False) == "90.5 mm"
+    assert value_text(-1e-5, rotates=True) == "0°"
+    assert range_text(replace(DOOR, type="prismatic", upper=0.353)) == "0 to 353 mm"
+
+
+def test_a_refusal_speaks_the_unit_that_is_shown() -> None:
+    with pytest.raises(KinematicsError, match="lower limit 0° is above upper limit -20°"):
+        replace(DOOR, upper=math.radians(-20))
+
+
+def test_an_edited_joint_is_called_so() -> None:
+    assert "22 % sure" in tree_text(TREE, document(), [])
+    said = tree_text(TREE, document(replace(DOOR, upper=1.0)), [])
+    assert "sure" not in said
+    assert "edited" in said
+
+
+def test_odd_ranges_are_told() -> None:
+    far = replace(DOOR, lower=math.radians(30), upper=math.radians(700))
+    note = joint_note(far, document(far), [])
+    assert "more than once round" in note
+    assert "outside of the range" in note
+    assert "odd range" in tree_text(TREE.with_joint(far), document(far), [])
+    assert "⚠" not in joint_note(DOOR, document(), [])
+
+
+def test_the_root_is_the_base() -> None:
+    assert tree_text(TREE, document(), []).splitlines()[0] == "- **base**"
