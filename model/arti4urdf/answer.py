@@ -19,6 +19,8 @@ from model.arti4urdf import vocabulary as v
 from model.arti4urdf.grammar import FREE, Decision
 from model.arti4urdf.structure import Structure
 from model.errors import ArtiworldError, KinematicsError
+from model.geometric.context import Assembly, PartContext
+from model.geometric.edge_limits import from_zero
 from model.geometric.hypothesis import Hypothesis, snapped, unit
 from model.geometric.predictor import joints_of
 from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
@@ -38,17 +40,23 @@ LINE_REACH = 1.0
 """Free lines lie within this many diagonals of the part's centre, along each axis."""
 
 
-def joints_of_decision(structure: Structure, part: int, decision: Decision) -> list[Joint]:
+def joints_of_decision(
+    structure: Structure, part: int, decision: Decision, hung: Assembly | None = None
+) -> list[Joint]:
     """The joint (with its helper's, for a screw) that a decision means, in the object's frame.
 
     Args:
         structure: whose candidates were chosen among.
         part: index of the part; its decision has a parent.
         decision: of the part.
+        hung: the parts as they were decided to hang: doors that are shut there start at 0.
     """
     scene = structure.scene
     links = [s.link for s in scene.shapes]
-    return joints_of(scene, links, part, decision.parent, hypothesis_of(structure, part, decision))
+    found = hypothesis_of(structure, part, decision)
+    if hung is not None:
+        found = from_zero(PartContext(hung, part), found)
+    return joints_of(scene, links, part, decision.parent, found)
 
 
 def hypothesis_of(structure: Structure, part: int, decision: Decision) -> Hypothesis:

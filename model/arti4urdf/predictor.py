@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -105,10 +105,13 @@ class Arti4UrdfPredictor:
         sure: dict[str, float] = {}
         notes: dict[str, str] = {}
         kept = {j.child for j in locked}
+        parents = [d.parent for d in answer.decisions]
+        hung = replace(structure.assembly, root=answer.root, parent=parents)
+        hung = hung if self.hybrid is not None else None
         for i, link in enumerate(links):
             if i == answer.root or link in kept or answer.decisions[i].parent < 0:
                 continue
-            built = joints_of_decision(structure, i, answer.decisions[i])
+            built = joints_of_decision(structure, i, answer.decisions[i], hung)
             joints += built
             helpers += [j.child for j in built[:-1]]
             sure[link] = joint_confidence(answer, i)

@@ -105,6 +105,9 @@ def limit_findings(scene: Scene, joint: Joint) -> list[Finding]:
     if lower > slack or upper < -slack:
         said = f"The scanned pose lies outside of the range ({text})."
         out.append(Finding("limits", "look", said))
+    if joint.rotates and lower < -slack and upper > slack and _door(scene, joint):
+        said = f"It turns both ways from the scanned pose ({text}); a shut door turns one way."
+        out.append(Finding("limits", "look", said))
     if joint.rotates and span > TURNS_LIMIT:
         turns = span / (2 * math.pi)
         verdict: Verdict = "look" if turns < 20 else "broken"
@@ -150,9 +153,18 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
     return Finding("collision", verdict, said, depth, moment, at, other)  # type: ignore[arg-type]
 
 
+def _name(scene: Scene, joint: Joint) -> str:
+    """Of the part that a joint moves, in small letters; "" where it has none."""
+    return (next((p.name for p in scene.obj.parts if p.link == joint.child), None) or "").lower()
+
+
 def _pressed(scene: Scene, joint: Joint) -> bool:
-    name = next((p.name for p in scene.obj.parts if p.link == joint.child), None) or ""
-    return any(word in name.lower() for word in PRESSED)
+    return any(word in _name(scene, joint) for word in PRESSED)
+
+
+def _door(scene: Scene, joint: Joint) -> bool:
+    # The thing comes last: a door handle is none.
+    return _name(scene, joint).rstrip("s0123456789_- ").endswith("door")
 
 
 def between(tree: KinematicTree, a: str, b: str) -> list[Joint]:

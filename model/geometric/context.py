@@ -15,6 +15,11 @@ from model.geometric.vocabulary import category_key, words
 
 Array = npt.NDArray[np.float64]
 
+SQUARE = np.deg2rad(8)
+"""How far off the object's directions a panel may be that counts as shut."""
+IN_FRONT = 0.1
+"""Largest gap (diagonals) between a shut panel and what it shuts."""
+
 
 @dataclass(eq=False)
 class Assembly:
@@ -186,6 +191,24 @@ class PartContext:
         slack = 0.03 + (panel.high - panel.low)
         inside = (world > base.low - slack) & (world < base.high + slack)
         return bool(inside.all(1).mean() >= 0.75)
+
+    @cached_property
+    def shut(self) -> bool:
+        """Whether a door, a drawer or a lid was scanned shut: :attr:`closed`, or square to the
+        object and in front of its parent, with a gap between them."""
+        if self.closed:
+            return True
+        shape, base = self.shape, self.base
+        normal = self.panel_normal
+        across = np.abs(normal) > 0.5
+        if np.abs(normal).max() < np.cos(SQUARE):
+            return False
+        # An open one stands beside what it shuts, seen along its own normal.
+        overlap = np.minimum(shape.high, base.high) - np.maximum(shape.low, base.low)
+        shared = np.maximum(overlap + 0.03, 0) / np.maximum(shape.high - shape.low, 1e-6)
+        return bool(
+            np.minimum(shared, 1.0)[~across].prod() >= 0.75 and -overlap[across].max() < IN_FRONT
+        )
 
     @cached_property
     def hand(self) -> bool:

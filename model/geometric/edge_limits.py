@@ -9,6 +9,7 @@ import numpy as np
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import Hypothesis
 from model.geometric.sweep import free_range
+from model.geometric.vocabulary import mechanism_of
 
 OPENING: dict[str, float] = {
     "hinge": 1.65,
@@ -71,7 +72,7 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
             stop=stop,
         )
 
-    if context.closed:
+    if context.closed or shut_front(context, best):
         opening = sweep(np.pi * 0.95)
         return replace(best, upper=min(best.upper, opening) if opening > 0.7 else best.upper)
     closing = -sweep(-np.pi * 0.95)
@@ -93,6 +94,24 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
             upper=max(0.3, min(closing, total - opening)),
         )
     return replace(best, lower=-closing, upper=max(0.3, min(opening, total - closing)))
+
+
+def shut_front(context: PartContext, motion: Hypothesis) -> bool:
+    """Whether a motion is a door's or a drawer's that was scanned shut, or a lid's that lies."""
+    named, _ = mechanism_of(context.shape.name, context.scene.category)
+    noted = motion.note.partition(":")[0]
+    if "hinge" in (named, noted) or "drop" in (named, noted):
+        return context.shut
+    if "flap" in (named, noted):
+        # One that leans on a wall is open.
+        return abs(float(context.panel_normal[2])) > 0.9 and context.shut
+    return named == "slide_out" and context.closed
+
+
+def from_zero(context: PartContext, motion: Hypothesis) -> Hypothesis:
+    """A motion that starts where it was scanned, where that is shut."""
+    two_ways = motion.lower < 0 < motion.upper and motion.type in ("revolute", "prismatic")
+    return replace(motion, lower=0.0) if two_ways and shut_front(context, motion) else motion
 
 
 def _mirrored_twin(context: PartContext) -> int | None:

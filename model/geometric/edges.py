@@ -68,7 +68,7 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
     if mechanism == "flap" and context.closed and abs(float(n_axis[2])) < 0.3:
         weights = WEIGHTS["hinge"]  # half of a standing case
     # All edges of a closed door touch; a lid that leans on a wall is open within its body's box.
-    closed = context.closed and mechanism in ("hinge", "drop")
+    closed = mechanism in ("hinge", "drop") and context.shut
     in_plane = [k for k in range(3) if k != normal]
     local = box.local(shape.points)
     contact = _contact_scores(context, local, in_plane)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import Assembly, PartContext
+from model.geometric.edge_limits import from_zero
 from model.geometric.hypothesis import Hypothesis, confidence
 from model.geometric.mechanisms import find_front, propose
 from model.geometric.roles import guess_mechanisms
@@ -59,7 +60,7 @@ class GeometricPredictor:
                 continue
             context = PartContext(assembly, i)
             found = propose(context, mechanisms[i])
-            built = joints_of(scene, links, i, parent[i], found[0])
+            built = joints_of(scene, links, i, parent[i], from_zero(context, found[0]))
             joints += built
             helpers += [j.child for j in built[:-1]]
             sure[links[i]] = round(sureness[i] * confidence(_distinct(found)), 4)

@@ -8,9 +8,12 @@ import numpy.typing as npt
 from model.geometric.motion_words import CATEGORY_PARENTS
 from model.geometric.scene import TOUCHING, Scene
 from model.geometric.shape import blades
-from model.geometric.vocabulary import base_score, category_key, known_word, words
+from model.geometric.vocabulary import base_score, category_key, known_word, mechanism_of, words
 
 Array = npt.NDArray[np.float64]
+
+LEAF = 0.3
+"""Thickness of a leaf, at most, in its smaller side."""
 
 
 def root_scores(scene: Scene) -> Array:
@@ -93,7 +96,51 @@ def spanning_parents(scene: Scene, root: int) -> list[int]:
             continue
         if j is not None and (mutual or held.get(j) is None) and not _below(parent, j, i):
             parent[i] = j
-    return _named_parents(scene, root, parent)
+    return _named_parents(scene, root, _leaves_apart(scene, root, parent))
+
+
+def _leaves_apart(scene: Scene, root: int, parent: list[int]) -> list[int]:
+    """Hang leaves that close one front side by side on what holds the first of them."""
+    out = list(parent)
+    for i in sorted(range(len(out)), key=lambda i: len(_above(parent, i))):
+        j = out[i]
+        if j in (-1, root) or not _side_by_side(scene, i, j):
+            continue
+        # The second leaf of a folding door is far from what holds the first.
+        holder = out[j]
+        own, others = scene.gap[i, holder], scene.gap[j, holder]
+        if own < 2 * TOUCHING or own < others + TOUCHING:
+            out[i] = holder
+    return out
+
+
+def _side_by_side(scene: Scene, i: int, j: int) -> bool:
+    """Whether two leaves lie in one plane, an edge of one along an edge of the other."""
+    if not (_leaf(scene, i) and _leaf(scene, j)):
+        return False
+    a, b = scene.shapes[i], scene.shapes[j]
+    k = a.panel.normal
+    if abs(float(a.box.axes[:, k] @ b.box.axes[:, b.panel.normal])) < 0.97:
+        return False
+    offset = a.box.axes.T @ (b.center - a.center)
+    reach = np.array([b.box.reach(axis) for axis in a.box.axes.T])
+    apart = np.abs(offset) - a.box.half - reach
+    lies = abs(offset[k]) < max(a.box.half[k], reach[k]) + TOUCHING
+    # Along one edge they overlap, across it one begins where the other ends.
+    u, v = (x for x in range(3) if x != k)
+    along, across = (u, v) if apart[u] < apart[v] else (v, u)
+    shared = -apart[along] >= 0.5 * 2 * min(a.box.half[along], reach[along])
+    return bool(lies and shared and -0.1 * a.box.half[across] < apart[across] < 2 * TOUCHING)
+
+
+def _leaf(scene: Scene, i: int) -> bool:
+    """Whether a part is a flat panel that is called a door or the like, or has no name."""
+    shape = scene.shapes[i]
+    if words(shape.name) and mechanism_of(shape.name, scene.category)[0] != "hinge":
+        return False
+    panel = shape.panel
+    sides = np.delete(2 * shape.box.half, panel.normal)
+    return bool(panel.high - panel.low < LEAF * sides.min())
 
 
 def _holder(scene: Scene, root: int, i: int) -> int | None:
@@ -165,6 +212,15 @@ def _named_parents(scene: Scene, root: int, parent: list[int]) -> list[int]:
             if near:
                 parent[i] = min(near, key=lambda j: (scene.gap[i, j], j))
     return parent
+
+
+def _above(parent: list[int], link: int) -> list[int]:
+    """The parts that ``link`` hangs on, nearest first."""
+    out = []
+    while parent[link] >= 0 and len(out) < len(parent):
+        link = parent[link]
+        out.append(link)
+    return out
 
 
 def _below(parent: list[int], link: int, top: int) -> bool:

@@ -52,6 +52,15 @@ def test_a_door_that_opens_inward_is_broken_and_flipping_mends_it():
     assert judge(mended(bad, report, "door", "flip")).verdict == "fine"
 
 
+def test_a_door_that_turns_both_ways_is_to_be_looked_at():
+    """No board in the middle and no corner behind the hinge: it turns inward a little, freely."""
+    front = replace(DOOR, origin=(-0.4, -W - 0.002, 0.3), lower=math.radians(-4))
+    found = judge(cabinet(front)).of("door")
+    assert found.verdict == "look"
+    assert any("turns both ways from the scanned pose (-4°" in f.sentence for f in found.findings)
+    assert not any("both ways" in f.sentence for f in judge(cabinet()).of("door").findings)
+
+
 def test_a_door_hinged_where_nothing_holds_it_is_broken_and_the_axis_can_be_shifted():
     """No board in the middle: hinged there, an open door hangs in the air."""
     frame = part(

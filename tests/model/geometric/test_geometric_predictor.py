@@ -16,6 +16,7 @@ from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
 from model.kinematics.joint import Joint
 from model.predictor import Predictor
+from model.predictors import load_predictor
 from model.progress import Cancelled
 
 PREDICTOR = GeometricPredictor()
@@ -164,6 +165,57 @@ def test_a_locked_screw_keeps_its_helper() -> None:
     assert prediction.tree is not None, prediction.problems
     assert prediction.tree.joint_of["link_lid"] == spin
     assert prediction.tree.joint_of["helper_lid"] == slide
+
+
+def board(link: str, low, high, name: str | None = None) -> Part:
+    size, center = np.subtract(high, low), np.add(low, high) / 2
+    return cube(link, center, size, name)
+
+
+def two_doors(gap: float, name: str | None = "door", seam: float = 0.0) -> SegmentedObject:
+    """Two leaves side by side, ``gap`` before a body of 1 x 0.4 x 0.8 m."""
+    front = -gap - 0.02
+    parts = (
+        board("link_0", (-0.5, 0, 0), (0.5, 0.4, 0.8), "body"),
+        board("link_1", (-0.5, front, 0), (seam - 0.002, -gap, 0.8), name),
+        board("link_2", (seam + 0.002, front, 0), (0.5, -gap, 0.8), name),
+    )
+    return SegmentedObject("two doors", parts)
+
+
+@pytest.mark.parametrize("predictor", ["geometric", "hybrid"])
+@pytest.mark.parametrize("gap", [0.003, 0.04, 0.08])
+def test_shut_doors_side_by_side_hang_on_the_body_and_start_at_zero(
+    gap: float, predictor: str
+) -> None:
+    for obj in (two_doors(gap), two_doors(gap, None), two_doors(gap, seam=-0.15)):
+        tree = load_predictor(predictor).predict(obj).tree
+        assert tree is not None
+        for link, side in (("link_1", -0.5), ("link_2", 0.5)):
+            joint = tree.joint_of[link]
+            assert (joint.parent, joint.type, joint.lower) == ("link_0", "revolute", 0.0)
+            assert abs(joint.axis[2]) > 0.99
+            assert joint.origin[0] == pytest.approx(side, abs=0.02)
+
+
+def test_the_far_leaf_of_a_folding_door_hangs_on_the_near_one() -> None:
+    parts = (
+        board("link_0", (-0.1, -0.1, 0), (0, 0.1, 2.2), "frame"),
+        board("link_1", (0.002, -0.015, 0.05), (0.5, 0.015, 2.1), "door"),
+        board("link_2", (0.504, -0.015, 0.05), (1.0, 0.015, 2.1), "door"),
+    )
+    tree = PREDICTOR.predict(SegmentedObject("folding", parts)).tree
+    assert tree is not None
+    assert tree.joint_of["link_1"].parent == "link_0"
+    assert tree.joint_of["link_2"].parent == "link_1"
+
+
+def test_a_door_that_was_scanned_open_shuts_too() -> None:
+    body = board("link_0", (-0.5, 0, 0), (0.5, 0.4, 0.8), "body")
+    open_door = board("link_1", (0.48, -0.96, 0), (0.5, -0.004, 0.8), "door")
+    joint = PREDICTOR.predict(SegmentedObject("open", (body, open_door))).tree.joint_of["link_1"]
+    assert joint.type == "revolute"
+    assert min(joint.lower, -joint.upper) < -1.0
 
 
 def test_progress_and_cancel() -> None:
