@@ -94,10 +94,10 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCheck]) -> str:
     lines = []
     if doc.prediction is not None:
         note = doc.prediction.notes.get(joint.child)
-        if note:
-            lines.append(f"*{plain(note, 300)}*")
+        said = f"*{plain(note, 300)}*" if note else ""
         if joint != doc.prediction.joint(joint.child):
-            lines.append("Edited; the grey arrow is the prediction.")
+            said = "Edited; the grey arrow is the prediction" + (f": {said}" if said else ".")
+        lines += [said] if said else []
     lines += [f"⚠ {said}" for said in range_doubts(joint)]
     for check in checks:
         if check.joint == joint.name:

@@ -45,6 +45,8 @@ def test_an_edited_joint_is_called_so() -> None:
     said = tree_text(TREE, document(replace(DOOR, upper=1.0)), [])
     assert "sure" not in said
     assert "edited" in said
+    note = joint_note(replace(DOOR, upper=1.0), document(), [])
+    assert note.startswith("Edited; the grey arrow is the prediction")
 
 
 def test_odd_ranges_are_told() -> None:
