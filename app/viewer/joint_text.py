@@ -17,7 +17,7 @@ def part_title(doc: Document, link: str) -> str:
     """What people call a link: its part's name, else the link's own, of the root "base"."""
     digits = link.removeprefix("link_")
     for part in doc.parts:
-        if str(part.id) == digits and part.name:
+        if str(part.id) == digits and part.name and part.name != link:
             return f"{part.name} {part.id}"
     return BASE if doc.tree is not None and link == doc.tree.root else link
 

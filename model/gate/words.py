@@ -11,7 +11,7 @@ def title(obj: ArticulatedObject, link: str) -> str:
     name = next((p.name for p in obj.parts if p.link == link), None)
     digits = link.removeprefix("link_")
     if not name or name == link or not digits.isdigit():
-        return "base" if link == obj.tree.root and not name else link
+        return "base" if link == obj.tree.root and name in (None, "", link) else link
     return f"{name} {digits}"
 
 

@@ -60,3 +60,5 @@ def test_odd_ranges_are_told() -> None:
 
 def test_the_root_is_the_base() -> None:
     assert tree_text(TREE, document(), []).splitlines()[0] == "- **base**"
+    read = replace(document(), parts=(PartInfo(0, "link_0"), PartInfo(1, "door")))
+    assert tree_text(TREE, read, []).splitlines()[0] == "- **base**"
