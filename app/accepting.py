@@ -7,55 +7,83 @@ of the one that was accepted before.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.judging import Wish
 from model.errors import CommandError
 from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
 from model.geometry.asset import Source
 from sessions import commands as cmd
 from sessions.provenance import provenance
-from sessions.state import Context, SessionState, acceptance_problems, apply
+from sessions.state import Context, SessionState, apply, review_problems
 from sessions.store import Entry, ObjectRecord
 
 if TYPE_CHECKING:
     from app.open_object import OpenObject
 
 
-def accept(obj: OpenObject, comment: str, who: str, at: str, override: str = "") -> None:
+def accept(
+    obj: OpenObject,
+    comment: str,
+    who: str,
+    at: str,
+    override: str = "",
+    *,
+    looked_at: GateReport | None = None,
+    refused: Callable[[CommandError], None] | None = None,
+) -> None:
     """Write the asset, read it back, and only then record the decision.
 
     Args:
         override: why it is right although the gate calls a joint broken.
+        looked_at: the gate's answer whose doubts the person was shown.
+        refused: gets what keeps it from being accepted where that comes out only later; all tabs
+            are told where it is None.
 
     Raises:
         CommandError: where something is missing, or the gate needs a reason.
+        LookFirstError: where the gate doubts something that the person wasn't shown.
     """
     if "save" in obj.jobs:
         return
     state = obj.state
     doc = state.present
-    problems = acceptance_problems(doc)
+    problems = review_problems(doc)
     if problems:
         raise CommandError("; ".join(problems))
     assert doc.tree is not None
-    if not obj.judging.admits(comment, who, at, override):
+
+    def again() -> None:
+        try:
+            accept(obj, comment, who, at, override, looked_at=looked_at, refused=refused)
+        except CommandError as error:
+            _refuse(obj, error, refused)
+
+    if not obj.judging.admits(Wish(override, looked_at, again)):
         return
     gate = obj.judging.report
     command = cmd.Accept(comment, obj.judging.doubts(), override)
     after = apply(state, command, Context(who, at))
     record = acceptance_record(
-        after, obj.bench.store.history(obj.record.id), _source_record(obj), gate, override
-    )
+        after, obj.bench.store.history(obj.record.id), _source_record(obj), gate, override,
+        looked_at=gate is not None and gate is looked_at,
+    )  # fmt: skip
     folder = asset_folder(obj.bench.workspace, obj.record)
     source = obj.source(doc)
     job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
         now = obj.document
+        changed = ""
         if now.segmentation is None or (now.tree, obj.source(now)) != (doc.tree, source):
-            obj.tell("Not accepted", "It was edited meanwhile: accept it again", "yellow")
+            changed = "It was edited meanwhile: accept it again"
+        elif now.review != doc.review:
+            changed = f"It was {now.review.state} meanwhile by {now.review.by}"
+        if changed:
+            _refuse(obj, CommandError(changed), refused)
             return
         # Only now: an asset that was accepted before stays until this one is to take its place.
         written = str(publish(draft, folder, record).folder)
@@ -65,6 +93,15 @@ def accept(obj: OpenObject, comment: str, who: str, at: str, override: str = "")
 
     obj.start("save", job, keep)
     obj.changed()
+
+
+def _refuse(
+    obj: OpenObject, error: CommandError, refused: Callable[[CommandError], None] | None
+) -> None:
+    if refused is None:
+        obj.tell("Not accepted", str(error), "yellow")
+    else:
+        refused(error)
 
 
 def _source_record(obj: OpenObject) -> Source:
@@ -79,10 +116,18 @@ def acceptance_record(
     source: Source,
     gate: GateReport | None,
     override: str = "",
+    *,
+    looked_at: bool = False,
 ) -> dict[str, Any]:
-    """What ``provenance.json`` of an accepted asset holds, the gate's answer included."""
+    """What ``provenance.json`` of an accepted asset holds, the gate's answer included.
+
+    Args:
+        override: why it was accepted although the gate calls a joint broken, else "".
+        looked_at: whether the person had been shown what the gate doubts.
+    """
     record = provenance(after, history, source)
-    record["gate"] = None if gate is None else {**gate.to_json(), "override": override}
+    said = {"override": override, "looked_at": looked_at}
+    record["gate"] = None if gate is None else {**gate.to_json(), **said}
     return record
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from app.accepting import accept
 from model.errors import CommandError
 from model.gate.report import GateReport, JointVerdict, Mend
 from model.kinematics.tree import KinematicTree
@@ -39,14 +39,21 @@ class JointCheck:
     other: str | None
 
 
-@dataclass(frozen=True)
-class _Waiting:
-    """An accept that was asked for while the joints were still being judged."""
+class LookFirstError(CommandError):
+    """The gate doubts something that the person wasn't shown before accepting."""
 
-    comment: str
-    who: str
-    at: str
+
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """An accept that a person asks for; see :func:`app.accepting.accept`.
+
+    Attributes:
+        again: asks anew; called once the gate has answered where it hasn't yet.
+    """
+
     override: str
+    looked_at: GateReport | None
+    again: Callable[[], None]
 
 
 class Judging:
@@ -57,7 +64,7 @@ class Judging:
         self._answers: OrderedDict[Revision, GateReport] = OrderedDict()
         self._asked: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
-        self._waiting: _Waiting | None = None
+        self._waiting: Wish | None = None
 
     @property
     def report(self) -> GateReport | None:
@@ -132,26 +139,33 @@ class Judging:
 
     # --- accepting
 
-    def admits(self, comment: str, who: str, at: str, override: str) -> bool:
+    def admits(self, wish: Wish) -> bool:
         """Whether the object may be accepted now; False where it will be once the gate answered.
 
         Raises:
             CommandError: where the gate calls a joint broken and no reason is given.
+            LookFirstError: where it doubts something that the person wasn't shown.
         """
         report = self.report
         if report is None and not self.problem:
-            self._waiting = _Waiting(comment, who, at, override)
+            self._waiting = wish
             self._obj.tell("Accepting", "As soon as the joints are judged", "blue")
             return False
         self._waiting = None
-        if report is not None and report.verdict == "broken" and not override.strip():
+        if report is not None and report.verdict == "broken" and not wish.override.strip():
             count, worst = len(report.with_verdict("broken")), report.joints[0]
-            what = f"{self._named(worst)} is broken: {worst.sentence}"
+            what = f"{self.named(worst)} is broken: {worst.sentence}"
             more = f" So {'are' if count > 2 else 'is'} {count - 1} more." if count > 1 else ""
             raise CommandError(f"{what}{more} Mend it, or say why it is right")
+        if report is not None and report.verdict == "look" and wish.looked_at is not report:
+            count, worst = len(report.with_verdict("look")), report.joints[0]
+            more = f" {count - 1} more to look at." if count > 1 else ""
+            raise LookFirstError(
+                f"{self.named(worst)}: {worst.sentence}{more} Y again accepts it as it is"
+            )
         return True
 
-    def _named(self, verdict: JointVerdict) -> str:
+    def named(self, verdict: JointVerdict) -> str:
         """What people call the part that a joint moves, else the joint's name."""
         number = verdict.child.removeprefix("link_")
         name = self._obj.document.part_names.get(int(number)) if number.isdigit() else None
@@ -159,12 +173,8 @@ class Judging:
 
     def _accept_waiting(self) -> None:
         waiting, self._waiting = self._waiting, None
-        if waiting is None:
-            return
-        try:
-            accept(self._obj, waiting.comment, waiting.who, waiting.at, waiting.override)
-        except CommandError as error:
-            self._obj.tell("Not accepted", str(error), "yellow")
+        if waiting is not None:
+            waiting.again()
 
     def doubts(self) -> tuple[str, ...]:
         """For the record of an acceptance: what was known to be broken or doubtful."""

@@ -17,7 +17,7 @@ from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
-from sessions.state import Context, acceptance_problems, apply
+from sessions.state import Context, apply, review_problems
 
 if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
@@ -119,7 +119,7 @@ class Accepting:
             i, record = entry
             work = desk.works[i]
             doc = work.document
-            problems = acceptance_problems(doc)
+            problems = review_problems(doc)
             if doc.review.state == "accepted" or problems:
                 self._drop(entry)
                 self._vain.add(entry)

@@ -282,8 +282,34 @@ def prompts_key(document: Document) -> str:
     return digest.hexdigest()[:24]
 
 
+def review_problems(document: Document) -> tuple[str, ...]:
+    """What a person has to put right before the object can be accepted; empty where nothing has.
+
+    Stricter than :func:`acceptance_problems`: joints that were predicted for other parts, and
+    parts that hold nothing.
+    """
+    problems = acceptance_problems(document)
+    if document.tree is None or document.segmentation is None:
+        return problems
+    if not document.segmentation_current:
+        return problems
+    if document.prediction_stale:
+        problems = ("the parts changed since the prediction: predict again (P)",)
+    full = document.segmentation.parts
+    empty = [p for p in document.parts if p.id != BASE and p.id not in full]
+    told = [p.partition(" ")[0] for p in problems]
+    return problems + tuple(
+        f"part {p.id}{f' ({p.name})' if p.name else ''} is empty: click on it, or delete it"
+        for p in empty
+        if p.link not in told
+    )
+
+
 def acceptance_problems(document: Document) -> tuple[str, ...]:
-    """What has to be put right before the object can be accepted; empty where nothing has."""
+    """What no acceptance may be written with; empty where there is nothing.
+
+    Written sessions are replayed through it, so that it never becomes stricter.
+    """
     if document.tree is None:
         return ("there is no kinematic tree yet; predict it first",)
     if document.segmentation is None:

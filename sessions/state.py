@@ -8,7 +8,7 @@ from typing import Literal
 
 from model.errors import CommandError
 from sessions.commands import Command, Placed, RecordSegmentation, Redo, Saved, Undo
-from sessions.document import Document, acceptance_problems, prompts_key
+from sessions.document import Document, acceptance_problems, prompts_key, review_problems
 from sessions.edits import Context, amend, edit
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "needed_jobs",
     "prompts_key",
     "replay",
+    "review_problems",
 ]
 
 MAX_UNDO = 1000

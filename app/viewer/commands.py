@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.accepting import accept
+from app.judging import LookFirstError
 from app.viewer.keys import KEYS
+from model.errors import CommandError
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
+    from app.open_object import OpenObject
     from app.viewer.client_app import ClientApp
 
 _SHEET = (
@@ -72,8 +75,29 @@ class Commands:
         app.set_stage("Review")  # where a reason is asked for, and the next object follows
         panel = app.review_panel
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        with panel.deciding():
-            accept(app.need_object(), panel.comment_text, app.who, now, panel.override_text)
+        obj = app.need_object()
+
+        def refused(error: CommandError) -> None:
+            app.act(lambda: self._refused(obj, error))
+
+        try:
+            with panel.deciding():
+                accept(
+                    obj, panel.comment_text, app.who, now, panel.override_text,
+                    looked_at=panel.gate.looked_at(obj), refused=refused,
+                )  # fmt: skip
+        except LookFirstError as error:
+            self._refused(obj, error)
+
+    def _refused(self, obj: OpenObject, error: CommandError) -> None:
+        """Say why, and show what the gate wants to be looked at."""
+        app = self._app
+        if isinstance(error, LookFirstError) and app.object is obj:
+            app.set_stage("Review")
+            app.review_panel.gate.show_worst()
+            app.notify("Look at it first", str(error), "yellow")
+        else:
+            app.notify("Not accepted", f"{obj.record.name}: {error}", "yellow")
 
     def reject(self) -> None:
         """Send the object back to its annotator."""

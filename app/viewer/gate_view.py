@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from app.open_object import OpenObject
@@ -35,11 +36,26 @@ class GateView:
         self._key: Any = None
         self._rows: list[Any] = []
         self._shown: tuple[Any, str] | None = None
+        self._looked_at: deque[GateReport] = deque(maxlen=64)
+        self._wanted: int | None = None  # an object whose worst moment is shown once it is judged
         gui = app.client.gui
         self._headline = gui.add_markdown("")
         self._folder = gui.add_folder("Joints, worst first", visible=False)
 
     # --- what a person does
+
+    def looked_at(self, obj: OpenObject) -> GateReport | None:
+        """The gate's answer on the present joints, where this tab has shown what it doubts."""
+        report = obj.judging.report
+        return next((r for r in self._looked_at if r is report), None)
+
+    def show_worst(self) -> None:
+        """The worst moment of the worst joint, as soon as the joints are judged."""
+        obj = self._app.need_object()
+        report = obj.judging.report
+        self._wanted = obj.record.id if report is None else None
+        if report is not None and report.verdict != "fine":
+            self.show(report.joints[0].joint)
 
     def show(self, joint: str) -> None:
         """Pose the object at a joint's worst moment and mark the contact."""
@@ -51,6 +67,8 @@ class GateView:
             raise CommandError("the joints are still being judged")
         app.choose_joint(verdict.child)
         self._shown = (report, joint)
+        if verdict.verdict != "fine" and self.looked_at(obj) is None:
+            self._looked_at.append(report)
         worst = verdict.worst
         if worst is None:
             app.motion.show_moment(None, "")
@@ -84,6 +102,10 @@ class GateView:
     def draw(self, obj: OpenObject, doc: Document) -> None:
         """Bring the view up to date."""
         report = obj.judging.report
+        if self._wanted is not None and (report is not None or self._wanted != obj.record.id):
+            wanted, self._wanted = self._wanted, None
+            if wanted == obj.record.id:
+                self._app.act(self.show_worst)
         put(self._headline, "content", headline(obj, doc, report))
         if self._shown is not None and self._shown[0] is not report:
             # Other joints, another answer: what was shown is no longer so.

@@ -17,6 +17,7 @@ import trimesh
 from app import judging_tasks
 from app.accepting import accept
 from app.config import ServeConfig
+from app.judging import LookFirstError
 from app.open_object import OpenObject
 from app.workbench import Workbench
 from model.errors import CommandError
@@ -160,6 +161,48 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     wait(lambda: "Not accepted" in notes, "it is told")
     assert obj.document.review.state != "accepted"
     assert (Path(saved.folder) / "provenance.json").read_bytes() == before
+
+
+def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObject) -> None:
+    obj = cupboard
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    # The hinge lies beside the board's edge: the door runs 12 mm into it, which may be meant.
+    obj.do(cmd.SetJoint(replace(DOOR, origin=(-0.28, -0.003, 0.2))), "tester")
+    said: list[CommandError] = []
+    if obj.judging.report is None:  # asked for before the gate has answered: told, not accepted
+        accept(obj, "", "tester", NOW, refused=said.append)
+        wait(lambda: said, "it is told to whoever asked")
+        assert isinstance(said[0], LookFirstError)
+    report = judged(obj)
+    assert report.verdict == "look"
+    with pytest.raises(LookFirstError, match="Y again accepts it as it is"):
+        accept(obj, "", "tester", NOW)
+    assert obj.document.review.state != "accepted"
+
+    # What was seen of other joints doesn't count.
+    obj.do(cmd.SetJoint(replace(DOOR, origin=(-0.279, -0.003, 0.2))), "tester")
+    judged(obj)
+    with pytest.raises(LookFirstError):
+        accept(obj, "", "tester", NOW, looked_at=report)
+    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
+    gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
+    assert (gate["verdict"], gate["looked_at"]) == ("look", True)
+
+
+def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenObject) -> None:
+    obj = cupboard
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    obj.do(cmd.SetJoint(DOOR), "tester")
+    said: list[CommandError] = []
+    judged(obj)
+    accept(obj, "", "tester", NOW, refused=said.append)
+    obj.do(cmd.Reject("axis"), "rob")
+    wait(lambda: said, "it is told")
+    assert "rejected meanwhile by rob" in str(said[0])
+    assert obj.document.review.state == "rejected"
 
 
 def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch) -> None:

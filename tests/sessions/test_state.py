@@ -42,6 +42,7 @@ from sessions.state import (
     apply,
     needed_jobs,
     prompts_key,
+    review_problems,
 )
 
 REF = "ab" * 32
@@ -349,6 +350,17 @@ def test_what_keeps_an_object_from_being_accepted(predicted):
         assert words in "; ".join(acceptance_problems(state.present))
         with pytest.raises(CommandError, match=words):
             run(Accept(), state=state if state.seq else run(click(1)))
+
+
+def test_outdated_joints_and_empty_parts_keep_a_person_from_accepting(predicted):
+    assert review_problems(predicted.present) == ()
+    moved = segmented(run(click(1, 9.0), state=predicted), OTHER_REF, FIVE)
+    assert acceptance_problems(moved.present) == ()
+    assert "predict again" in review_problems(moved.present)[0]
+    added = run(AddPart(7, "knob"), state=predicted)
+    assert review_problems(added.present) == ("part 7 (knob) is empty: click on it, or delete it",)
+    # What was accepted before is still read.
+    assert run(Accept(), state=moved).present.review.state == "accepted"
 
 
 def test_unassigned_elements_count_for_the_base(predicted):
