@@ -39,6 +39,13 @@ class ArtiworldToolMessage(_messages.Message, include_in_scene_serialization=Fal
     tool: str
 
 
+@dataclass
+class ArtiworldShownMessage(_messages.Message, include_in_scene_serialization=False):
+    """Everything that was sent before ``tell_page(shown=number)`` is on the screen."""
+
+    number: int
+
+
 # viser looks its message classes up once: where it did before these were known, a page that moves
 # its pointer would lose its connection.
 _messages.Message._subclass_from_type_string.cache_clear()  # type: ignore[attr-defined]

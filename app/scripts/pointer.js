@@ -203,6 +203,8 @@
   window.addEventListener("keydown", (event) => {
     if (typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
     const key = event.key.toLowerCase();
+    // A decision is one press: a key that is held doesn't decide about what comes next.
+    if (event.repeat && (key === "y" || key === "x")) return stop(event);
     if (event.key === "?") return send({ type: "ArtiworldToolMessage", tool: "help" });
     if (event.key === "Escape") {
       stroke = null;
@@ -279,6 +281,11 @@
       if (options.said) {
         clearTimeout(silent);
         silent = setTimeout(() => { state.said = ""; draw(); }, SAID_MS);
+      }
+      const { shown } = options;
+      if (shown !== undefined) {  // two frames on, what came before it is on the screen
+        requestAnimationFrame(() => requestAnimationFrame(
+          () => send({ type: "ArtiworldShownMessage", number: shown })));
       }
       if (!state.hover) quiet();
       else if (!before && pointer && !timer) timer = setTimeout(tell, HOVER_MS);

@@ -7,6 +7,7 @@ loop never waits.
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -23,9 +24,11 @@ from app.viewer.motion import Motion
 from app.viewer.pointing import Pointing
 from app.viewer.queue_panel import QueuePanel
 from app.viewer.redraw import STAGES, Redraw
+from app.viewer.rejecting import Rejecting
 from app.viewer.review_panel import ReviewPanel
 from app.viewer.scene_list import SceneList
 from app.viewer.scene_view import SceneView
+from app.viewer.seen import Seen
 from app.viewer.source_panel import SourcePanel
 from app.viewer.tab_threads import TabThreads
 from app.workbench import Workbench
@@ -59,6 +62,8 @@ class ClientApp:
         self.motion = Motion(self)
         self.pointing = Pointing(self)
         self.redraw = Redraw(self)
+        self.seen = Seen(self)
+        self.rejecting = Rejecting(self, self.commands.about, self.commands.reject_because)
         name = f"tab-{client.client_id}"
         self._threads = TabThreads(name, self.redraw.draw, self.notify)
         self._build()
@@ -165,6 +170,18 @@ class ClientApp:
     def act(self, action: Callable[[], None]) -> None:
         """Carry out ``action`` after those before it, off viser's threads."""
         self._threads.act(action)
+
+    def decide(self, action: Callable[[], None]) -> None:
+        """Carry out a decision, unless it was asked for before what it is about could be seen."""
+        pressed_at = time.monotonic()
+
+        def carry_out() -> None:
+            if self.seen.long_enough(pressed_at):
+                action()
+            else:
+                self.notify("Look at it first", "It had only just come on the screen", "gray")
+
+        self.act(carry_out)
 
     def on_update(self, handle: Any, action: Callable[[], None]) -> None:
         """Carry out ``action`` when a person changes a widget, not when we do."""
@@ -273,6 +290,7 @@ class ClientApp:
             self.pointing.disarm()
         if stage != "Review":
             self.motion.clear_moment()
+            self.rejecting.cancel()
         self.stage = stage
         self.invalidate()
 

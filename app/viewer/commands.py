@@ -13,6 +13,7 @@ from app.judging import LookFirstError
 from app.viewer.keys import KEYS
 from model.errors import CommandError
 from sessions import commands as cmd
+from sessions.review import RejectReason
 
 if TYPE_CHECKING:
     from app.open_object import OpenObject
@@ -69,6 +70,7 @@ class Commands:
     def accept(self) -> None:
         """Accept the object; its asset is written first."""
         app = self._app
+        app.rejecting.cancel()
         if app.overview is not None:
             app.overview.accept()
             return
@@ -99,16 +101,39 @@ class Commands:
         else:
             app.notify("Not accepted", f"{obj.record.name}: {error}", "yellow")
 
+    def about(self) -> tuple[Any, ...]:
+        """What a decision made now would be about."""
+        scene, obj = self._app.overview, self._app.object
+        if scene is not None:
+            return "scene", scene.selected
+        return "object", None if obj is None else obj.record.id
+
     def reject(self) -> None:
+        """Ask why the object goes back to its annotator."""
+        app = self._app
+        if app.overview is not None:
+            app.overview.need_work()
+        else:
+            app.need_object()
+            app.set_stage("Review")
+        app.rejecting.ask()
+
+    def number(self, number: int) -> None:
+        """A number key: the reason that is asked for, else the part for the next clicks."""
+        if self._app.rejecting.asking:
+            self._app.rejecting.answer(number)
+        else:
+            self._app.choose_part(number)
+
+    def reject_because(self, reason: RejectReason) -> None:
         """Send the object back to its annotator."""
         app = self._app
         if app.overview is not None:
-            app.overview.reject()
+            app.overview.reject(reason)
             return
-        app.set_stage("Review")
         panel = app.review_panel
         with panel.deciding():
-            app.do(cmd.Reject(panel.chosen_reason, panel.comment_text))
+            app.do(cmd.Reject(reason, panel.comment_text))
         panel.clear()
         app.notify("Rejected", "It is back with its annotator", "orange")
 

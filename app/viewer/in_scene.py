@@ -15,6 +15,7 @@ from app.viewer.scene_motion import SceneMotion
 from app.viewer.scene_picture import ScenePicture
 from model.errors import CommandError
 from sessions import commands as cmd
+from sessions.review import RejectReason
 from sessions.scene_commands import DecideObjects
 
 if TYPE_CHECKING:
@@ -152,10 +153,10 @@ class InScene:
             raise CommandError("it is accepted already")
         self._decide(DecideObjects("accept", (work.id,)))
 
-    def reject(self) -> None:
+    def reject(self, reason: RejectReason) -> None:
         """Reject the chosen object, and go to the next one."""
         work = self.need_work()
-        self._decide(DecideObjects("reject", (work.id,), reason=self.card.reason))
+        self._decide(DecideObjects("reject", (work.id,), reason=reason))
 
     def _decide(self, command: DecideObjects) -> None:
         ids = order(self.desk.rows())

@@ -30,7 +30,8 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("R, C", "reset the pose, frame the object"),
     ("T, F", "next joint type, flip the axis"),
     ("G", "axis handles on or off"),
-    ("Y, X", "accept, reject"),
+    ("Y", "accept; again: as it is"),
+    ("X, then 1 … 6", "reject, and why"),
     ("N, B", "next, previous object"),
     ("Enter, Backspace", "scene: into the object, and back"),
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
@@ -59,13 +60,21 @@ def add_keys(app: ClientApp) -> None:
     """Register every command with its key; they also stand in the palette (Ctrl+K)."""
     gui = app.client.gui
 
-    def add(label: str, key: Any, action: Callable[[], None], modifier: Any = None) -> None:
+    def add(
+        label: str,
+        key: Any,
+        action: Callable[[], None],
+        modifier: Any = None,
+        *,
+        decides: bool = False,
+    ) -> None:
         command = gui.add_command(label, hotkey=key, modifier=modifier)
-        command.on_trigger(lambda _: app.act(action))
+        carry_out = app.decide if decides else app.act
+        command.on_trigger(lambda _: carry_out(action))
 
     for part in range(10):
         name = "the base" if part == 0 else f"part {part}"
-        add(f"Choose {name}", str(part), lambda part=part: app.choose_part(part))
+        add(f"Choose {name}", str(part), lambda part=part: app.commands.number(part))
     add("Undo", "Z", app.commands.undo, "cmd/ctrl")
     add("Redo", "Z", app.commands.redo, "cmd/ctrl+shift")
     add("Predict joints", "P", app.commands.predict)
@@ -86,8 +95,8 @@ def add_keys(app: ClientApp) -> None:
     add("Leave out floor and walls", None, app.source_panel.leave_out)
     add("Cut this part out as an object", None, app.source_panel.cut_out)
     add("Keys and mouse", None, app.commands.show_keys)
-    add("Accept", "Y", app.commands.accept)
-    add("Reject", "X", app.commands.reject)
+    add("Accept", "Y", app.commands.accept, decides=True)
+    add("Reject", "X", app.commands.reject, decides=True)
     add("Next object", "N", lambda: app.step(1))
     add("Previous object", "B", lambda: app.step(-1))
     add("Frame the object", "C", app.commands.frame)

@@ -207,6 +207,7 @@ class Pointing:
 
             def switch() -> None:
                 app.commands.close_keys()
+                app.rejecting.cancel()
                 self.disarm()
                 self.tool = tool  # type: ignore[assignment]
 

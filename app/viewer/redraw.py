@@ -44,6 +44,10 @@ class Redraw:
 
     def draw(self) -> None:
         """Send what changed since the last time."""
+        self._draw()
+        self._app.seen.drawn()
+
+    def _draw(self) -> None:
         app = self._app
         if app.bench.desk is None:
             app.queue_panel.draw()

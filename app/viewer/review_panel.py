@@ -15,24 +15,16 @@ from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
 from app.viewer.joint_text import part_title, range_text, sure_text
+from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.review import RejectReason
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
-REASONS: dict[str, RejectReason] = {
-    "range": "range",
-    "axis": "axis",
-    "type": "type",
-    "parts": "parts",
-    "not articulated": "not_articulated",
-    "other": "other",
-}
 HISTORY_SHOWN = 12
 DOWNLOAD_BYTES = 400_000_000
 DECIDED = ("accepted", "rejected")
@@ -53,8 +45,7 @@ class ReviewPanel:
             hint="The gate calls a joint broken: say why it may be accepted",
         )  # fmt: skip
         self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green")
-        self._reason = gui.add_dropdown("What is wrong", tuple(REASONS))
-        self._reject = gui.add_button("Reject (X)", icon=viser.Icon.X, color="red")
+        self._reject = RejectButtons(app)
         self._comment = gui.add_text("Comment", "", multiline=True)
         self._go_on = gui.add_checkbox(
             "Go on to the next object", True, hint="After a decision: the least sure one first"
@@ -66,8 +57,7 @@ class ReviewPanel:
         )
         with gui.add_folder("History", expand_by_default=False):
             self._history = gui.add_markdown("")
-        self._accept.on_click(lambda _: app.act(app.commands.accept))
-        self._reject.on_click(lambda _: app.act(app.commands.reject))
+        self._accept.on_click(lambda _: app.decide(app.commands.accept))
         self._reopen.on_click(lambda _: app.act(lambda: app.do(cmd.Reopen(self.comment_text))))
         self._download.on_click(lambda _: app.act(self._send))
 
@@ -80,11 +70,6 @@ class ReviewPanel:
     def override_text(self) -> str:
         """Why the object is right although the gate calls a joint broken."""
         return self._override.value if self._override.visible else ""
-
-    @property
-    def chosen_reason(self) -> RejectReason:
-        """The chosen reason to reject."""
-        return REASONS[self._reason.value]
 
     @contextmanager
     def deciding(self) -> Iterator[None]:
@@ -123,6 +108,7 @@ class ReviewPanel:
         """Bring the panel up to date."""
         doc = obj.document
         self.gate.draw(obj, doc)
+        self._reject.draw(True)
         report = obj.judging.report
         now = (
             obj.record.id,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import viser
 
@@ -10,7 +10,7 @@ from app.scene_desk import SceneDesk
 from app.scene_rows import Work
 from app.viewer import palette
 from app.viewer.joint_text import part_title, range_text, sure_text
-from app.viewer.review_panel import REASONS
+from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from sessions.document import Document
@@ -51,9 +51,7 @@ class SceneCard:
                                         color="gray", visible=False)  # fmt: skip
             self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green",
                                           visible=False)  # fmt: skip
-            self._reason = gui.add_dropdown("What is wrong", tuple(REASONS), visible=False)
-            self._reject = gui.add_button("Reject (X)", icon=viser.Icon.X, color="red",
-                                          visible=False)  # fmt: skip
+            self._reject = RejectButtons(app)
             self._step = gui.add_button_group("To decide", ("Previous (B)", "Next (N)"))
             self._joints = gui.add_markdown("", visible=False)
         with gui.add_folder("Accept the sure ones"):
@@ -82,8 +80,7 @@ class SceneCard:
         self._kind.on_click(lambda e: app.act(lambda: scene.say(e.target.value)))
         self._work.on_click(lambda _: app.act(scene.enter))
         self._pick.on_click(lambda _: app.act(scene.pick))
-        self._accept.on_click(lambda _: app.act(scene.accept))
-        self._reject.on_click(lambda _: app.act(scene.reject))
+        self._accept.on_click(lambda _: app.decide(app.commands.accept))
         self._step.on_click(
             lambda e: app.act(lambda: scene.step(1 if e.target.value.startswith("Next") else -1))
         )
@@ -96,11 +93,6 @@ class SceneCard:
     def above(self) -> float:
         """The confidence above which all are accepted, 0..1."""
         return self._above.value / 100
-
-    @property
-    def reason(self) -> Any:
-        """Why the chosen object is rejected."""
-        return REASONS[self._reason.value]
 
     def draw(self) -> None:
         """Bring the widgets up to date."""
@@ -172,8 +164,7 @@ class SceneCard:
         put(self._accept, "disabled", waiting)
         put(self._accept, "label", "Accepting…" if waiting else "Accept (Y)")
         can_reject = work is not None and not (decided and row and row.status == "rejected")
-        put(self._reject, "visible", can_reject)
-        put(self._reason, "visible", can_reject)
+        self._reject.draw(can_reject)
 
     def _text(self, id: str | None) -> str:
         desk = self._desk

@@ -295,10 +295,10 @@ def test_reject_with_a_reason(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab = open_tab(start(path))
     tab.prompt(points["door"])
     tab.step("Review")
-    tab.choose("What is wrong", "parts")
     tab.field("Comment").fill("the drawer is missing <b>{1+1}</b>")
     tab.page.wait_for_timeout(400)
     tab.button("Reject (X)").click()
+    tab.button("4 parts").click()
     wait_until(lambda: tab.document.review.state == "rejected", "rejected")
     assert tab.document.review.reason == "parts"
     assert tab.document.review.comment == "the drawer is missing <b>{1+1}</b>"

@@ -143,6 +143,40 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     wait_until(lambda: tab.app.object is not obj, "the next object")
 
 
+def test_y_shows_what_wants_a_look_before_it_accepts(
+    start: Any, open_tab: Any, tmp_path: Path
+) -> None:
+    server = start(write_cupboard(tmp_path / "cupboard"), write_cupboard(tmp_path / "other"))
+    tab = open_tab(server)
+    obj = tab.app.object
+    other = server.bench.object(server.bench.records()[1].id)
+    hinge = replace(DOOR, origin=(-0.28, -0.003, 0.2))
+    tree = KinematicTree(("link_0", "link_1"), (hinge,))
+    for each, sure in ((obj, 0.4), (other, 0.5)):
+        record_prediction(each, sure)
+        each.do(cmd.SetJoint(hinge), "tester")
+    tab.step("Joints")
+    report = wait_until(lambda: obj.judging.report, "a verdict")
+    assert report.verdict == "look" and obj.document.tree == tree
+    tab.page.evaluate("document.activeElement?.blur()")
+    wait_until(lambda: tab.app.seen.long_enough(time.monotonic()), "it was seen")
+    tab.key("y")
+    tab.key("y")  # a double press shows it, no more
+    wait_until(lambda: tab.app.motion.q == dict(report.joints[0].worst.q), "the worst pose")
+    tab.wait_node("/moment")
+    assert tab.app.stage == "Review" and obj.document.review.state == "predicted"
+    joint_button(tab, "as it is").wait_for()
+    wait_until(lambda: tab.app.seen.long_enough(time.monotonic()), "it was seen")
+    tab.page.screenshot(path=str(tmp_path / "look.png"))
+    tab.key("y")
+    wait_until(lambda: tab.app.object is other, "the next object")
+    assert obj.document.review.state == "accepted"
+    tab.key("y")  # too early: nobody has seen it
+    tab.page.wait_for_timeout(1500)
+    assert tab.app.review_panel.gate.looked_at(other) is None
+    assert other.document.review.state == "predicted"
+
+
 def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:
     """What the bundled clicks and the predictor give of a chair, as a person would mend it."""
     path = static_assets() / "examples" / "office_chair.glb"
@@ -198,6 +232,10 @@ def test_the_least_sure_prediction_follows_a_decision(
     monkeypatch.setattr(tab.app, "do", slowly)
     tab.page.evaluate("document.activeElement?.blur()")
     tab.key("x")
+    wait_until(lambda: tab.app.rejecting.asking, "it asks what is wrong")
+    assert objects[0].document.review.state == "predicted"
+    tab.key("2")
     wait_until(lambda: objects[0].document.review.state == "rejected", "rejected")
     wait_until(lambda: tab.app.object is objects[2], "the least sure one")
-    assert tab.app.stage == "Review"
+    assert objects[0].document.review.reason == "axis"
+    wait_until(lambda: tab.app.stage == "Review", "its review")
