@@ -152,24 +152,20 @@ class Judging:
             self._obj.tell("Accepting", "As soon as the joints are judged", "blue")
             return False
         self._waiting = None
+        document = self._obj.document
         if report is not None and report.verdict == "broken" and not wish.override.strip():
             count, worst = len(report.with_verdict("broken")), report.joints[0]
-            what = f"{self.named(worst)} is broken: {worst.sentence}"
+            what = f"{joint_title(document, worst)} is broken: {worst.sentence}"
             more = f" So {'are' if count > 2 else 'is'} {count - 1} more." if count > 1 else ""
             raise CommandError(f"{what}{more} Mend it, or say why it is right")
         if report is not None and report.verdict == "look" and wish.looked_at is not report:
             count, worst = len(report.with_verdict("look")), report.joints[0]
             more = f" {count - 1} more to look at." if count > 1 else ""
             raise LookFirstError(
-                f"{self.named(worst)}: {worst.sentence}{more} Y again accepts it as it is"
+                f"{joint_title(document, worst)}: {worst.sentence}{more} "
+                "Y again accepts it as it is"
             )
         return True
-
-    def named(self, verdict: JointVerdict) -> str:
-        """What people call the part that a joint moves, else the joint's name."""
-        number = verdict.child.removeprefix("link_")
-        name = self._obj.document.part_names.get(int(number)) if number.isdigit() else None
-        return f"{name} {number}" if name and name != verdict.child else verdict.joint
 
     def _accept_waiting(self) -> None:
         waiting, self._waiting = self._waiting, None
@@ -195,6 +191,13 @@ class Judging:
             if mend.kind == kind:
                 return mend
         raise CommandError("the joints changed meanwhile; they are being judged again")
+
+
+def joint_title(document: Document, verdict: JointVerdict) -> str:
+    """What people call the part that a joint moves, else the joint's name."""
+    number = verdict.child.removeprefix("link_")
+    name = document.part_names.get(int(number)) if number.isdigit() else None
+    return f"{name} {number}" if name and name != verdict.child else verdict.joint
 
 
 def checks_of(report: GateReport) -> list[JointCheck]:

@@ -1,18 +1,23 @@
 """Accepting and rejecting objects from the scene, one after the other, in the background.
 
-The scene's session says what was decided; here it is carried out in the objects' own sessions. An
-object that the gate calls broken isn't accepted: it waits for a person who mends it or says why it
-is right. What a killed server left undone is done when the scene is opened again.
+The scene's session says what was decided; here it is carried out in the objects' own sessions. What
+the gate calls broken isn't accepted: it waits for a person who mends it or says why it is right;
+nor is what it wants looked at, unless the person was shown it. What a killed server left undone is
+done when the scene is opened again.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from app.accepting import acceptance_record, asset_folder
+from app.judging import joint_title
 from app.judging_tasks import judge_joints
 from app.part_tasks import PartSource
+from app.scene_rows import HELD
+from app.watched import Notice
 from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
 from sessions import commands as cmd
@@ -23,12 +28,50 @@ if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
     from app.scene_rows import Work
 
+Mark = Literal["", "judging", "held"]
+
+
+@dataclass(frozen=True, eq=False)
+class Refusal:
+    """Why an object wasn't accepted.
+
+    Attributes:
+        why: in a sentence, with the joint that it is about.
+        document: what was refused.
+        report: the gate's answer; None where something else was the matter.
+    """
+
+    why: str
+    document: Document
+    report: GateReport | None = None
+
+    @property
+    def wants_a_look(self) -> bool:
+        """Whether a person who was shown it may accept it as it is."""
+        return self.report is not None and self.report.verdict == "look"
+
+
+@dataclass(eq=False)
+class _Told:
+    """What becomes of the objects of one decision, for whoever made it.
+
+    Attributes:
+        left: sessions that are still to be accepted.
+        accepted: objects that were. refused: sessions that weren't.
+    """
+
+    record: DecisionRecord
+    notice: Notice
+    left: set[int]
+    accepted: int = 0
+    refused: list[int] = field(default_factory=list)
+
 
 class Accepting:
     """The decisions of a scene on their way.
 
     Attributes:
-        refused: session id → why the object wasn't accepted, and the document that was refused.
+        refused: session id → why the object wasn't accepted.
     """
 
     def __init__(self, desk: SceneDesk) -> None:
@@ -37,19 +80,39 @@ class Accepting:
         self._seen: tuple[DecisionRecord, ...] = desk.document.decided
         self._asked = 0
         self._done = 0
-        self._told_refused: set[int] = set()
+        self._running: tuple[int, DecisionRecord] | None = None
+        self._told: list[_Told] = []
+        self._expected: dict[tuple[int, ...], Notice] = {}
+        self._looked: dict[int, Document] = {}
         self._vain: set[tuple[int, DecisionRecord]] = set()
-        self.refused: dict[int, tuple[str, Document]] = {}
+        self.refused: dict[int, Refusal] = {}
+
+    def refusal(self, work: Work) -> Refusal | None:
+        """Why the object as it is now wasn't accepted, or None."""
+        refusal = self.refused.get(work.id)
+        if refusal is None or not _same(refusal.document, work.document):
+            return None
+        return None if work.document.review.state in ("accepted", "rejected") else refusal
 
     def why_refused(self, work: Work) -> str:
-        """Why the object as it is now wasn't accepted, or ""."""
-        why, document = self.refused.get(work.id, ("", None))
-        return why if document is not None and document.tree == work.document.tree else ""
+        """The same in a sentence, or ""."""
+        refusal = self.refusal(work)
+        return "" if refusal is None else refusal.why
+
+    def mark(self, work: Work) -> Mark:
+        """Whether the gate is at work on the object, or holds it back."""
+        if work.id in self.waiting:
+            return "judging"
+        return "" if self.refusal(work) is None else "held"
 
     @property
     def waiting(self) -> frozenset[int]:
         """Session ids of objects that are being accepted."""
         return frozenset(i for i, _ in self._queue)
+
+    def expect(self, objects: tuple[int, ...], notice: Notice) -> None:
+        """The next decision about these is made by whoever hears ``notice``."""
+        self._expected[objects] = notice
 
     # --- decisions
 
@@ -77,23 +140,51 @@ class Accepting:
         for record in before:
             if record not in self._seen:
                 self._take_back(record)
+                self._told = [t for t in self._told if t.record != record]
+                for i in record.objects:
+                    self.refused.pop(i, None)
         for record in self._seen:
             if record not in before:
                 self._carry_out(record, list(record.objects))
+        self._asked = self._done + len(self._queue)
+        if self._running is not None and self._running not in self._queue:
+            self._desk.jobs.cancel("accept")
 
     def _carry_out(self, record: DecisionRecord, objects: list[int]) -> None:
+        notice = self._expected.pop(record.objects, self._desk.tell)
+        if record.decision == "accept":
+            objects = [i for i in objects if i in self._desk.works]
+            if not self._queue:
+                self._asked = self._done = 0
+            self._told.append(_Told(record, notice, set(objects)))
+            for i in objects:
+                if record.looked:
+                    self._looked[i] = self._desk.works[i].document
+                self.refused.pop(i, None)
+                self._queue.append((i, record))
+                self._asked += 1
+            return
         for i in objects:
             work = self._desk.works.get(i)
             if work is None:
                 continue
-            if record.decision == "accept":
-                if not self._queue:
-                    self._asked = self._done = 0
-                    self._told_refused.clear()
-                self._queue.append((i, record))
-                self._asked += 1
-            elif work.document.review.state != "rejected":
+            self._overtake(work, record, notice)
+            if work.document.review.state != "rejected":
                 work.live.do(cmd.Reject(record.reason, decided_at=record.at), record.by)
+
+    def _overtake(self, work: Work, record: DecisionRecord, by: Notice) -> None:
+        """An object that is being accepted was rejected: whoever accepts it is told."""
+        for entry in [e for e in self._queue if e[0] == work.id]:
+            self._drop(entry)
+            self._vain.add(entry)
+            for told in [t for t in self._told if t.record == entry[1]]:
+                if told.notice != by:
+                    told.notice(
+                        "Not accepted",
+                        f"{work.item.obj.id} was rejected meanwhile by {record.by}",
+                        "yellow",
+                    )
+                self._settle(told, work.id)
 
     def _take_back(self, record: DecisionRecord) -> None:
         self._queue = [(i, r) for i, r in self._queue if r != record]
@@ -115,26 +206,26 @@ class Accepting:
         desk = self._desk
         if "accept" in desk.jobs:
             return
+        self._running = None
         for entry in list(self._queue):
             i, record = entry
             work = desk.works[i]
             doc = work.document
             problems = review_problems(doc)
-            if doc.review.state == "accepted" or problems:
-                self._drop(entry)
+            if doc.review.state == "accepted":
                 self._vain.add(entry)
-                if problems:
-                    self.refused[i] = ("; ".join(problems), doc)
+                self._accepted(entry)
+                continue
+            if problems:
+                self._refuse(work, "; ".join(problems))
                 continue
             assert doc.segmentation is not None
             if work.drawn is None or work.drawn.labels != doc.segmentation.labels:
                 continue  # its parts are being cut; this is called again
             self._judge(work, record)
             return
-        if not self._queue:
-            self._say_end()
 
-    def _told(self, work: Work, what: str) -> tuple[float, str]:
+    def _progress(self, work: Work, what: str) -> tuple[float, str]:
         return self._done / max(1, self._asked), f"{what} {work.item.obj.id}"
 
     def _judge(self, work: Work, record: DecisionRecord) -> None:
@@ -146,12 +237,18 @@ class Accepting:
         def keep(report: GateReport) -> None:
             if work.document.tree != doc.tree:
                 return  # edited meanwhile: it is judged again
-            if report.verdict == "broken":
-                self._refuse(work, report.joints[0].sentence)
-            elif (work.id, record) in self._queue:
-                self._save(work, record, source, report)
+            if (work.id, record) not in self._queue:
+                return  # taken back meanwhile
+            looked = self._looked.get(work.id)
+            seen = looked is not None and _same(looked, work.document)
+            if report.verdict == "broken" or (report.verdict == "look" and not seen):
+                worst = report.joints[0]
+                self._refuse(work, f"{joint_title(doc, worst)}: {worst.sentence}", report)
+            else:
+                self._save(work, record, source, report, seen)
 
-        desk.start("accept", job, keep, self._told(work, "judging"), work)
+        self._running = (work.id, record)
+        desk.start("accept", job, keep, self._progress(work, "judging"), work)
 
     def _source(self, work: Work) -> PartSource:
         doc = work.document
@@ -162,15 +259,18 @@ class Accepting:
         )  # fmt: skip
 
     def _save(
-        self, work: Work, record: DecisionRecord, source: PartSource, report: GateReport
-    ) -> None:
+        self, work: Work, record: DecisionRecord, source: PartSource, report: GateReport,
+        looked_at: bool,
+    ) -> None:  # fmt: skip
         desk, doc = self._desk, work.document
         assert doc.tree is not None and work.drawn is not None
         doubts = tuple(f"{j.joint}: {j.sentence}" for j in report.joints if j.verdict != "fine")
         command = cmd.Accept("", doubts, decided_at=record.at)
         store = desk.bench.store
         after = apply(work.live.state, command, Context(record.by, record.at))
-        told = acceptance_record(after, store.history(work.id), work.drawn.source, report)
+        told = acceptance_record(
+            after, store.history(work.id), work.drawn.source, report, looked_at=looked_at
+        )
         folder = asset_folder(desk.bench.workspace, store.object(work.id))
         job = desk.bench.draft_asset(source, doc.tree, _silent)
 
@@ -181,45 +281,78 @@ class Accepting:
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
             written = str(publish(draft, folder, told).folder)
-            self._drop((work.id, record))
             self._vain.discard((work.id, record))
             work.live.do(command, record.by)
             work.live.do(cmd.Saved(written), record.by)
+            self._accepted((work.id, record))
 
-        desk.start("accept", job, keep, self._told(work, "saving"), work)
+        self._running = (work.id, record)
+        desk.start("accept", job, keep, self._progress(work, "saving"), work)
 
     def failed(self, work: Work, message: str) -> None:
         """The gate or the writers broke on an object."""
         self._refuse(work, message)
 
-    def _refuse(self, work: Work, why: str) -> None:
-        self.refused[work.id] = (why, work.document)
-        self._told_refused.add(work.id)
-        self._vain.update(e for e in self._queue if e[0] == work.id)
-        self._queue = [(i, r) for i, r in self._queue if i != work.id]
-        self._done += 1
+    def _refuse(self, work: Work, why: str, report: GateReport | None = None) -> None:
+        self.refused[work.id] = Refusal(why, work.document, report)
+        for entry in [e for e in self._queue if e[0] == work.id]:
+            self._drop(entry)
+            self._vain.add(entry)
+            for told in [t for t in self._told if t.record == entry[1]]:
+                told.refused.append(work.id)
+                self._settle(told, work.id)
+
+    def _accepted(self, entry: tuple[int, DecisionRecord]) -> None:
+        self._drop(entry)
+        i, record = entry
+        for told in [t for t in self._told if t.record == record]:
+            told.accepted += len(self._desk.twins(self._desk.works[i].item.obj.id))
+            self._settle(told, i)
 
     def _drop(self, entry: tuple[int, DecisionRecord]) -> None:
         if entry in self._queue:
             self._queue.remove(entry)
             self._done += 1
+        if all(i != entry[0] for i, _ in self._queue):
+            self._looked.pop(entry[0], None)
 
-    def _say_end(self) -> None:
-        asked, self._asked = self._asked, 0
-        if not asked:
+    def _settle(self, told: _Told, i: int) -> None:
+        """Tell whoever decided what became of it once nothing is left to do."""
+        told.left.discard(i)
+        if told.left:
             return
-        refused = len(self._told_refused)
-        accepted = asked - refused
-        if accepted:
-            self._desk.tell("Accepted", f"{accepted} object{'s'[: accepted != 1]}", "green")
-        if refused:
-            first = self._desk.works[next(iter(self._told_refused))]
-            self._desk.tell(
-                f"{refused} not accepted",
-                f"{first.item.obj.id}: {self.refused[first.id][0]} Open it to mend it, or to say "
-                "why it is right",
-                "yellow",
-            )
+        self._told.remove(told)
+        if told.accepted:
+            told.notice("Accepted", _objects(told.accepted), "green")
+        held = [(self._desk.works[i], self.refused[i]) for i in told.refused]
+        if not held:
+            return
+        work, first = next(
+            ((w, r) for w, r in held if r.report is not None and not r.wants_a_look), held[0]
+        )
+        count = sum(len(self._desk.twins(w.item.obj.id)) for w, _ in held)
+        more = f" The others: Show, {HELD}." if len(held) > 1 else ""
+        what = (
+            "Y again accepts it as it is, Enter shows it."
+            if first.wants_a_look
+            else "Enter shows where: mend it, or say why it is right."
+            if first.report is not None
+            else "Enter opens it."
+        )
+        told.notice(
+            f"{_objects(count)} not accepted",
+            f"{work.item.obj.id}, {first.why} {what}{more}",
+            "yellow",
+        )
+
+
+def _same(one: Document, other: Document) -> bool:
+    """Whether the gate would say the same of both."""
+    return (one.tree, one.segmentation, one.parts) == (other.tree, other.segmentation, other.parts)
+
+
+def _objects(count: int) -> str:
+    return f"{count} object{'s'[: count != 1]}"
 
 
 def _silent(fraction: float, message: str) -> None:

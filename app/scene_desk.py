@@ -20,16 +20,16 @@ from app.review_order import confidence
 from app.running_jobs import RunningJobs
 from app.scene_accepting import Accepting
 from app.scene_picking import Picking
-from app.scene_rows import STATUSES, Row, Status, Work, drawn_by
+from app.scene_rows import SHOWN, Row, Status, Work, drawn_by
 from app.scene_saving import Saving
 from app.scene_shapes import DrawnParts, Shape
 from app.scene_tasks import OpenedScene, Prepared, SceneItem
 from app.tasks import ReadOptions
-from app.watched import Watched
+from app.watched import Notice, Watched
 from model.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.scene_commands import PickOut, SetArticulable
+from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
@@ -114,13 +114,13 @@ class SceneDesk(Watched):
         status, work = self.status(item), self.work(item.obj.id)
         known = work is not None and work.document.tree is not None
         sure = confidence(work.document) if work and known else item.decision.confidence
-        refused = work is not None and bool(self.accepting.why_refused(work))
-        return Row(item.obj.id, status, sure, None if work is None else work.id, refused)
+        mark = "" if work is None else self.accepting.mark(work)
+        return Row(item.obj.id, status, sure, None if work is None else work.id, mark)
 
     def rows(self) -> list[Row]:
         """All objects: those that want a decision first, the least sure of them before others."""
         rows = [self.row(item) for item in self.items.values()]
-        return sorted(rows, key=lambda r: (STATUSES.index(r.status), r.confidence))
+        return sorted(rows, key=lambda r: (SHOWN.index(r.shown), r.confidence))
 
     def missing_reason(self, item: SceneItem) -> str:
         """Why an object isn't shown, or ""."""
@@ -150,8 +150,14 @@ class SceneDesk(Watched):
 
     # --- what a person does
 
-    def do(self, command: cmd.Command, who: str) -> None:
-        """Carry out one decision about the scene; it is on disk when this returns."""
+    def do(self, command: cmd.Command, who: str, notice: Notice | None = None) -> None:
+        """Carry out one decision about the scene; it is on disk when this returns.
+
+        Args:
+            notice: told what becomes of objects that were decided on; all tabs where it is None.
+        """
+        if isinstance(command, DecideObjects) and notice is not None:
+            self.accepting.expect(command.objects, notice)
         self.live.do(command, who)
 
     def undo(self, who: str) -> str:

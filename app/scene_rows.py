@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -11,8 +12,12 @@ from sessions.document import Document
 from sessions.live import LiveSession
 
 Status = Literal["static", "todo", "predicted", "accepted", "rejected", "failed", "missing"]
-STATUSES: tuple[Status, ...] = (
-    "predicted", "todo", "rejected", "accepted", "static", "failed", "missing",
+HELD = "held back"
+"""What lists call an object that was to be accepted and isn't."""
+Shown = Status | Literal["judging", "held"]
+"""Of what is to be accepted: the gate is at work on it, or holds it back."""
+SHOWN: tuple[Shown, ...] = (
+    "predicted", "held", "todo", "judging", "rejected", "accepted", "static", "failed", "missing",
 )  # fmt: skip
 """In the order in which a reviewer wants to see them."""
 
@@ -52,17 +57,37 @@ class Row:
     """One object as lists show it.
 
     Attributes:
+        status: where it stands by what was decided.
         confidence: of the prediction's least sure joint; of the finder where there is none.
-        refused: whether it was to be accepted, and the gate calls it broken as it is.
+        mark: "judging" while an acceptance is under way, "held" where it was to be accepted and
+            isn't, as it is now; else "".
     """
 
     id: str
     status: Status
     confidence: float
     work: int | None
-    refused: bool = False
+    mark: Literal["", "judging", "held"] = ""
+
+    @property
+    def shown(self) -> Shown:
+        """Where it stands as people see it."""
+        return self.mark or self.status
+
+    @property
+    def undecided(self) -> bool:
+        """Whether it waits for a person."""
+        return self.mark != "judging" and self.status in ("predicted", "todo")
 
 
 def drawn_by(work: Work) -> str | None:
     """The labels that the drawn parts were cut by, or None."""
     return None if work.drawn is None else work.drawn.labels
+
+
+def decided_text(rows: Sequence[Row]) -> str:
+    """How many of the objects that can be articulated are decided."""
+    rows = [r for r in rows if r.work is not None]
+    rejected = sum(r.status == "rejected" for r in rows)
+    decided = sum(r.status == "accepted" for r in rows) + rejected
+    return f"{decided} of {len(rows)} decided" + (f"; {rejected} rejected" if rejected else "")

@@ -155,6 +155,7 @@ class DecisionRecord:
     reason: RejectReason
     by: str
     at: str
+    looked: bool = False
 
 
 @dataclass(frozen=True)

@@ -412,8 +412,9 @@ def _decide_objects(document: Document, command: DecideObjects, context: Context
     if context.role == "annotator":
         raise CommandError("only a reviewer may accept and reject objects")
     record = DecisionRecord(
-        command.decision, command.objects, command.above, command.reason, context.who, context.at
-    )
+        command.decision, command.objects, command.above, command.reason, context.who, context.at,
+        command.looked,
+    )  # fmt: skip
     return replace(document, decided=(*document.decided, record))
 
 

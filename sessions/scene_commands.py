@@ -49,12 +49,14 @@ class DecideObjects:
         objects: ids of their sessions in the workspace.
         above: the confidence, 0..1, above which all were taken; None where they were named.
         reason: why they are rejected; of no meaning where they are accepted.
+        looked: whether the person was shown what the gate doubts, and accepts them as they are.
     """
 
     decision: Decided
     objects: tuple[int, ...]
     above: float | None = None
     reason: RejectReason = "other"
+    looked: bool = False
 
     def __post_init__(self) -> None:
         if self.decision not in ("accept", "reject"):

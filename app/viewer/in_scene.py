@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.scene_desk import SceneDesk
-from app.scene_rows import Row, Work
+from app.scene_rows import Row, Work, decided_text
 from app.viewer.pick_panel import PickPanel
 from app.viewer.scene_card import SceneCard
 from app.viewer.scene_list import SceneList, order
@@ -17,11 +17,29 @@ from model.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason
 from sessions.scene_commands import DecideObjects
+from sessions.state import review_problems
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 LABEL = "● "
+
+
+def _at_the_end(desk: SceneDesk) -> tuple[str, str, str]:
+    """What is told where nothing waits for a decision: title, words, colour."""
+    if desk.scene is None:
+        if desk.problem:
+            return "Nothing could be read", desk.problem, "red"
+        return "Not yet", "The scene is still being read", "gray"
+    rows = [r for r in desk.rows() if r.work is not None]
+    if not desk.items:
+        return "Nothing could be read", "The scene holds no object", "yellow"
+    if not rows:
+        return "Nothing to decide", "No object of the scene counts as articulable", "gray"
+    going = sum(r.mark == "judging" for r in rows)
+    if going:
+        return "Nothing else to decide", f"{going} being judged", "gray"
+    return "Everything is decided", f"{decided_text(rows)}. Save the scene", "green"
 
 
 class InScene:
@@ -43,6 +61,7 @@ class InScene:
         self._wanted: str | None = None
         self._eye: Any = None
         self._seen = False
+        self._moment: Any = None
         self.picture = ScenePicture(app.client, desk)
         self.motion = SceneMotion(self.picture.pose)
         self.list = SceneList(app, desk)
@@ -74,10 +93,30 @@ class InScene:
                 self.selected = wanted
                 self._app.act(self.enter)
         self.picture.draw(self.rows, self.selected)
+        self._show_moment()
         self.list.draw()
         self.pick_panel.draw()
         if self.inside is None:
             self.card.draw()
+
+    def _show_moment(self) -> None:
+        """Pose the chosen object as the gate objects to it; everything else rests."""
+        work = None if self.selected is None or self.inside else self.desk.work(self.selected)
+        refusal = None if work is None else self.desk.accepting.refusal(work)
+        if self.motion.playing:
+            self._moment = None
+            return
+        if refusal is self._moment:
+            return
+        self._moment = refusal
+        report, tree = None, None
+        if refusal is not None:
+            report, tree = refusal.report, refusal.document.tree
+        worst = None if report is None else report.joints[0].worst
+        if work is None or worst is None or tree is None:
+            self.picture.pose({})
+        else:
+            self.picture.pose({work.id: tree.pose(worst.q)})
 
     def close(self) -> None:
         """The tab is gone."""
@@ -109,7 +148,7 @@ class InScene:
         """To the next or previous object that wants a decision."""
         ids = order(self.desk.rows())
         if not ids:
-            self._app.notify("Everything is decided", "Save the scene", "green")
+            self._app.notify(*_at_the_end(self.desk))
             return
         if self.selected in ids:
             self.choose(ids[(ids.index(self.selected) + by) % len(ids)], look=True)
@@ -146,12 +185,23 @@ class InScene:
 
     def accept(self) -> None:
         """Accept the chosen object, and go to the next one."""
-        work = self.need_work()
+        work, id = self.need_work(), self.need()
         if work.document.tree is None:
-            raise CommandError("it has no joints yet: press Enter to work on it")
+            raise CommandError(f"{id} has no joints yet: press Enter to work on it")
         if work.document.review.state == "accepted":
-            raise CommandError("it is accepted already")
-        self._decide(DecideObjects("accept", (work.id,)))
+            raise CommandError(f"{id} is accepted already")
+        if work.id in self.desk.accepting.waiting:
+            raise CommandError(f"{id} is being judged already")
+        problems = review_problems(work.document)
+        if problems:
+            raise CommandError(f"{id}: {'; '.join(problems)}. Enter opens it")
+        refusal = self.desk.accepting.refusal(work)
+        if refusal is not None and refusal.report is not None and not refusal.wants_a_look:
+            raise CommandError(
+                f"{id}, {refusal.why} Enter shows where: mend it, or say why it is right"
+            )
+        looked = refusal is not None and refusal.wants_a_look
+        self._decide(DecideObjects("accept", (work.id,), looked=looked))
 
     def reject(self, reason: RejectReason) -> None:
         """Reject the chosen object, and go to the next one."""
@@ -162,11 +212,16 @@ class InScene:
         ids = order(self.desk.rows())
         at = ids.index(self.selected) if self.selected in ids else -1
         mine = set(self.desk.twins(self.need()))
-        self.desk.do(command, self._app.who)
-        ahead = [*ids[at + 1 :], *ids[: max(at, 0)]]
-        following = next((i for i in ahead if i not in mine and self._waits(i)), None)
+        self.desk.do(command, self._app.who, self._app.notify)
+        ahead = [i for i in [*ids[at + 1 :], *ids[: max(at, 0)]] if i not in mine]
+        following = next((i for i in ahead if self._waits(i)), None)
         if following is not None:
             self.choose(following, look=True)
+        elif ahead:
+            left = f"{len(ahead)} {'wants' if len(ahead) == 1 else 'want'} clicks"
+            self._app.notify("Nothing else is predicted", f"{left}: N, then Enter", "gray")
+        else:
+            self._app.notify(*_at_the_end(self.desk))
 
     def _waits(self, id: str) -> bool:
         work = self.desk.work(id)
@@ -175,11 +230,9 @@ class InScene:
 
     def sure(self, above: float) -> list[int]:
         """Sessions of predicted objects that are at least so sure, each once."""
-        waiting = self.desk.accepting.waiting
         found = [
             r.work for r in self.rows
-            if r.status == "predicted" and r.work is not None and r.confidence >= above
-            and r.work not in waiting and not r.refused
+            if r.shown == "predicted" and r.work is not None and r.confidence >= above
         ]  # fmt: skip
         return list(dict.fromkeys(found))
 
@@ -188,7 +241,8 @@ class InScene:
         ids = self.sure(above)
         if not ids:
             raise CommandError("no predicted object is so sure")
-        self.desk.do(DecideObjects("accept", tuple(ids), above=above), self._app.who)
+        command = DecideObjects("accept", tuple(ids), above=above)
+        self.desk.do(command, self._app.who, self._app.notify)
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""
@@ -219,6 +273,11 @@ class InScene:
         self.picking = picking
         self.picture.ghost(id)
         self._app.open(session)
+        work = self.desk.work(id)
+        refusal = None if work is None or picking else self.desk.accepting.refusal(work)
+        if refusal is not None and refusal.report is not None:
+            self._app.set_stage("Review")
+            self._app.review_panel.gate.show_worst()
 
     def pick(self) -> None:
         """Open the chosen object as a whole, to pick another one out of it."""

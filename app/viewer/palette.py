@@ -5,6 +5,8 @@ from __future__ import annotations
 import colorsys
 from typing import Final
 
+from app.scene_rows import HELD
+
 Rgb = tuple[int, int, int]
 
 BASE_COLOR: Final[Rgb] = (148, 156, 166)
@@ -120,7 +122,9 @@ STATE_COLORS: Final[dict[str, Rgb]] = {
 
 SCENE_COLORS: Final[dict[str, Rgb]] = {
     "predicted": (128, 90, 213),
+    "held": (168, 92, 26),
     "todo": (237, 160, 40),
+    "judging": (150, 205, 110),
     "rejected": (224, 49, 49),
     "accepted": (47, 158, 68),
     "static": (196, 200, 206),
@@ -136,7 +140,9 @@ SCENE_ALBEDO: Final[dict[str, Rgb]] = {
 SCENE_GHOST: Final[Rgb] = (120, 130, 145)
 SCENE_WORDS: Final[dict[str, str]] = {
     "predicted": "predicted",
+    "held": HELD,
     "todo": "to do",
+    "judging": "being judged",
     "rejected": "rejected",
     "accepted": "accepted",
     "static": "static",

@@ -132,7 +132,7 @@ class ReviewPanel:
         words = "Accept with your edits" if doc.edited_joints else "Accept"
         looked = report is not None and self.gate.looked_at(obj) is report and not decided
         if looked and not broken:
-            words += " as it is"
+            words = "Accept as it is"
         put(self._accept, "label", f"{words} against the gate (Y)" if broken else f"{words} (Y)")
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import viser
 
+from app.scene_accepting import Refusal
 from app.scene_desk import SceneDesk
-from app.scene_rows import Work
+from app.scene_rows import Row, Work, decided_text
 from app.viewer import palette
 from app.viewer.joint_text import part_title, range_text, sure_text
 from app.viewer.rejecting import RejectButtons
@@ -104,12 +107,8 @@ class SceneCard:
         self._draw_chosen(scene.selected)
         ready = scene.sure(self.above)
         count = sum(r.work in ready for r in scene.rows)
-        waiting = desk.accepting.waiting
-        going = sum(r.work in waiting for r in scene.rows)
-        refused = sum(r.refused and r.status == "predicted" for r in scene.rows)
-        known = sum(r.status == "predicted" for r in scene.rows) - going - refused
-        put(self._count, "content", _count_text(count, known, going, refused, self.above))
-        put(self._accept_all, "label", f"Accept {count} objects" if count > 1 else "Accept")
+        put(self._count, "content", count_text(scene.rows, count, self.above))
+        put(self._accept_all, "label", f"Accept {_number(count)}".rstrip())
         put(self._accept_all, "disabled", not ready)
         saved = desk.document.saved
         put(self._saved, "visible", saved is not None)
@@ -123,7 +122,9 @@ class SceneCard:
         lines = []
         if desk.problem:
             lines.append(f"⚠ {plain(desk.problem, 400)}")
-        shown = [w for w in _BUSY if w in desk.busy]
+        # What was taken back may need a moment to stop; nobody waits for it any more.
+        idle = () if desk.accepting.waiting else ("accept",)
+        shown = [w for w in _BUSY if w in desk.busy and w not in idle]
         fraction = 0.0
         if shown:
             fraction, message = desk.busy[shown[0]]
@@ -162,7 +163,10 @@ class SceneCard:
         put(self._pick, "visible", can_work and not has_tree)
         put(self._accept, "visible", has_tree and row is not None and row.status != "accepted")
         put(self._accept, "disabled", waiting)
-        put(self._accept, "label", "Accepting…" if waiting else "Accept (Y)")
+        refusal = None if work is None else desk.accepting.refusal(work)
+        look = refusal is not None and refusal.wants_a_look
+        label = "Accept as it is (Y)" if look else "Accept (Y)"
+        put(self._accept, "label", "Being judged…" if waiting else label)
         can_reject = work is not None and not (decided and row and row.status == "rejected")
         self._reject.draw(can_reject)
 
@@ -171,8 +175,7 @@ class SceneCard:
         if id is None or id not in desk.items:
             return "Click an object in the picture or in the list. N goes to the least sure one."
         item, work = desk.items[id], desk.work(id)
-        status = desk.status(item)
-        lines = [f"**{plain(id, 80)}** · {palette.SCENE_WORDS[status]}"]
+        lines = [f"**{plain(id, 80)}** · {palette.SCENE_WORDS[desk.row(item).shown]}"]
         if item.obj.description and item.obj.description != id:
             lines.append(plain(item.obj.description, 200))
         why = plain(item.decision.reason, 300)
@@ -187,14 +190,18 @@ class SceneCard:
         twins = len(desk.twins(id))
         if twins > 1:
             lines.append(f"It stands here {twins} times; a decision counts for all of them.")
-        lines += _about_work(work, desk.accepting.why_refused(work), item.decision.parts)
+        lines += _about_work(work, desk.accepting.refusal(work), item.decision.parts)
         return "\n\n".join(lines)
 
 
-def _about_work(work: Work, refused: str, expected: tuple[str, ...]) -> list[str]:
+def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) -> list[str]:
     doc, out = work.document, []
-    if refused:
-        out.append(f"⚠ Not accepted: {plain(refused, 300)}")
+    if refusal is not None:
+        if refusal.wants_a_look:
+            then = "**Y again accepts it as it is; Enter shows it.**"
+        else:
+            then = "Enter shows where." if refusal.report is not None else ""
+        out.append(f"⚠ Not accepted: {plain(refusal.why, 300)} {then}")
     if doc.tree is None:
         if expected:
             out.append(f"Expected to move: {plain(', '.join(expected))}")
@@ -224,12 +231,23 @@ def _joint_table(doc: Document) -> str:
     return "\n".join(rows)
 
 
-def _count_text(count: int, known: int, going: int, refused: int, above: float) -> str:
-    lines = [f"{going} {'is' if going == 1 else 'are'} being accepted."] if going else []
+def _number(count: int) -> str:
+    return f"{count} object{'s'[: count != 1]}" if count else ""
+
+
+def count_text(rows: Sequence[Row], count: int, above: float) -> str:
+    """What is left to decide; ``count`` objects are at least ``above`` sure, 0..1."""
+    shown = Counter(r.shown for r in rows)
+    known, going, held, clicks = (shown[s] for s in ("predicted", "judging", "held", "todo"))
+    lines = [f"{going} {'is' if going == 1 else 'are'} being judged."] if going else []
     if known:
         lines.append(
             f"**{count}** of {known} predicted objects: at least {100 * above:.0f} % sure."
         )
-    if refused:
-        lines.append(f"{refused} wait for you: the gate calls them broken.")
-    return " ".join(lines) or "Nothing is predicted and waits for a decision."
+    if held:
+        lines.append(f"{held} held back by the gate: Enter shows where.")
+    if clicks:
+        lines.append(f"{clicks} {'wants' if clicks == 1 else 'want'} clicks: Enter.")
+    if not lines and any(r.work is not None for r in rows):
+        lines.append(f"{decided_text(rows)}.")
+    return " ".join(lines) or "Nothing here can be articulated."

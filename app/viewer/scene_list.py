@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.scene_desk import SceneDesk
-from app.scene_rows import STATUSES, Row, Status
+from app.scene_rows import SHOWN, Row, Shown
 from app.viewer import palette
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -22,6 +22,8 @@ PAGE = 13
 ALL = "all"
 _ICONS = {
     "predicted": viser.Icon.SPARKLES,
+    "held": viser.Icon.ALERT_TRIANGLE,
+    "judging": viser.Icon.HOURGLASS,
     "todo": viser.Icon.PENCIL,
     "rejected": viser.Icon.CIRCLE_X,
     "accepted": viser.Icon.CIRCLE_CHECK,
@@ -102,7 +104,7 @@ class SceneList:
                 self._first = ids.index(current) // PAGE * PAGE
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
-        counts = Counter(r.status for r in rows)
+        counts = Counter(r.shown for r in rows)
         own = scene.picture.own
         now = (tuple(page), current, len(chosen), self._first, tuple(counts.items()), own)
         if now == self._shown:
@@ -119,7 +121,7 @@ class SceneList:
                 self._show(button, page[k], page[k].id == current)
 
     def _fits(self, row: Row) -> bool:
-        words = palette.SCENE_WORDS[row.status]
+        words = palette.SCENE_WORDS[row.shown]
         item = self._desk.items[row.id]
         text = f"{row.id} {item.obj.description} {item.category or ''}".lower()
         return self._filter.value in (ALL, words) and self._search.value.lower() in text
@@ -127,18 +129,17 @@ class SceneList:
     def _show(self, button: Any, row: Row, here: bool) -> None:
         sure = f" · {100 * row.confidence:.0f} %" if row.status == "predicted" else ""
         put(button, "label", ("▸ " if here else "") + _short(row.id, 16 if sure else 22) + sure)
-        put(button, "icon", viser.Icon.ALERT_TRIANGLE if row.refused else _ICONS[row.status])
-        color = palette.SCENE_COLORS[row.status]
+        put(button, "icon", _ICONS[row.shown])
+        color = palette.SCENE_COLORS[row.shown]
         put(button, "color", color if here else _deep(color))
-        words = palette.SCENE_WORDS[row.status] + (", not accepted" if row.refused else "")
-        put(button, "hint", f"{plain(row.id)}: {words}")
+        put(button, "hint", f"{plain(row.id)}: {palette.SCENE_WORDS[row.shown]}")
 
 
 def legend(counts: Counter[Any], own: bool) -> str:
     """Squares in the colours of those states that give their objects one, hollow ones for the
     others, with their counts; our own words and numbers only."""
 
-    def square(state: Status) -> str:
+    def square(state: Shown) -> str:
         if own or state in ("static", "failed", "missing"):
             return "border:1.5px dashed #98a0a8"
         return f"background:rgb{palette.SCENE_COLORS[state]}"
@@ -149,8 +150,8 @@ def legend(counts: Counter[Any], own: bool) -> str:
         f'{square(s)}"></span>'
         f"<span>{palette.SCENE_WORDS[s]}</span>"
         f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
-        for s in STATUSES
-        if s not in ("failed", "missing") or counts[s]
+        for s in SHOWN
+        if s not in ("failed", "missing", "held", "judging") or counts[s]
     )
     return (
         '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'
@@ -178,4 +179,4 @@ def _deep(color: palette.Rgb) -> palette.Rgb:
 
 def order(rows: Sequence[Row]) -> list[str]:
     """Ids in the order of a review: what wants a decision, the least sure first."""
-    return [r.id for r in rows if r.status in ("predicted", "todo", "rejected")]
+    return [r.id for r in rows if r.undecided]

@@ -111,7 +111,7 @@ class ScenePicture:
             set_stage(self._client.scene)
             self._root = self._client.scene.add_frame(ROOT, show_axes=False)
         items = self._desk.items
-        status = {r.id: r.status for r in rows if r.id in items}
+        status = {r.id: r.shown for r in rows if r.id in items}
         self._place_root()
         with self._lock, self._client.atomic():
             self._draw_static({i for i, s in status.items() if s == "static"})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,18 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app import scene_tasks, tasks
+from app import scene_accepting, scene_tasks, tasks
 from app.cli import make_parser
 from app.config import ServeConfig
+from app.job import Job
 from app.scene_desk import SceneDesk
+from app.scene_rows import Row, decided_text
 from app.serve_command import make_config
+from app.viewer.scene_card import count_text
+from app.viewer.scene_list import order
 from app.workbench import Workbench
 from model.errors import CommandError
+from model.gate.report import Finding, GateReport, JointVerdict
 from model.geometry.readers import read_asset
 from sessions import commands as cmd
 from sessions.scene_commands import DecideObjects
@@ -202,6 +208,120 @@ def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(world: World
     assert statuses(desk)["small"] == "accepted"
     small.live.do(cmd.Undo(), "ann")
     world.settle()
+
+
+def report_of(verdict: str) -> GateReport:
+    """What the gate would say of a door that runs into its cabinet, or of one that is free."""
+    sentence = "Runs 131 mm into link_0 at 104°."
+    found = () if verdict == "fine" else (Finding("collision", verdict, sentence),)  # type: ignore[arg-type]
+    return GateReport((JointVerdict("door", "link_1", found),), 1.0)
+
+
+class Slow:
+    """Stands in for the gate in the workers: its answers are given by the test."""
+
+    def __init__(self, desk: SceneDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.asked: list[Any] = []
+        assert desk.bench is not None
+        real = desk.bench.prediction.submit
+
+        def submit(function: Any, *args: Any, **more: Any) -> Any:
+            if function is not scene_accepting.judge_joints:
+                return real(function, *args, **more)
+            job: Job[Any] = Job(
+                lambda j: j._end("cancelled"), 0, "", (function, (), {}), None, None
+            )
+            self.asked.append(job)
+            return job
+
+        monkeypatch.setattr(desk.bench.prediction, "submit", submit)
+
+    def answer(self, verdict: str) -> None:
+        wait(lambda: self.asked, "the gate is asked")
+        self.asked.pop()._end("done", report_of(verdict))
+
+
+def test_what_the_gate_objects_to_waits_for_who_asked(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, small = world.desk, world.desk.work("small")
+    assert small is not None
+    gate = Slow(desk, monkeypatch)
+    mine: list[str] = []
+    others: list[str] = []
+    stop = desk.watch(lambda: None, lambda title, body, color: others.append(body))
+
+    def shown(id: str) -> str:
+        return next(r.shown for r in desk.rows() if r.id == id)
+
+    def decide(decision: Any, work: Any = small, **more: Any) -> None:
+        desk.do(DecideObjects(decision, (work.id,), **more), "ann", lambda *n: mine.append(n[1]))
+
+    decide("accept")
+    assert shown("small") == "judging" and not any(
+        r.id == "small" for r in desk.rows() if r.undecided
+    )
+    gate.answer("look")
+    wait(lambda: mine, "it is told")
+    assert mine == ["small, door 1: Runs 131 mm into link_0 at 104°. Y again accepts it as it is, "
+                    "Enter shows it."]  # fmt: skip
+    assert shown("small") == "held" and statuses(desk)["small"] == "predicted"
+    refusal = desk.accepting.refusal(small)
+    assert refusal is not None and refusal.wants_a_look
+
+    # Undo ends the work at once, and takes the objection with it.
+    decide("accept")
+    job = gate.asked[-1]
+    desk.do(cmd.Undo(), "ann")
+    wait(lambda: job.state == "cancelled" and "accept" not in desk.jobs, "the gate is stopped")
+    assert shown("small") == "predicted"
+    gate.asked.clear()
+
+    # Of what was seen, Y accepts it as it is; another one's X is told to whoever waits.
+    mine.clear()
+    decide("accept", looked=True)
+    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "rob", lambda *n: None)
+    wait(lambda: mine, "it is told")
+    assert mine == ["small was rejected meanwhile by rob"] and shown("small") == "rejected"
+    assert others == []
+    desk.do(cmd.Undo(), "rob")
+    desk.do(cmd.Undo(), "ann")
+    wait(lambda: "accept" not in desk.jobs, "nothing goes on")
+    gate.asked.clear()
+
+    # Twins are two objects.
+    first = desk.work("first")
+    mine.clear()
+    decide("accept", first, looked=True)
+    gate.answer("look")
+    wait(lambda: mine, "it is told", 60)
+    assert mine == ["2 objects"] and shown("twin") == "accepted"
+    assert first is not None and first.document.saved is not None
+    told = json.loads((Path(first.document.saved.folder) / "provenance.json").read_text())
+    assert (told["gate"]["verdict"], told["gate"]["looked_at"]) == ("look", True)
+    desk.do(cmd.Undo(), "ann")
+    assert statuses(desk)["first"] == "predicted"
+    assert decided_text(desk.rows()) == "0 of 3 decided"
+    stop()
+
+
+def test_the_end_of_the_review_is_told() -> None:
+    def rows(*states: Any) -> list[Row]:
+        return [Row(str(k), s, 0.9, k) for k, s in enumerate(states)]
+
+    left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
+    assert order(left) == ["0", "1", "2"]
+    assert count_text(left, 1, 0.8) == (
+        "**1** of 1 predicted objects: at least 80 % sure. 2 want clicks: Enter."
+    )
+    held = [replace(left[0], mark="held"), replace(left[0], id="9", mark="judging")]
+    assert order(held) == ["0"]
+    assert count_text(held, 0, 0.8) == (
+        "1 is being judged. 1 held back by the gate: Enter shows where."
+    )
+    decided = rows("rejected", "accepted", "accepted")
+    assert order(decided) == []
+    assert count_text(decided, 0, 0.8) == "3 of 3 decided; 1 rejected."
 
 
 def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> None:

@@ -165,7 +165,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     wait_until(lambda: tab.app.motion.q == dict(report.joints[0].worst.q), "the worst pose")
     tab.wait_node("/moment")
     assert tab.app.stage == "Review" and obj.document.review.state == "predicted"
-    joint_button(tab, "as it is").wait_for()
+    joint_button(tab, "Accept as it is").wait_for()
     wait_until(lambda: tab.app.seen.long_enough(time.monotonic()), "it was seen")
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     tab.key("y")

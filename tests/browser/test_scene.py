@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,7 @@ def test_open_choose_work_in_place_accept_and_save(
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
     wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choose(
         "cabinet 1"), "the cabinet is chosen")  # fmt: skip
+    wait_until(lambda: tab.app.seen.long_enough(time.monotonic()), "it was seen")
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
     tab.button("Save the scene").click()
