@@ -195,8 +195,15 @@ class Commands:
         if tree is not None and link in tree.joint_of:
             app.choose_joint(link)
 
+    def play_all(self) -> None:
+        """Start or stop moving all the joints, of a scene those of all its objects."""
+        if self._app.overview is not None:
+            self._app.overview.play_all()
+        else:
+            self._app.motion.play()
+
     def play(self) -> None:
-        """Start or stop moving all the joints."""
+        """Start or stop moving all the joints of the object."""
         if self._app.overview is not None:
             self._app.overview.play()
         else:

@@ -141,7 +141,7 @@ class InScene:
         self.selected = id
         self.desk.prefer(id)
         if look and id is not None and self.inside is None:
-            self.picture.frame([id])
+            self.picture.frame([id], front=True)
         self._app.invalidate()
 
     def step(self, by: int) -> None:
@@ -333,10 +333,24 @@ class InScene:
     # --- motion and files
 
     def play(self) -> None:
+        """Start or stop moving the joints of the chosen object; of all where none is chosen."""
+        work = None if self.selected is None else self.desk.work(self.selected)
+        self._play(None if work is None or work.document.tree is None else work)
+
+    def play_all(self) -> None:
         """Start or stop moving all joints of the scene."""
+        self._play(None)
+
+    def play_joint(self, name: str) -> None:
+        """Move one joint of the chosen object, whatever moved before."""
+        self.motion.stop()
+        self._play(self.need_work(), name)
+
+    def _play(self, work: Work | None, joint: str | None = None) -> None:
+        works = [w for w in self.desk.wanted() if w.drawn is not None and work in (None, w)]
         if self.motion.playing:
             self.motion.stop()
-        elif not self.motion.play([w for w in self.desk.wanted() if w.drawn is not None]):
+        elif not self.motion.play(works, joint):
             self._app.notify("No joints yet", "They move once objects are predicted", "gray")
         self._app.invalidate()
 

@@ -22,6 +22,17 @@ def part_title(doc: Document, link: str) -> str:
     return BASE if doc.tree is not None and link == doc.tree.root else link
 
 
+def moved_part(tree: KinematicTree, link: str) -> str:
+    """The link that holds the part which the joint of ``link`` moves: a helper holds none, and
+    passes its motion on."""
+    while not link.startswith("link_"):
+        below = [j.child for j in tree.joints if j.parent == link]
+        if len(below) != 1:
+            break
+        (link,) = below
+    return link
+
+
 def titled(doc: Document, link: str) -> str:
     """The link with what people call it."""
     title = part_title(doc, link)

@@ -26,7 +26,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("H, Delete", "hide or show, delete the part"),
     ("Esc", "back to plain clicks; close this"),
     ("P", "predict joints"),
-    ("Space", "play or stop all joints"),
+    ("Space, Shift+Space", "play or stop; the whole scene"),
     ("R, C", "reset the pose, frame the object"),
     ("T, F", "next joint type, flip the axis"),
     ("G", "axis handles on or off"),
@@ -78,7 +78,8 @@ def add_keys(app: ClientApp) -> None:
     add("Undo", "Z", app.commands.undo, "cmd/ctrl")
     add("Redo", "Z", app.commands.redo, "cmd/ctrl+shift")
     add("Predict joints", "P", app.commands.predict)
-    add("Play all joints", "space", app.commands.play)
+    add("Play the joints", "space", app.commands.play)
+    add("Play all joints of the scene", "space", app.commands.play_all, "shift")
     add("Reset the pose", "R", app.motion.reset)
     add("Next joint or mask", "tab", app.commands.next_choice)
     add("Mask before this one", "tab", app.commands.choice_before, "shift")

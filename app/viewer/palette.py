@@ -132,11 +132,16 @@ SCENE_COLORS: Final[dict[str, Rgb]] = {
     "missing": (90, 96, 104),
 }
 """Objects of a scene by where they stand; what is to do must not look like what stands still."""
-SCENE_ALBEDO: Final[dict[str, Rgb]] = {
-    state: (int(255 * (r / 255) ** 1.9), int(255 * (g / 255) ** 1.9), int(255 * (b / 255) ** 1.9))
-    for state, (r, g, b) in SCENE_COLORS.items()
-}
-"""The same for surfaces: under the lights of the picture they come out as the legend has them."""
+
+
+def albedo(color: Rgb) -> Rgb:
+    """For surfaces: under the lights of the picture they come out in that colour."""
+    r, g, b = (int(255 * (c / 255) ** 1.9) for c in color)
+    return r, g, b
+
+
+SCENE_ALBEDO: Final[dict[str, Rgb]] = {s: albedo(color) for s, color in SCENE_COLORS.items()}
+"""The same for surfaces."""
 SCENE_GHOST: Final[Rgb] = (120, 130, 145)
 SCENE_WORDS: Final[dict[str, str]] = {
     "predicted": "predicted",

@@ -14,7 +14,7 @@ import viser
 from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
-from app.viewer.joint_text import part_title, range_text, sure_text
+from app.viewer.joint_text import moved_part, part_title, range_text, sure_text
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -177,9 +177,10 @@ def summary(doc: Document) -> str:
     rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
     for joint in doc.tree.joints:
         edited = " ✎" if joint.child in doc.edited_joints else ""
+        part = moved_part(doc.tree, joint.child)
         rows.append(
-            f"| {plain(part_title(doc, joint.child), 40)}{edited} | {joint.type} "
-            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
+            f"| {plain(part_title(doc, part), 40)}{edited} | {joint.type} "
+            f"| {range_text(joint)} | {sure_text(doc, joint.child) or sure_text(doc, part)} |"
         )
     lines.append("\n".join(rows))
     problems = [] if doc.prediction is None else [plain(p, 300) for p in doc.prediction.problems]

@@ -12,11 +12,10 @@ from app.scene_accepting import Refusal
 from app.scene_desk import SceneDesk
 from app.scene_rows import Row, Work, decided_text
 from app.viewer import palette
-from app.viewer.joint_text import part_title, range_text, sure_text
+from app.viewer.joint_rows import JointRows
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from sessions.document import Document
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -45,7 +44,7 @@ class SceneCard:
         self._pause = gui.add_button("Stop predicting", icon=viser.Icon.PLAYER_PAUSE,
                                      color="gray", visible=False)  # fmt: skip
         self._history = gui.add_button_group("Scene history", ("Undo", "Redo"))
-        self._play = gui.add_button("Play all joints (Space)", icon=viser.Icon.PLAYER_PLAY)
+        self._play = gui.add_button("Play all joints (Shift+Space)", icon=viser.Icon.PLAYER_PLAY)
         with gui.add_folder("Chosen object"):
             self._about = gui.add_markdown("")
             self._kind = gui.add_button_group("It is", ("Articulable", "Static"), visible=False)
@@ -56,7 +55,7 @@ class SceneCard:
                                           visible=False)  # fmt: skip
             self._reject = RejectButtons(app)
             self._step = gui.add_button_group("To decide", ("Previous (B)", "Next (N)"))
-            self._joints = gui.add_markdown("", visible=False)
+            self._joints = JointRows(app)
         with gui.add_folder("Accept the sure ones"):
             self._above = gui.add_slider("Above [%]", 0, 100, 1, 80)
             self._count = gui.add_markdown("")
@@ -79,7 +78,7 @@ class SceneCard:
         self._history.on_click(
             lambda e: app.act(app.commands.undo if e.target.value == "Undo" else app.commands.redo)
         )
-        self._play.on_click(lambda _: app.act(scene.play))
+        self._play.on_click(lambda _: app.act(scene.play_all))
         self._kind.on_click(lambda e: app.act(lambda: scene.say(e.target.value)))
         self._work.on_click(lambda _: app.act(scene.enter))
         self._pick.on_click(lambda _: app.act(scene.pick))
@@ -102,7 +101,7 @@ class SceneCard:
         desk, scene = self._desk, self._app.in_scene
         self._draw_status()
         moving = scene.motion.playing
-        put(self._play, "label", "Stop (Space)" if moving else "Play all joints (Space)")
+        put(self._play, "label", "Stop (Space)" if moving else "Play all joints (Shift+Space)")
         put(self._play, "icon", viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
         self._draw_chosen(scene.selected)
         ready = scene.sure(self.above)
@@ -146,9 +145,7 @@ class SceneCard:
         work = None if id is None else desk.work(id)
         row = None if item is None else desk.row(item)
         put(self._about, "content", self._text(id))
-        joints = "" if work is None else _joint_table(work.document)
-        put(self._joints, "visible", bool(joints))
-        put(self._joints, "content", joints)
+        self._joints.draw(work)
         can_work = item is not None and item.path is not None and row is not None
         can_work = can_work and row is not None and row.status not in ("failed", "missing")
         put(self._kind, "visible", can_work)
@@ -215,20 +212,6 @@ def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) 
         reason = f": {plain(review.reason.replace('_', ' '))}" if review.reason else ""
         out.append(f"{palette.STATE_WORDS[review.state]} by {plain(review.by)}{reason}")
     return out
-
-
-def _joint_table(doc: Document) -> str:
-    """Every moving joint, empty where there is no tree."""
-    if doc.tree is None:
-        return ""
-    rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
-    for joint in (j for j in doc.tree.joints if j.moves):
-        edited = " ✎" if joint.child in doc.edited_joints else ""
-        rows.append(
-            f"| {plain(part_title(doc, joint.child), 30)}{edited} | {joint.type} "
-            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
-        )
-    return "\n".join(rows)
 
 
 def _number(count: int) -> str:

@@ -1,4 +1,4 @@
-"""All joints of a scene at once."""
+"""Joints of a scene that move: one, those of an object, or all at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Poses = Mapping[int, Mapping[str, npt.NDArray[np.float64]]]
 
 
 class SceneMotion:
-    """Swings every joint over its range until stopped; then everything rests.
+    """Swings joints over their range until stopped; then everything rests.
 
     Args:
         show: gets session id → link → posed_from_rest at every step.
@@ -35,9 +35,9 @@ class SceneMotion:
         """Whether the joints move now."""
         return self._thread is not None and self._thread.is_alive()
 
-    def play(self, works: list[Work]) -> int:
-        """Start; returns how many joints move."""
-        cycle, count = _cycle(works)
+    def play(self, works: list[Work], joint: str | None = None) -> int:
+        """Start, with all joints or the one of that name; returns how many move."""
+        cycle, count = _cycle(works, joint)
         if count:
             self._stop.clear()
             self._thread = threading.Thread(target=self._run, args=(cycle,), daemon=True)
@@ -63,15 +63,19 @@ class SceneMotion:
                 return
 
 
-def _cycle(works: list[Work]) -> tuple[list[Poses], int]:
+def _cycle(works: list[Work], joint: str | None = None) -> tuple[list[Poses], int]:
     cycle: list[dict[int, dict[str, npt.NDArray[np.float64]]]] = [{} for _ in range(STEPS)]
     count = 0
     for work in works:
         tree = work.document.tree
-        joints = [] if tree is None else [j for j in tree.joints if j.moves and j.mimic is None]
+        joints = (
+            []
+            if tree is None
+            else [j for j in tree.joints if j.moves and j.mimic is None and joint in (None, j.name)]
+        )
         if tree is None or not joints:
             continue
-        count += sum(j.moves for j in tree.joints)
+        count += len(joints) if joint else sum(j.moves for j in tree.joints)
         begin = {j.name: phase_at(j, 0.0) for j in joints}
         moving = frozenset().union(*(tree.descendants(j.child) for j in joints))
         for k in range(STEPS):

@@ -49,11 +49,20 @@ class Look:
         status: object → where it stands.
         own: everything as the source has it; else the static objects alone.
         ghosted: the object that is worked on among ghosts, or None.
+        chosen: the object whose parts have colours of their own, or None.
     """
 
     status: Mapping[str, str]
     own: bool
     ghosted: str | None
+    chosen: str | None = None
+
+    def part(self, id: str, link: str) -> palette.Rgb | None:
+        """The colour of the chosen object's part; None of everything else."""
+        number = link.removeprefix("link_")
+        if id != self.chosen or self.ghosted is not None or not number.isdigit():
+            return None
+        return palette.part_color(int(number))
 
 
 class Node:
@@ -189,6 +198,7 @@ class Instances(Node):
         self._client, self._name = client, name
         self._own: Any = None
         self._flat: Any = None
+        self._painted: Any = None
         self._hidden: str | None = None
 
     @property
@@ -208,15 +218,20 @@ class Instances(Node):
             if handle is not None:
                 handle.visible = wanted
         if not own:
-            tones = [palette.SCENE_GHOST if ghost else palette.SCENE_ALBEDO[look.status[i]]
-                     for i in self.ids]  # fmt: skip
-            self._flat.batched_colors = np.array(tones, np.uint8)
-            self._flat.opacity = GHOST_OPACITY if ghost else None
+            tones = [palette.SCENE_GHOST if ghost else self._tone(look, i) for i in self.ids]
+            if (tones, ghost) != self._painted:
+                self._painted = tones, ghost
+                self._flat.batched_colors = np.array(tones, np.uint8)
+                self._flat.opacity = GHOST_OPACITY if ghost else None
         if look.ghosted != self._hidden:
             self._hidden = look.ghosted
             scales = self._scales()
             for handle in self.handles:
                 handle.batched_scales = scales
+
+    def _tone(self, look: Look, id: str) -> palette.Rgb:
+        part = look.part(id, self.link)
+        return palette.SCENE_ALBEDO[look.status[id]] if part is None else palette.albedo(part)
 
     def _send_own(self) -> Any:
         return self._client.scene.add_batched_glb(
@@ -258,7 +273,7 @@ class Scans(Node):
     ) -> None:  # fmt: skip
         super().__init__(ids, shape, stands, work, link)
         self._colors = _colors(shape, len(shape.vertices))
-        self._painted: list[str] = ["own"] * len(stands)
+        self._painted: list[Any] = ["own"] * len(stands)
         self._sizes: list[float] = []
         self._handles: list[Any] = []
         for k, stand in enumerate(stands):
@@ -280,7 +295,8 @@ class Scans(Node):
         """See :class:`Node`."""
         for k, (id, handle) in enumerate(zip(self.ids, self._handles, strict=True)):
             status = look.status[id]
-            wanted = "own" if look.own or status == "static" else status
+            part = look.part(id, self.link)
+            wanted = "own" if look.own or status == "static" else part or status
             if look.ghosted is not None:
                 wanted = "ghost"
             handle.visible = id != look.ghosted
@@ -290,12 +306,13 @@ class Scans(Node):
             handle.colors = self._toned(wanted)
             handle.point_size = self._sizes[k] * (GHOST_POINT if wanted == "ghost" else 1.0)
 
-    def _toned(self, wanted: str) -> npt.NDArray[np.uint8]:
+    def _toned(self, wanted: Any) -> npt.NDArray[np.uint8]:
         if wanted == "ghost":
             return np.asarray(palette.SCENE_GHOST, np.uint8)
         if wanted == "own":
             return self._colors
-        tone = np.asarray(palette.SCENE_COLORS[wanted], np.float64)
+        color = palette.SCENE_COLORS[wanted] if isinstance(wanted, str) else wanted
+        tone = np.asarray(color, np.float64)
         return (TINT * tone + (1 - TINT) * self._colors).astype(np.uint8)
 
     def _place(self) -> None:

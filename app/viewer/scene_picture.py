@@ -16,6 +16,7 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
+from app.display_tasks import front_direction
 from app.scene_desk import SceneDesk
 from app.scene_rows import Row
 from app.scene_shapes import Shape
@@ -32,7 +33,7 @@ from app.viewer.scene_nodes import (
     wxyz_of,
 )
 from app.viewer.scene_rays import meets_boxes
-from app.viewer.stage import SCENE_ROOT, aim, fitting_distance, set_stage
+from app.viewer.stage import SCENE_ROOT, aim, fitting_distance, seen_from, set_stage
 
 ROOT = SCENE_ROOT
 Array = npt.NDArray[np.float64]
@@ -44,6 +45,10 @@ _BOX = Shape(
               [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
 )  # fmt: skip
 _EDGES = np.array([[a, a | bit] for bit in (1, 2, 4) for a in range(8) if not a & bit])
+
+
+def _unit(vector: Array) -> Array:
+    return vector / max(float(np.linalg.norm(vector)), 1e-9)
 
 
 class ScenePicture:
@@ -68,6 +73,7 @@ class ScenePicture:
         self._outlined: Any = None
         self._looks: Look | None = None
         self._merged: dict[str, Path | None] = {}
+        self._front: tuple[Any, Array] | None = None
         self.own = False
         self.ghosted: str | None = None
         self.camera: tuple[Any, ...] | None = None
@@ -116,7 +122,7 @@ class ScenePicture:
         with self._lock, self._client.atomic():
             self._draw_static({i for i, s in status.items() if s == "static"})
             self._draw_instances(self._wanted(status))
-            self._draw_looks(status)
+            self._draw_looks(status, selected)
             self._draw_outline(selected)
         self._draw_floor()
 
@@ -200,9 +206,10 @@ class ScenePicture:
         name = f"{ROOT}/{key[0]}/{self._chunks}"
         self._nodes[key] = send(self._client, name, tuple(ids), shape, stands, work, link)
 
-    def _draw_looks(self, status: Mapping[str, str]) -> None:
-        """Colours by state, or as the source has them; all ghosts while one is worked on."""
-        look = Look(status, self.own, self.ghosted)
+    def _draw_looks(self, status: Mapping[str, str], selected: str | None) -> None:
+        """Colours by state, of the chosen object by part, or as the source has them; all ghosts
+        while one is worked on."""
+        look = Look(status, self.own, self.ghosted, selected)
         if look == self._looks:
             return
         self._looks = look
@@ -300,8 +307,12 @@ class ScenePicture:
 
     # --- camera
 
-    def frame(self, ids: Sequence[str] | None = None) -> None:
-        """Aim at objects from where the camera looks now, or at the whole scene from above."""
+    def frame(self, ids: Sequence[str] | None = None, *, front: bool = False) -> None:
+        """Aim at objects from where the camera looks now, or at the whole scene from above.
+
+        Args:
+            front: look at the first of them from its front, past what stands before it.
+        """
         bounds = self.bounds(ids)
         if bounds is None:
             return
@@ -314,11 +325,38 @@ class ScenePicture:
             direction[2] = max(direction[2], 0.35 * float(np.linalg.norm(direction[:2])))
         direction /= max(float(np.linalg.norm(direction)), 1e-9)
         close = fitting_distance(camera, size)
+        if front and ids:
+            direction = self._from_front(ids[0], center, 1.9 * close, direction)
         whole = self.bounds()
         alone = whole is None or size > 0.6 * float(np.linalg.norm(np.ptp(whole, axis=0)))
         distance = close * (0.82 if ids is None or alone else 1.9)
         self._aim(center + distance * direction, center)
         self.camera = (center + distance * direction, center)
+
+    def _from_front(self, id: str, center: Array, distance: float, otherwise: Array) -> Array:
+        """(3,) unit direction from an object to an eye that sees its front, from the side and from
+        as far above as what stands before it demands; ``otherwise`` where it isn't drawn."""
+        found = self.stand(self._desk.items[id])
+        if found is None:
+            return otherwise
+        shape, stand = found
+        key = id, shape.bounds.tobytes()
+        if self._front is None or self._front[0] != key:
+            at = shape.vertices if shape.faces is None else shape.vertices[shape.faces].mean(1)
+            self._front = key, np.asarray(front_direction(at))
+        facing = stand.world[:3, :3] @ self._front[1]
+        best, most = otherwise, -1
+        places = center + 0.6 * (corners_of(shape, stand) - center)
+        places = np.vstack([center, places[(places - center) @ facing > 0]])
+        for above, aside in ((0.45, 0.5), (0.45, -0.5), (0.9, 0.5), (0.9, -0.5), (2.0, 0.3)):
+            direction = seen_from(facing, aside, above)
+            eye = center + distance * direction
+            seen = sum(self.pick(eye, _unit(p - eye)) == id for p in places)
+            if seen > most:
+                best, most = direction, seen
+            if seen == len(places):
+                break
+        return best
 
     def _aim(self, position: Array, look_at: Array) -> None:
         aim(self._client, position, look_at, least_near=1e-3, least_far=100.0)

@@ -18,7 +18,7 @@ from app.viewer import palette
 from app.viewer.joint_marks import JointMarks
 from app.viewer.moving_parts import MovingParts
 from app.viewer.overlays import Overlays
-from app.viewer.stage import LIGHT_ROOT, SCENE_ROOT, aim, fitting_distance, set_stage
+from app.viewer.stage import LIGHT_ROOT, SCENE_ROOT, aim, fitting_distance, seen_from, set_stage
 from app.viewer.tints import Tints
 from model.geometry.display import spacing
 from model.segmentation.prompts import Click
@@ -116,10 +116,7 @@ class SceneView:
         asset, camera = self._asset, self._client.camera
         low, high = asset.bounds
         center = (low + high) / 2
-        front = np.asarray(asset.front)
-        side = np.cross(front, (0.0, 0.0, 1.0))
-        direction = front + 0.5 * side + np.array([0.0, 0.0, 0.45])
-        direction /= np.linalg.norm(direction)
+        direction = seen_from(asset.front)
         distance = 1.08 * fitting_distance(camera, asset.diagonal)
         aim(self._client, center + distance * direction, center, least_near=1e-4)
 

@@ -28,6 +28,14 @@ def _backdrop() -> npt.NDArray[np.uint8]:
     return np.repeat(top + t * (bottom - top), 4, axis=1).astype(np.uint8)
 
 
+def seen_from(front: npt.ArrayLike, aside: float = 0.5, above: float = 0.45) -> Any:
+    """(3,) unit direction from an object to where it is looked at: from its front, a bit from the
+    side and from above, each in parts of the front's."""
+    ahead = np.asarray(front, np.float64)
+    direction = ahead + aside * np.cross(ahead, (0.0, 0.0, 1.0)) + np.array([0.0, 0.0, above])
+    return direction / np.linalg.norm(direction)
+
+
 def fitting_distance(camera: viser.CameraHandle, size: float) -> float:
     """Metres from which a ball of that diameter fills the picture."""
     aspect = max(min(camera.aspect or 1.5, 2.5), 0.4)

@@ -20,13 +20,18 @@ from app.job import Job
 from app.scene_desk import SceneDesk
 from app.scene_rows import Row, decided_text
 from app.serve_command import make_config
+from app.viewer.joint_rows import joint_lines
 from app.viewer.scene_card import count_text
 from app.viewer.scene_list import order
 from app.workbench import Workbench
 from model.errors import CommandError
 from model.gate.report import Finding, GateReport, JointVerdict
 from model.geometry.readers import read_asset
+from model.kinematics.articulated_object import Prediction
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
 from sessions import commands as cmd
+from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
 from sessions.store import Store
 from tests.model.scenes.chat_server import chat_server
@@ -303,6 +308,22 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     assert statuses(desk)["first"] == "predicted"
     assert decided_text(desk.rows()) == "0 of 3 decided"
     stop()
+
+
+def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
+    lift = Joint(
+        "lift", "prismatic", "link_0", "helper_1", (0, 0, 1), (0, 0, 0), lower=0, upper=0.08
+    )
+    turn = Joint("turn", "continuous", "helper_1", "link_1", (0, 0, 1), (0, 0, 0))
+    tree = KinematicTree(("link_0", "helper_1", "link_1"), (lift, turn))
+    doc = Document(
+        parts=(PartInfo(0), PartInfo(1, "seat")), tree=tree,
+        prediction=Prediction(tree, confidence={"link_1": 0.9}),
+    )  # fmt: skip
+    assert [(name, line) for name, line, _ in joint_lines(doc)] == [
+        ("lift", "seat 1 · prismatic · 0 to 80 mm · 90 %"),
+        ("turn", "seat 1 · continuous · turns freely · 90 %"),
+    ]
 
 
 def test_the_end_of_the_review_is_told() -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from browsing import Tab, wait_until
 
+from app.viewer import palette
+from app.viewer.joint_rows import joint_lines
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
@@ -49,6 +51,30 @@ class SceneTab(Tab):
         return self.desk.status(self.desk.items[id])
 
 
+def check_picture_of_the_chosen(tab: SceneTab) -> None:
+    """It is seen from its front, at -y, and its parts look in the picture as in the table."""
+    eye = tab.camera_at_rest()
+    center = tab.scene.picture.bounds(["cabinet 1"]).mean(0)
+    pose = tab.desk.world_from_copy(tab.desk.items["cabinet 1"])
+    assert ((eye - center) @ pose[:3, :3])[1] < -0.5
+    links = {k[3]: n for k, n in tab.scene.picture._nodes.items() if k[0] == "part"}
+    lines = joint_lines(tab.desk.work("cabinet 1").document)
+    assert len(lines) == 2
+    for part in (1, 2):
+        color = palette.part_color(part)
+        assert links[f"link_{part}"]._painted[0] == [palette.albedo(color)]
+        assert color in [c for _, _, c in lines]
+
+
+def play_by_keys(tab: SceneTab) -> None:
+    tab.page.locator("canvas").first.focus()
+    for key in ("Space", "Shift+Space"):
+        tab.key(key)
+        wait_until(lambda: tab.scene.motion.playing, "it plays")
+        tab.key(key)
+        wait_until(lambda: not tab.scene.motion.playing, "and stops")
+
+
 def test_open_choose_work_in_place_accept_and_save(
     start: Any, open_tab: Any, tmp_path: Path
 ) -> None:
@@ -78,6 +104,7 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.page.locator("canvas").first.focus()
     tab.key("n")
     wait_until(lambda: tab.scene.selected == "cabinet 1", "N goes to the cabinet")
+    check_picture_of_the_chosen(tab)
     tab.key("Enter")
     wait_until(lambda: tab.app.object is not None and tab.app.drawn, "the cabinet is open")
     tab.wait_node("/scan")
@@ -99,8 +126,9 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.button("Back to the scene (Backspace)").click()
     wait_until(lambda: tab.app.object is None and tab.scene.inside is None, "back in the scene")
 
+    play_by_keys(tab)
     # All joints at once, then a decision from the scene.
-    tab.button("Play all joints (Space)").click()
+    tab.button("Play all joints (Shift+Space)").click()
     nodes = tab.scene.picture._nodes
     wait_until(
         lambda: any(n.now != n.rest for n in nodes.values() if n.work is not None), "parts move"

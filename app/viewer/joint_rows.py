@@ -1,0 +1,66 @@
+"""The joints of a scene's chosen object: each in the colour that its part has in the picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from app.scene_rows import Work
+from app.viewer import palette
+from app.viewer.joint_text import moved_part, part_title, range_text, sure_text
+from app.viewer.text import plain
+from app.viewer.widgets import put
+from sessions.document import Document
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+SHOWN = 12
+"""Joints with buttons; the others are counted."""
+
+
+class JointRows:
+    """A button for each moving joint; a click plays it alone."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._key: Any = None
+        self._rows: list[Any] = []
+        self._folder = app.client.gui.add_folder("Joints", visible=False)
+
+    def draw(self, work: Work | None) -> None:
+        """Bring the rows up to date; nothing is sent where nothing changed."""
+        doc = None if work is None else work.document
+        key = None if doc is None or work is None else (
+            work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))  # fmt: skip
+        if key == self._key:
+            return
+        self._key = key
+        for row in self._rows:
+            row.remove()
+        self._rows = []
+        lines = [] if doc is None else joint_lines(doc)
+        put(self._folder, "visible", bool(lines))
+        gui, app = self._app.client.gui, self._app
+        with self._folder:
+            for name, line, color in lines[:SHOWN]:
+                button = gui.add_button(line, color=color, hint=f"{plain(name, 60)}: play it")
+                button.on_click(lambda _, name=name: app.act(lambda: app.in_scene.play_joint(name)))
+                self._rows.append(button)
+            if len(lines) > SHOWN:
+                self._rows.append(gui.add_markdown(f"… and {len(lines) - SHOWN} more."))
+
+
+def joint_lines(doc: Document) -> list[tuple[str, str, palette.Rgb]]:
+    """Name, words and colour of every joint that moves; a part may have several."""
+    out: list[tuple[str, str, palette.Rgb]] = []
+    if doc.tree is None:
+        return out
+    for joint in (j for j in doc.tree.joints if j.moves):
+        part = moved_part(doc.tree, joint.child)
+        sure = sure_text(doc, joint.child) or sure_text(doc, part)
+        edited = " ✎" if joint.child in doc.edited_joints else ""
+        words = [part_title(doc, part)[:30] + edited, joint.type, range_text(joint), sure]
+        number = part.removeprefix("link_")
+        color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
+        out.append((joint.name, " · ".join(w for w in words if w), color))
+    return out
