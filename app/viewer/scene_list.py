@@ -58,7 +58,7 @@ class SceneList:
             )
             self._search = gui.add_text("Find", "", hint="Part of an object's id or description")
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
-            self._pages = gui.add_button_group("Page", ("◀", "▶"))
+            self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
             self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
         panel.dock_left()
         panel.set_width(250)
@@ -67,7 +67,7 @@ class SceneList:
         self._own.on_update(lambda _: app.act(self._recolor))
         self._filter.on_update(lambda _: self._turn(None))
         self._search.on_update(lambda _: self._turn(None))
-        self._pages.on_click(lambda e: self._turn(-1 if e.target.value == "◀" else 1))
+        self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
         app.on_update(self._name, self._renamed)
 
     def show_user(self, who: str) -> None:
@@ -115,6 +115,7 @@ class SceneList:
         put(self._legend, "content", legend(counts, own))
         self._ids = [r.id for r in page]
         put(self._pages, "visible", len(chosen) > PAGE)
+        put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
         for k, button in enumerate(self._buttons):
             put(button, "visible", k < len(page))
             if k < len(page):
@@ -133,6 +134,11 @@ class SceneList:
         color = palette.SCENE_COLORS[row.shown]
         put(button, "color", color if here else _deep(color))
         put(button, "hint", f"{plain(row.id)}: {palette.SCENE_WORDS[row.shown]}")
+
+
+def page_buttons(page: int, count: int) -> tuple[str, str, str]:
+    """Where the list is, and the arrows that lead on from there; ``page`` counts from 0."""
+    return ("◀" if page > 0 else "·", f"{page + 1} of {count}", "▶" if page + 1 < count else "· ")
 
 
 def legend(counts: Counter[Any], own: bool) -> str:

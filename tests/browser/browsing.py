@@ -127,6 +127,10 @@ class Tab:
         """Press a key with the canvas in focus."""
         self.page.keyboard.press(name)
 
+    def seen(self) -> None:
+        """Wait until what is shown was there for long enough to be decided on."""
+        wait_until(lambda: self.app.seen.long_enough(time.monotonic()), "it was seen")
+
     def row(self, label: str) -> Any:
         """The row of a labelled widget."""
         return self.page.locator(

@@ -198,7 +198,13 @@ class RoomTab(SceneTab):
             self.clicks += 1
             wait_until(lambda seen=report: obj.judging.report is not seen, "the gate asks again")
         assert report.verdict != "broken"
-        self.page.get_by_role("button", name="ccept").locator("visible=true").first.click()
+        accept = self.page.get_by_role("button", name="ccept").locator("visible=true").first
+        accept.click()
+        if report.verdict == "look":  # it is shown first
+            self.clicks += 1
+            wait_until(lambda: self.app.review_panel.gate.looked_at(obj), "it was shown")
+            self.seen()
+            accept.click()
         self.clicks += 4
         wait_until(lambda: obj.document.review.state == "accepted", "accepted", SLOW)
         wait_until(lambda: self.scene.inside is None or self.app.object is not obj, "it goes on")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +65,12 @@ def check_picture_of_the_chosen(tab: SceneTab) -> None:
         assert color in [c for _, _, c in lines]
 
 
+def load_again(tab: SceneTab) -> None:
+    before = tab.app
+    tab.page.reload()
+    wait_until(lambda: tab.server.apps and tab.app is not before, "the page is loaded again")
+
+
 def play_by_keys(tab: SceneTab) -> None:
     tab.page.locator("canvas").first.focus()
     for key in ("Space", "Shift+Space"):
@@ -116,9 +121,7 @@ def test_open_choose_work_in_place_accept_and_save(
         lambda: around.ghost is not None and around.ghost.visible, "its surroundings: ghosts"
     )
     assert tab.app.stage == "Joints"
-    before = tab.app
-    tab.page.reload()
-    wait_until(lambda: tab.server.apps and tab.app is not before, "the page is loaded again")
+    load_again(tab)
     wait_until(
         lambda: tab.scene.inside == "cabinet 1" and tab.app.drawn, "a reload comes back to it"
     )
@@ -137,7 +140,7 @@ def test_open_choose_work_in_place_accept_and_save(
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
     wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choose(
         "cabinet 1"), "the cabinet is chosen")  # fmt: skip
-    wait_until(lambda: tab.app.seen.long_enough(time.monotonic()), "it was seen")
+    tab.seen()
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
     tab.button("Save the scene").click()
