@@ -127,7 +127,7 @@ class Tab:
         """Press a key with the canvas in focus."""
         self.page.keyboard.press(name)
 
-    def seen(self) -> None:
+    def wait_seen(self) -> None:
         """Wait until what is shown was there for long enough to be decided on."""
         wait_until(lambda: self.app.seen.long_enough(time.monotonic()), "it was seen")
 

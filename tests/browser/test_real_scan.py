@@ -53,12 +53,12 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
             tab.app.act(lambda: tab.app.joints_panel.editor.set_type("revolute"))
     wait_until(lambda: {j.type for j in tab.document.tree.joints} == {"revolute"}, "both swing")
     wait_until(lambda: not tab.app.object.busy, "sweeps are done")
-    tab.seen()
+    tab.wait_seen()
     tab.key("y")
     if wait_until(lambda: tab.app.object.judging.report, "a verdict").verdict == "look":
         obj = tab.app.object  # it is shown first
         wait_until(lambda: tab.app.review_panel.gate.looked_at(obj), "it was shown")
-        tab.seen()
+        tab.wait_seen()
         tab.key("y")
     wait_until(lambda: tab.document.review.state == "accepted", "accepted")
     folder = Path(wait_until(lambda: tab.document.saved, "saved").folder)

@@ -159,14 +159,14 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     report = wait_until(lambda: obj.judging.report, "a verdict")
     assert report.verdict == "look" and obj.document.tree == tree
     tab.page.evaluate("document.activeElement?.blur()")
-    tab.seen()
+    tab.wait_seen()
     tab.key("y")
     tab.key("y")  # a double press shows it, no more
     wait_until(lambda: tab.app.motion.q == dict(report.joints[0].worst.q), "the worst pose")
     tab.wait_node("/moment")
     assert tab.app.stage == "Review" and obj.document.review.state == "predicted"
     joint_button(tab, "Accept as it is").wait_for()
-    tab.seen()
+    tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     tab.key("y")
     wait_until(lambda: tab.app.object is other, "the next object")
@@ -231,7 +231,7 @@ def test_the_least_sure_prediction_follows_a_decision(
 
     monkeypatch.setattr(tab.app, "do", slowly)
     tab.page.evaluate("document.activeElement?.blur()")
-    tab.seen()
+    tab.wait_seen()
     tab.key("x")
     wait_until(lambda: tab.app.rejecting.asking, "it asks what is wrong")
     assert objects[0].document.review.state == "predicted"

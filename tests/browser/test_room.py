@@ -203,7 +203,7 @@ class RoomTab(SceneTab):
         if report.verdict == "look":  # it is shown first
             self.clicks += 1
             wait_until(lambda: self.app.review_panel.gate.looked_at(obj), "it was shown")
-            self.seen()
+            self.wait_seen()
             accept.click()
         self.clicks += 4
         wait_until(lambda: obj.document.review.state == "accepted", "accepted", SLOW)

@@ -140,7 +140,7 @@ def test_open_choose_work_in_place_accept_and_save(
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
     wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choose(
         "cabinet 1"), "the cabinet is chosen")  # fmt: skip
-    tab.seen()
+    tab.wait_seen()
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
     tab.button("Save the scene").click()
