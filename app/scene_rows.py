@@ -87,7 +87,7 @@ def drawn_by(work: Work) -> str | None:
 
 def decided_text(rows: Sequence[Row]) -> str:
     """How many of the objects that can be articulated are decided."""
-    rows = [r for r in rows if r.work is not None]
+    rows = [r for r in rows if r.work is not None and r.status not in ("failed", "missing")]
     rejected = sum(r.status == "rejected" for r in rows)
     decided = sum(r.status == "accepted" for r in rows) + rejected
     return f"{decided} of {len(rows)} decided" + (f"; {rejected} rejected" if rejected else "")

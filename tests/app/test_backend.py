@@ -73,7 +73,7 @@ def running(folder: Path, *words: object) -> Iterator[tuple[subprocess.Popen[str
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
-        found = re.search(r"is ready: (http://127\.0\.0\.1:\d+) \(predictor moody\)", line)
+        found = re.search(r"is ready: (http://localhost:\d+) \(predictor moody\)", line)
         assert found, line + process.stdout.read()
         # What it prints later must not fill the pipe.
         threading.Thread(target=process.stdout.read, daemon=True).start()
