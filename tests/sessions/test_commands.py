@@ -171,6 +171,7 @@ NEWER_FIELDS = {
     "accept": {"override": "", "decided_at": ""},
     "reject": {"decided_at": ""},
     "remove_prompt": {"count": 1},
+    "decide_objects": {"looked": False},
 }
 """What later versions added, with its default."""
 NEWER_REGION = {"like": None}
@@ -223,7 +224,7 @@ BAD = [
     ({"kind": "reject", "reason": "ugly"}, "reason", "'ugly'"),
     ({"kind": "lock_joint", "child": "link_1", "locked": 1}, "locked", "1"),
     ({"kind": "set_joint", "joint": JOINT | {"axis": [0, 0, 0]}}, "axis", "zero"),
-    ({"kind": "set_joint", "joint": JOINT | {"lower": 2.0}}, "lower", "2.0"),
+    ({"kind": "set_joint", "joint": JOINT | {"lower": 2.0}}, "lower", "114.6°"),
     ({"kind": "set_joint", "joint": JOINT | {"type": "screw"}}, "type", "'screw'"),
     (
         {"kind": "record_segmentation", "prompts_key": "k", "labels": REF, "segmenter": "s"}

@@ -95,7 +95,7 @@ def test_what_is_pushed_out_of_its_limits_is_told_with_how_far_and_by_what():
     said = run_physics(obj, physics_of(obj))
     assert set(said.exploded) == {"pushed"}
     assert re.fullmatch(
-        r"leaves its limits by \d+ mm while drawer 1 is driven, "
+        r"leaves its limits by [\d.]+ mm while drawer 1 is driven, "
         "pushed by the collision shapes of drawer 1",
         said.exploded["pushed"],
     )
