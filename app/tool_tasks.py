@@ -177,9 +177,13 @@ def _propose(work: _Work) -> list[RegionOffer]:
     from model.segmentation.proposal import propose
 
     labels = propose(work.encoded).labels
+    # What is a part already stays as it is; most of what is new lies beside it.
+    taken = work.labels > BASE
     out: list[RegionOffer] = []
     for part in np.unique(labels[labels > BASE]):
-        out += work.offer(labels == part, NEW_PART)
+        mask = labels == part
+        if 2 * np.count_nonzero(mask & ~taken) > np.count_nonzero(mask):
+            out += work.offer(mask & ~taken, NEW_PART)
     return out
 
 

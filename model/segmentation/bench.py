@@ -87,7 +87,8 @@ class BenchRow:
     ``curves`` holds the IoU after each click, ``offered`` that of the first click's answer and of
     the other masks which the segmenter offers for it (Tab), in their order. ``proposed`` holds
     the best IoU of each part with a part of the proposal or its base, ``guesses`` for each object
-    how many parts are proposed and how many of them overlap with a true one by over a half.
+    how many parts are proposed, how many of these overlap with one that moves by over a half, how
+    many parts move, and how many of those are found so.
     ``seen`` holds, for each object and round of clicks on what is seen, the IoU there and of all.
     ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
     ``left_out`` says which objects could not be read, and why.
@@ -99,7 +100,7 @@ class BenchRow:
     curves: list[list[float]] = field(default_factory=list)
     offered: list[list[float]] = field(default_factory=list)
     proposed: list[float] = field(default_factory=list)
-    guesses: list[tuple[int, int]] = field(default_factory=list)
+    guesses: list[tuple[int, int, int, int]] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     moves: list[bool] = field(default_factory=list)
     competing: list[list[float]] = field(default_factory=list)
@@ -124,10 +125,11 @@ class BenchRow:
                 out[f"seen all@{number + 1}"] = float(there)
                 out[f"seen all@{number + 1}, hidden too"] = float(whole)
         if self.guesses:
-            number, right = np.sum(self.guesses, axis=0)
+            number, right, there, found = np.sum(self.guesses, axis=0)
             out["proposed IoU"] = float(np.mean(self.proposed))
             out["proposed parts"] = float(number / len(self.guesses))
             out["proposed right %"] = 100 * float(right / max(number, 1))
+            out["proposed found %"] = 100 * float(found / max(there, 1))
         if not all(self.moves):
             figures = _of_clicks(
                 list(itertools.compress(self.curves, self.moves)),
@@ -333,10 +335,12 @@ def _proposal(session: DefaultSession, item: BenchObject, row: BenchRow) -> None
     said = [labels == p for p in np.unique(labels)]
     for part in item.parts:
         row.proposed.append(max(pointer.iou(m, item.labels == part) for m in said))
-    links = [item.labels == p for p in np.unique(item.labels[item.labels >= 0])]
-    guesses = [labels == p for p in np.unique(labels[labels > 0])]
-    right = sum(max(pointer.iou(m, link) for link in links) > 0.5 for m in guesses)
-    row.guesses.append((len(guesses), right))
+    moving = [item.labels == p for p in np.unique(item.labels[item.labels > BASE])]
+    guesses = [labels == p for p in np.unique(labels[labels > BASE])]
+    overlap = np.array([pointer.iou(m, link) for m in guesses for link in moving])
+    hit = overlap.reshape(len(guesses), len(moving)) > 0.5
+    right, found = int(hit.any(1).sum()), int(hit.any(0).sum())
+    row.guesses.append((len(guesses), right, len(moving), found))
 
 
 def _timed(

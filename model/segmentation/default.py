@@ -457,7 +457,7 @@ class DefaultSession:
         labels = self._whole(elements.to_elements(of_cell[cells.of_node]), ())
         if self.fittings is None:
             return labels
-        return self.fittings.joined(self.fittings.merged(labels), ())
+        return self.fittings.joined(self.fittings.merged(self.fittings.freed(labels)), ())
 
     def _of_cells(self, state: _State, steps: tuple[Step, ...]) -> npt.NDArray[np.int16]:
         """(C,) the part of each cell, islands with what they lie beside."""

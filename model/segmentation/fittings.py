@@ -29,6 +29,9 @@ _FITTING_SHARE = 0.3
 _SPECK = 3e-4
 """Of the mesh: what is smaller and fastened to a part is none of its own unless it is clicked."""
 
+_SPECK_OF_PART = 0.1
+"""What is smaller may be beside the part by mistake."""
+
 _BAR_SHARE = 0.01
 """Of the mesh: a handle has no more."""
 _BAR_MOUNT, _BAR_PIECES = 4.0, 10.0
@@ -133,6 +136,18 @@ class Fittings:
             if joined[0] != BASE and (joined == joined[0]).all():
                 out = np.where(own, joined[0], out).astype(np.int16)
         return out
+
+    def freed(self, labels: Labels) -> Labels:
+        """Labels (F,) where specks are the base's, so that what they are fastened to decides.
+
+        A mask that is nearly a drawer has knuckles of the hinge beside it. Parts that are hardly
+        more than a speck themselves, as keys are, stay.
+        """
+        of_face, weight = self.shells.of_face, self.shells.weight
+        small = np.append(self.shells.area, np.inf)[of_face]
+        part = np.bincount(labels, weight)[labels]
+        speck = (small <= _SPECK * weight.sum()) & (small <= _SPECK_OF_PART * part)
+        return np.where(speck, BASE, labels).astype(np.int16)
 
     def mount(self, face: int) -> int | None:
         """A face beside the bar that ``face`` is of, on what the bar is mounted on, a door's

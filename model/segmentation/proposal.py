@@ -6,16 +6,22 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.alternatives import overlaps
+from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import first_elements
+from model.segmentation.part_masks import parts_apart, shipped_part_scorer, spoken_of
 from model.segmentation.prompts import BASE, PartSegmentation
+from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
 
+WORTH = -1.0
+"""Log-odds below which a mask of an object is nobody's part."""
+
 _ANSWERS = 8
-"""Masks that each asked cell may mean."""
+"""Masks that each asked cell may mean, in a room."""
 _TEMPERATURE = 2.0
 _LEAST = 0.3
 """Expected overlap below which a mask is nobody's part."""
@@ -30,29 +36,51 @@ _BODY = 0.6
 def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
     """A first guess of all parts, to start from.
 
-    Each of many spread cells says what a first click on it might mean, and how likely. Parts are
-    chosen one by one so that the masks which the cells end up in have the highest expected overlap
-    with what those cells would say: a mask counts where most of its own cells agree on it. Small
-    parts may sit on large ones; other overlaps are refused. What no mask takes is the base, and so
-    is the largest where it covers most of the object.
+    Each of many spread cells says what a first click on it might mean. Of an object a network
+    judges which of these masks are parts that move (:mod:`.part_masks`), and the best of those that
+    exclude each other are proposed. In a room the objects are wanted, and what they mean as well:
+    see :func:`_agreed`. What no mask takes is the base.
 
     Args:
         seeds: cells asked.
     """
     cells = session.encoding.cells
-    asked = _spread(cells.center, seeds)
-    masks, likely = _answers(session, asked)
-    common, overlap = overlaps(masks, cells.size)
-    chosen = [masks[i] for i in _tiling(masks[:, asked].T * (likely @ overlap), common)]
-    chosen.sort(key=lambda m: -float(cells.size[m].sum()))
-    if chosen and cells.size[chosen[0]].sum() > _BODY * cells.size.sum():
-        chosen = chosen[1:]
+    asked = spread(cells.center, seeds)
+    scorer = shipped_part_scorer()
+    if scorer is None or session.encoding.room is not None:
+        chosen = _agreed(session, asked)
+    else:
+        solver = session.solver
+        if not isinstance(solver, ObjectSolver) or solver.fronts is None:
+            solver = solver_of(
+                session.encoding, *shipped_scorers(), shipped_moving_scorers(), lined=True
+            )
+        assert isinstance(solver, ObjectSolver)
+        spoken = spoken_of(solver, asked)
+        rows = parts_apart(scorer(spoken.features), spoken.common, WORTH)
+        chosen = sorted(spoken.masks[rows], key=lambda m: -float(cells.size[m].sum()))
     of_cell = np.zeros(len(cells), np.int16)
     for part, mask in enumerate(chosen, start=BASE + 1):
         of_cell[mask] = part
     labels = session.without_prompts(of_cell)
     _, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
     return PartSegmentation(labels[:-1].astype(np.int16), "default")
+
+
+def _agreed(session: DefaultSession, asked: npt.NDArray[np.int64]) -> list[Bool]:
+    """(C,) masks, the largest first, of the highest expected overlap with what cells mean.
+
+    A mask counts where most of its own cells agree on it. Small ones may lie on large ones; other
+    overlaps are refused. The largest is left out where it covers most of what there is.
+    """
+    size = session.encoding.cells.size
+    masks, likely = _answers(session, asked)
+    common, overlap = overlaps(masks, size)
+    chosen = [masks[i] for i in _tiling(masks[:, asked].T * (likely @ overlap), common)]
+    chosen.sort(key=lambda m: -float(size[m].sum()))
+    if chosen and size[chosen[0]].sum() > _BODY * size.sum():
+        chosen = chosen[1:]
+    return chosen
 
 
 def _answers(session: DefaultSession, asked: npt.NDArray[np.int64]) -> tuple[Bool, Float]:
@@ -108,7 +136,7 @@ def _tiling(agreed: Float, common: Float) -> list[int]:
     return chosen
 
 
-def _spread(points: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.int64]:
+def spread(points: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.int64]:
     """Farthest-point sampling; starts at the first point."""
     chosen = [0]
     far = np.linalg.norm(points - points[0], axis=1)

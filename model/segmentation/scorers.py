@@ -56,18 +56,22 @@ def solver_of(
     first: Mlp | None,
     later: Mlp | None,
     moving: Scorers = (None, None),
+    *,
+    lined: bool = False,
 ) -> PartSolver:
     """The solver for what was encoded, an object or a room.
 
     Args:
         first, later: scorers of clicks that may mean the base, too; moving: of those that mean a
             part that moves.
+        lined: look for lines on fronts on meshes, too.
     """
     cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
     if room is None:
         solver = ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
         nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
-        if not nodes.of_mesh:  # faces and shells tell the parts of a mesh better than lines
+        # To who clicks, faces and shells tell the parts of a mesh better than lines.
+        if lined or not nodes.of_mesh:
             solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
             solver.moving_scorers = moving
         return solver

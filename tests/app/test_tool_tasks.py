@@ -121,6 +121,21 @@ def test_the_same_shape_is_found_where_a_large_part_took_it_along(chest):
     assert run(chest, items, ToolRequest("same shape", 1)) == []
 
 
+def test_all_parts_leaves_alone_what_is_a_part_already(chest):
+    guessed = run(chest, [], ToolRequest("propose", 1))
+    assert guessed and all(part == NEW_PART and positive for part, positive, _ in guessed)
+    first = guessed[0][2]
+    taken = np.zeros(len(points_of(chest[0])), bool)
+    taken[first] = True
+    again = run(chest, [region(chest, taken, 1)], ToolRequest("propose", 2))
+    assert len(again) == len(guessed) - 1
+    assert not any(taken[elements].any() for _, _, elements in again)
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([first, *(e for _, _, e in again)])),
+        np.sort(np.concatenate([e for _, _, e in guessed])),
+    )
+
+
 def test_masks_go_round_and_begin_with_the_answer(chest):
     opened, workspace = chest
     click = click_at(opened, LID, 1)

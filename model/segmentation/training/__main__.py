@@ -12,6 +12,7 @@ from model.segmentation.training.clicks import ClickTraining, train_room_scorers
 from model.segmentation.training.edges import EdgeTraining, train_edges
 from model.segmentation.training.mending import MendingTraining, train_mending
 from model.segmentation.training.moving import MovingTraining, train_moving
+from model.segmentation.training.part_masks import PartMaskTraining, train_part_masks
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,11 @@ class Training:
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
-            ``first_click_moving.npz``, ``later_click_moving.npz`` and, of rooms,
-            ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_boxes, skip_parts, skip_rooms, skip_moving, skip_mending: keep the
-            networks that are there.
-        edges, boxes, clicks, moving, mending: their settings.
+            ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
+            rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
+        skip_edges, skip_boxes, skip_parts, skip_rooms, skip_moving, skip_mending, skip_proposals:
+            keep the networks that are there.
+        edges, boxes, clicks, moving, mending, proposals: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
@@ -34,11 +35,13 @@ class Training:
     skip_rooms: bool = False
     skip_moving: bool = False
     skip_mending: bool = False
+    skip_proposals: bool = False
     edges: EdgeTraining = field(default_factory=EdgeTraining)
     boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
     moving: MovingTraining = field(default_factory=MovingTraining)
     mending: MendingTraining = field(default_factory=MendingTraining)
+    proposals: PartMaskTraining = field(default_factory=PartMaskTraining)
 
 
 def main() -> None:
@@ -59,6 +62,8 @@ def main() -> None:
         print(json.dumps(train_moving(config.moving, config.out), indent=1))
     if not config.skip_mending:
         print(json.dumps(train_mending(config.mending, config.out), indent=1))
+    if not config.skip_proposals:
+        print(json.dumps(train_part_masks(config.proposals, config.out), indent=1))
 
 
 if __name__ == "__main__":

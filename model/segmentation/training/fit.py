@@ -21,12 +21,16 @@ def fit_mlp(
     *,
     hidden: tuple[int, ...] = (32, 32),
     epochs: int = 12,
+    dropout: float = 0.0,
+    rate: float = 5e-3,
+    decay: float = 1e-4,
     seed: int = 0,
 ) -> Mlp:
     """Weighted binary cross-entropy on targets in [0, 1]; the output is a logit.
 
     Args:
         features: (N, D). target, weight: (N,).
+        rate: the highest learning rate. decay: of the weights.
     """
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -35,11 +39,11 @@ def fit_mlp(
     scale = np.maximum(features.std(0), 1e-6)
     x = torch.from_numpy(np.clip((features - mean) / scale, -8, 8).astype(np.float32))
     y, w = torch.from_numpy(target.astype(np.float32)), torch.from_numpy(weight.astype(np.float32))
-    net = torch.nn.Sequential(*_layers(features.shape[1], hidden))
+    net = torch.nn.Sequential(*_layers(features.shape[1], hidden, dropout))
     batch = 4096
     steps = epochs * (len(x) // batch + 1)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=5e-3, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 5e-3, total_steps=steps)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps)
     generator = torch.Generator().manual_seed(seed)
     for _ in range(epochs):
         order = torch.randperm(len(x), generator=generator)

@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,6 @@ from model.kinematics.articulated_object import Part, SegmentedObject
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.fronts import Fronts
 from model.segmentation.mlp import save_mlp
 from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
 from model.segmentation.seen_clicks import (
@@ -216,13 +215,11 @@ def play(seed: int, config: MovingTraining) -> Rows:
     rng = np.random.default_rng([seed, 7])
     seen = seen_object(seed, config, rng)
     log = Log(MOVING_FEATURE_NAMES)
-    solver = solver_of(seen.encoding, *shipped_scorers())
+    # Meshes are answered without lines, but teach as well as clouds.
+    solver = solver_of(seen.encoding, *shipped_scorers(), lined=True)
     if not isinstance(solver, ObjectSolver):
         return log.rows()  # taken for a room
     encoding = seen.encoding
-    nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
-    # Meshes are answered without, but teach as well as clouds.
-    solver.fronts = Fronts(nodes, graph, strength, encoding.cells, solver.axes)
     for part, clicks in first_clicks(seen, config, rng):
         truth = seen.labels == part
         for click in clicks:
@@ -283,12 +280,22 @@ def clicks_in(
     return [(int(r), int(c)) for r, c in [first, *picked]]
 
 
+class Played(Protocol):
+    """What came of playing with one object."""
+
+    @property
+    def share(self) -> npt.NDArray[np.floating]:
+        """One number for each click or mask."""
+        ...
+
+
 C = TypeVar("C")
+P = TypeVar("P", bound=Played)
 
 
 def collected(
-    play_one: Callable[[int, C], Rows], config: C, seeds: tuple[Seeds, ...], workers: int
-) -> list[Rows]:
+    play_one: Callable[[int, C], P], config: C, seeds: tuple[Seeds, ...], workers: int
+) -> list[P]:
     """Rows of each object that had any; they do not depend on ``workers``."""
     numbers = [seed for one in seeds for seed in range(*one)]
     if workers <= 1:

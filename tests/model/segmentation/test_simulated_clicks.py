@@ -147,8 +147,9 @@ def test_bench_says_what_is_offered_without_and_after_one_click():
     )
     assert summary["IoU@1"] <= summary["IoU@1 best of 2"] <= summary["IoU@1 best of 6"] <= 1
     assert len(row.proposed) == 2 and 0 <= summary["proposed IoU"] <= 1
-    number, right = row.guesses[0]
-    assert 0 <= right <= number
+    number, right, there, found = row.guesses[0]
+    assert 0 <= right <= number and 0 <= found <= there
+    assert min(right, 1) == min(found, 1), "a part that is right is one that is found"
     report.print_table()
 
 

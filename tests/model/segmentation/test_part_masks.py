@@ -1,0 +1,124 @@
+"""Which masks are proposed as parts before any click."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model.segmentation import proposal
+from model.segmentation.alternatives import overlaps
+from model.segmentation.boxes import ObjectSolver
+from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.mlp import load_mlp
+from model.segmentation.part_masks import (
+    PART_FEATURE_NAMES,
+    PART_SCORER,
+    parts_apart,
+    shipped_part_scorer,
+    spoken_of,
+)
+from model.segmentation.training.moving import MovingTraining
+from model.segmentation.training.part_masks import (
+    PartMaskTraining,
+    play_masks,
+    train_part_masks,
+)
+
+SMALL = PartMaskTraining(asked=6, spread=40, networks=1, held_out=2, workers=1)
+
+
+@pytest.fixture(scope="module")
+def session(cloud_cabinet) -> DefaultSession:
+    return DefaultSegmenter().encode(cloud_cabinet.asset)
+
+
+def test_parts_exclude_each_other_but_small_ones_may_sit_on_large_ones() -> None:
+    masks = np.zeros((6, 20), bool)
+    masks[0, :10] = True  # a door
+    masks[1, :9] = True  # nearly the same one
+    masks[2, 2:4] = True  # its handle
+    masks[3, 8:14] = True  # across its border
+    masks[4, 14:] = True  # another door
+    masks[5, :6] = True  # half of it
+    common, _ = overlaps(masks, np.ones(20))
+    worth = np.array([2.0, 1.9, 1.0, 1.5, -0.5, 1.8], np.float32)
+    assert parts_apart(worth, common, -1.0) == [0, 2, 4]
+    assert parts_apart(worth, common, 0.0) == [0, 2]
+    assert parts_apart(worth, common, 3.0) == []
+    assert parts_apart(worth[:0], common[:0, :0], -1.0) == []
+
+
+def test_what_cells_speak_of_is_described(session: DefaultSession) -> None:
+    solver, cells = session.solver, session.encoding.cells
+    assert isinstance(solver, ObjectSolver)
+    asked = proposal.spread(cells.center, 12)
+    assert len(set(asked.tolist())) == 12
+    spoken = spoken_of(solver, asked)
+    assert spoken.masks.shape == (len(spoken.features), len(cells))
+    assert len(np.unique(np.packbits(spoken.masks, axis=1), axis=0)) == len(spoken.masks)
+    assert spoken.masks[:, asked].any(1).all(), "some cell within speaks of each"
+    assert np.isfinite(spoken.features).all()
+    named = dict(zip(PART_FEATURE_NAMES, spoken.features.T, strict=True))
+    for share in ("said", "likely", "agreed", "agreed_most", "asked"):
+        assert (named[share] >= 0).all() and (named[share] <= 1 + 1e-5).all(), share
+    np.testing.assert_allclose(named["asked"], spoken.masks[:, asked].mean(1), atol=1e-6)
+    assert (named["score_most"] >= named["score"] - 1e-5).all()
+    assert (named["behind_least"] <= 1e-6).all() and (named["behind_least"] == 0).any()
+    again = spoken_of(solver, asked)
+    assert np.array_equal(spoken.features, again.features)
+    # Who is asked first does not matter.
+    turned = spoken_of(solver, asked[::-1])
+    assert len(turned.masks) == len(spoken.masks)
+
+
+def test_proposed_parts_are_doors_and_not_the_body(cloud_cabinet, session: DefaultSession) -> None:
+    labels, true = proposal.propose(session).labels, cloud_cabinet.labels
+    assert np.array_equal(labels, proposal.propose(session).labels)
+    found = [labels == part for part in np.unique(labels[labels > 0])]
+    assert found
+    best = [
+        max(float((m & (true == p)).sum() / (m | (true == p)).sum()) for m in found)
+        for p in np.unique(true[true > 0])
+    ]
+    assert np.mean(np.array(best) > 0.7) >= 0.5
+    assert not any((m & (true == 0)).sum() > 0.5 * (true == 0).sum() for m in found)
+
+
+def test_without_a_scorer_cells_agree_on_parts(
+    cloud_cabinet, session: DefaultSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proposal, "shipped_part_scorer", lambda: None)
+    labels = proposal.propose(session).labels
+    assert len(labels) == len(cloud_cabinet.labels) and labels.max() > 0
+
+
+def test_the_shipped_scorer_says_how_it_was_made() -> None:
+    scorer = shipped_part_scorer()
+    assert scorer is not None and scorer.names == PART_FEATURE_NAMES
+
+
+def test_masks_of_a_made_object_are_worth_their_overlap_with_what_moves() -> None:
+    config = replace(SMALL, objects=MovingTraining(mesh=1.0, camera=0.0, one_sided=0.0))
+    rows = play_masks(200_004, config)
+    assert rows.features.shape == (len(rows.masks), len(PART_FEATURE_NAMES))
+    assert rows.overlap.shape[0] == len(rows.masks) and rows.overlap.shape[1] >= 1
+    assert (rows.overlap >= 0).all() and (rows.overlap <= 1 + 1e-6).all()
+    assert rows.share.max() > 0.5, "some mask is a part"
+    again = play_masks(200_004, config)
+    assert np.array_equal(rows.features, again.features)
+
+
+def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
+    config = replace(
+        SMALL,
+        seeds=((200_000, 200_004, 1),),
+        objects=MovingTraining(mesh=1.0, camera=0.0, one_sided=0.0),
+    )
+    scores = train_part_masks(config, tmp_path)
+    assert 0 <= scores["parts_right"] <= 1 and 0 <= scores["parts_found"] <= 1
+    assert scores["parts_objects"] >= 3
+    scorer = load_mlp(tmp_path / PART_SCORER, PART_FEATURE_NAMES)
+    x = np.random.default_rng(0).normal(size=(5, len(PART_FEATURE_NAMES)))
+    assert np.isfinite(scorer(x.astype(np.float32))).all()
