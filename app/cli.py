@@ -108,10 +108,25 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """argparse with one line for a mistake instead of the whole usage."""
+    """argparse with one line for a mistake; paths may stand before, between and after options."""
 
     def __init__(self, **settings: object) -> None:
         super().__init__(allow_abbrev=False, **settings)  # type: ignore[arg-type]
+        self._within = False
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Plain argparse refuses the B of ``A --option B``: it takes all paths at the first one."""
+        found: argparse.Namespace
+        found, left = super().parse_known_args(args, namespace)  # type: ignore[assignment]
+        if not left or self._within or self._subparsers is not None:
+            return found, left
+        self._within = True  # it comes back here, for the options and then for the paths
+        try:
+            return self.parse_known_intermixed_args(args, namespace)  # type: ignore[return-value]
+        finally:
+            self._within = False
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")

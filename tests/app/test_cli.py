@@ -145,6 +145,21 @@ def test_wrong_usage_is_one_line(words, told, capsys):
     assert len(lines) == 1 and told in lines[0] and "--help" in lines[0]
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["serve", "a", "--backend", "http://gpu:1", "b"], "paths"),
+        (["serve", "--port", "0", "a", "--scene", "b"], "paths"),
+        (["export", "a", "--format", "urdf", "b", "--out", "o"], "assets"),
+        (["check", "a", "--json", "b"], "assets"),
+        (["check", "--json", "--", "a", "b"], "assets"),
+    ],
+)
+def test_paths_stand_before_between_and_after_options(words, name):
+    paths = getattr(make_parser().parse_args(words), name)
+    assert [str(path) for path in paths] == ["a", "b"]
+
+
 # segment
 
 
