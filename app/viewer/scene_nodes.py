@@ -277,7 +277,7 @@ class Scans(Node):
         self._sizes: list[float] = []
         self._handles: list[Any] = []
         for k, stand in enumerate(stands):
-            self._sizes.append(shape.spacing * float(stand.scale.max()))
+            self._sizes.append(shape.spacing * float(np.abs(stand.scale).max()))
             self._handles.append(
                 client.scene.add_point_cloud(
                     f"{name}/{k}", (shape.vertices * stand.scale).astype(np.float32), self._colors,
@@ -353,7 +353,7 @@ def _colors(shape: Shape, count: int) -> npt.NDArray[np.uint8]:
 
 def corners_of(shape: Shape, stand: Stand, margin: float = 0.0) -> npt.NDArray[Any]:
     """(8, 3) corners of an object's box in the scene's frame, ``margin`` of its size around it."""
-    low, high = shape.bounds * stand.scale
+    low, high = np.sort(shape.bounds * stand.scale, axis=0)
     reach = margin * float(np.linalg.norm(high - low))
     local = (low + high) / 2 + CORNERS.astype(np.float64) * (high - low + 2 * reach)
     return np.asarray(local @ stand.world[:3, :3].T + stand.world[:3, 3])

@@ -88,7 +88,7 @@ def whole(path: Path) -> Part:
 
 
 def scaled(parts: tuple[Part, ...], factors: FloatArray) -> tuple[Part, ...]:
-    """Parts stretched by (3,) positive factors about the asset's origin."""
+    """Parts stretched, and mirrored by negative factors (3,), about the asset's origin."""
     target = np.diag([*factors, 1.0])
     return tuple(
         replace(
@@ -103,14 +103,17 @@ def scaled(parts: tuple[Part, ...], factors: FloatArray) -> tuple[Part, ...]:
 def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
     """Joints stretched as :func:`scaled` does the parts.
 
-    A turn about an axis is none any more where the factors differ; its axis goes along.
+    A turn about an axis is none any more where the factors differ; its axis goes along. In a mirror
+    it turns the other way round.
     """
+    handed = float(np.sign(factors).prod())
     joints = []
     for joint in tree.joints:
         along = np.asarray(joint.axis) * factors
         length = float(np.linalg.norm(along))
         slide = length if joint.type == "prismatic" else 1.0
-        x, y, z = (along / length).tolist() if length > 0 else joint.axis
+        way = 1.0 if joint.type == "prismatic" else handed
+        x, y, z = (way * along / length + 0.0).tolist() if length > 0 else joint.axis
         ox, oy, oz = (np.asarray(joint.origin) * factors).tolist()
         joints.append(replace(
             joint, axis=(x, y, z), origin=(ox, oy, oz),

@@ -366,8 +366,9 @@ def _standing(o: Outcome, out: Path) -> Standing | None:
     except SceneObjectError:
         return None
     return Standing(
-        o.obj.id, out / ASSETS / o.key, placement.world_from_asset, bounds * placement.scale
-    )
+        o.obj.id, out / ASSETS / o.key, placement.world_from_asset,
+        np.sort(bounds * placement.scale, axis=0),
+    )  # fmt: skip
 
 
 def _close(a: Standing, b: Standing) -> bool:

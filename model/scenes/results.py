@@ -21,7 +21,7 @@ from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
-from model.scenes.scene_sdf import write_scene_sdf
+from model.scenes.scene_sdf import pose_text, write_scene_sdf
 from model.scenes.scene_usd import write_scene_usd
 from model.scenes.values import read_json, read_text
 
@@ -235,8 +235,16 @@ def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
         assert uri is not None
         uri.text = urdf_of[obj.id]
         if scale is not None:  # the URDF is at its size in the scene
-            scale.text = " ".join(["1.0"] * len((scale.text or "1").split()))
+            was = (scale.text or "1").split()
+            scale.text = " ".join(["1.0"] * len(was))
+            if any(float(word) < 0 for word in was):  # so part of its mirroring is a turn
+                _pose_of(element).text = pose_text(obj.world_from_object)
     _write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+def _pose_of(element: ET.Element) -> ET.Element:
+    found = element.find("pose")
+    return ET.SubElement(element, "pose") if found is None else found
 
 
 def _summary(

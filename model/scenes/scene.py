@@ -71,7 +71,8 @@ class SceneObject:
         description: in people's words.
         category: what it is, where the file tells it, or None.
         world_from_object: (4, 4) rigid pose, metres, world +z up.
-        scale: (3,) positive factors on the asset's axes, its own frame.
+        scale: (3,) factors on the asset's axes, its own frame; the first one is negative where the
+            object is mirrored, all others are positive (:func:`upright`).
         asset: id of the asset in the file's own words, or None.
         room: where it is, or None.
         anchor: which point of the asset sits at the pose: its ``origin``, its bounding box'
@@ -114,8 +115,8 @@ class SceneObject:
                 f"it stands at {pose[:3, 3].tolist()} m; {FARTHEST:.0f} m from the origin at most"
             )
         scale = _array(self.scale, (3,), "scale")
-        if (scale <= 0).any():
-            raise SceneObjectError(f"scale {scale.tolist()} must be three positive numbers")
+        if not scale[0] or (scale[1:] <= 0).any():
+            raise SceneObjectError(f"scale {scale.tolist()} must be three numbers other than 0")
         for name in ("fit", "box"):
             size = getattr(self, name)
             if size is not None and (_array(size, (3,), name) <= 0).any():
@@ -147,11 +148,21 @@ class Placement:
 
     Attributes:
         world_from_asset: (4, 4) rigid, metres.
-        scale: (3,) positive factors on the asset's own axes.
+        scale: (3,) factors on the asset's own axes; the first one is negative of a mirrored object.
     """
 
     world_from_asset: FloatArray
     scale: FloatArray
+
+
+def upright(turn: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same (3, 3) rotation and (3,) scale with at most the first factor negative.
+
+    Two mirrors are half a turn, and one or three are a mirror along x and a turn: so the asset
+    itself stays the right way up, which predictors count on, and is mirrored in one way only.
+    """
+    first = np.array([np.sign(scale).prod(), 1.0, 1.0])
+    return turn @ np.diag(np.sign(scale) * first), np.abs(scale) * first
 
 
 @dataclass(frozen=True, eq=False)

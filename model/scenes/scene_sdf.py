@@ -48,7 +48,7 @@ def write_scene_sdf(name: str, stands: Sequence[Stand], out: Path, file: str) ->
 def _placed(model: ET.Element, stand: Stand) -> ET.Element:
     model.set("name", xml_name(stand.id))
     pose = ET.Element("pose")
-    pose.text = _pose(stand.world_from_asset)
+    pose.text = pose_text(stand.world_from_asset)
     model.insert(0, pose)
     world = [j for j in model.findall("joint") if j.findtext("parent") == "world"]
     if stand.free:
@@ -80,7 +80,7 @@ def _box(stand: Stand) -> ET.Element:
     assert stand.box is not None
     model = ET.Element("model", name=xml_name(stand.id))
     ET.SubElement(model, "static").text = "true"
-    ET.SubElement(model, "pose").text = _pose(stand.world_from_asset)
+    ET.SubElement(model, "pose").text = pose_text(stand.world_from_asset)
     link = ET.SubElement(model, "link", name="box")
     for tag in ("collision", "visual"):
         shape = ET.SubElement(ET.SubElement(link, tag, name=tag), "geometry")
@@ -88,5 +88,6 @@ def _box(stand: Stand) -> ET.Element:
     return model
 
 
-def _pose(world: FloatArray) -> str:
+def pose_text(world: FloatArray) -> str:
+    """A (4, 4) pose as SDF has it: metres, then roll, pitch and yaw in radians."""
     return f"{vector(world[:3, 3])} {vector(rpy_from_rotation(world[:3, :3]))}"

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from app.cli import main
 from model.exporters.asset_folder import load_object
@@ -202,6 +203,43 @@ def test_lisdf_is_written_back(assets: Path, tmp_path: Path) -> None:
     assert obj.asset is not None and (tmp_path / "out" / obj.asset).is_file()
     assert np.allclose(obj.scale, 1) and np.allclose(before.scale, 0.5)
     assert np.allclose(obj.world_from_object, before.world_from_object)
+
+
+def test_mirrored_objects_are_mirrored_with_their_joints(assets: Path, tmp_path: Path) -> None:
+    """Both formats, in the files of the source, in SDF, and for the gate."""
+    own = made.own([{**made.own()["objects"][0], "scale": [1, -1, 1]}])
+    text = made.lisdf().replace("Cabinet/cab/link_0.obj", "Cabinet/cab")
+    text = text.replace("<scale>1.0<", "<scale>1 -1 1<")
+    rigid = [p.mesh for p in read_part_files(assets / "cab").parts if p.mesh is not None]
+    for file, value in (("scene.json", own), ("kitchen.lisdf", text)):
+        out = tmp_path / f"out of {file}"
+        scene = made.write_scene(tmp_path / file, value)
+        summary = convert(scene, assets, out, "--predictor", "geometric", "--formats", "sdf")
+        assert summary["states"] == {"predicted": 1}
+        (entry,) = objects_of(out).values()
+        turn, at = world_of(entry)
+        obj = load_object(out / entry["asset_folder"])
+        shift = np.zeros(3)
+        if file == "scene.json":  # which says where the middle of its box is
+            every = np.concatenate([m.vertices for m in rigid]) * [1, -1, 1]
+            shift = (every.min(0) + every.max(0)) / 2
+        pose = made.world_pose()
+        for part, before in zip(obj.parts, rigid, strict=True):
+            assert part.mesh is not None
+            seen = part.mesh.vertices @ turn.T + at
+            wanted = (before.vertices * [1, -1, 1] - shift) @ pose[:3, :3].T + pose[:3, 3]
+            # Corners of the same places, in whatever order.
+            assert KDTree(wanted).query(seen)[0].max() < 1e-6
+            assert KDTree(seen).query(wanted)[0].max() < 1e-6
+            # Faces look outwards still.
+            a, b, c = part.mesh.triangles.swapaxes(0, 1)
+            assert (np.cross(a, b) * c).sum() > 0
+        assert main(["check", str(out / entry["asset_folder"])]) == 0
+        (again,) = read_scene(out / file if "lisdf" in file else out / "scene.json").objects
+        seen = again.world_from_object[:3, :3] * again.scale
+        if "lisdf" in file:  # its asset is mirrored already
+            seen = seen * [-1, 1, 1]
+        np.testing.assert_allclose(seen, pose[:3, :3] * [1, -1, 1], atol=1e-6)
 
 
 def workers_of(pid: int) -> list[int]:

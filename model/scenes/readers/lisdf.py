@@ -13,7 +13,7 @@ import numpy as np
 
 from model.errors import InputFileError
 from model.scenes.poses import from_rpy
-from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
+from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError, upright
 from model.scenes.values import collect, numbers, read_text, shown
 
 if TYPE_CHECKING:
@@ -91,8 +91,11 @@ def _object(place: tuple[str | int, ...], element: Element) -> SceneObject:
     category = category_of(uri)
     words = spoken(name)
     description = words if category is None else f"{words} ({spoken(category)})"
+    scale = _scale(element)
+    if scale.all():
+        world[:3, :3], scale = upright(world[:3, :3], scale)
     return SceneObject(
-        description=description, world_from_object=world, scale=_scale(element), asset=uri,
+        description=description, world_from_object=world, scale=scale, asset=uri,
         category=category, **common,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from model.errors import InputFileError
 from model.scenes.poses import about_z, pose, rotation_from_quaternion
 from model.scenes.readers.lisdf import spoken
-from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError
+from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError, upright
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
 CENTIMETRES = 0.01
@@ -59,11 +59,14 @@ def _from_layout(place: Place, entry: Any) -> SceneObject:
     factor = entry.get("scale_factor")
     if isinstance(factor, (int, float)) and not isinstance(factor, bool):
         factor = [factor] * 3
+    scale = np.ones(3) if factor is None else numbers(factor, 3, "scale_factor")
+    if scale.all():
+        turn, scale = upright(turn, scale)
     return SceneObject(
         id=name,
         description=maybe_text(entry.get("description")) or spoken(name),
         world_from_object=pose(numbers(entry.get("position"), 3, "position"), turn),
-        scale=np.ones(3) if factor is None else numbers(factor, 3, "scale_factor"),
+        scale=scale,
         asset=text(entry.get("retrieved_uid"), "retrieved_uid"),
         category=maybe_text(entry.get("category")),
         anchor="center",

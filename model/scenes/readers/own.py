@@ -12,7 +12,15 @@ import numpy as np
 
 from model.errors import InputFileError
 from model.scenes.poses import pose, rotation_from_quaternion
-from model.scenes.scene import ANCHORS, BASES, Scene, SceneObject, SceneObjectError, SceneProblem
+from model.scenes.scene import (
+    ANCHORS,
+    BASES,
+    Scene,
+    SceneObject,
+    SceneObjectError,
+    SceneProblem,
+    upright,
+)
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
 MARK = "artiworld_scene"
@@ -76,13 +84,8 @@ def _object(place: Place, entry: Any) -> SceneObject:
     w, x, y, z = numbers(entry.get("quaternion_wxyz"), 4, "quaternion_wxyz")
     turn = rotation_from_quaternion(np.array([x, y, z, w]))
     scale = numbers(entry.get("scale"), 3, "scale")
-    if (scale < 0).sum() == 2:  # two mirrors are half a turn
-        turn, scale = turn @ np.diag(np.sign(scale)), np.abs(scale)
-    elif (scale < 0).any() and scale.all():
-        raise SceneObjectError(
-            f"scale {scale.tolist()} mirrors it; write the asset's geometry out mirrored, or give "
-            "the scene as GLB or USD"
-        )
+    if scale.all():
+        turn, scale = upright(turn, scale)
     anchor = entry.get("anchor", "origin")
     if anchor not in ANCHORS:
         raise SceneObjectError(f"anchor is {shown(anchor)}; one of {', '.join(ANCHORS)} is needed")

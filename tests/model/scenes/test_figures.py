@@ -32,7 +32,9 @@ def cabinet() -> ArticulatedObject:
     )
 
 
-@pytest.mark.parametrize("factors", [(1.0, 1.0, 1.0), (2.0, 2.0, 2.0), (1.0, 2.0, 0.5)])
+@pytest.mark.parametrize(
+    "factors", [(1.0, 1.0, 1.0), (2.0, 2.0, 2.0), (1.0, 2.0, 0.5), (-1.0, 1.0, 1.0)]
+)
 def test_an_object_works_where_every_joint_is_right(
     factors: tuple[float, float, float], tmp_path: Path
 ) -> None:
@@ -46,15 +48,36 @@ def test_an_object_works_where_every_joint_is_right(
     assert usability(made_, found, factor, PREDICTED) is True
     assert usability(made_, found, factor, ANNOTATE) is False
     slide = right.by_name["slide"]
-    assert slide.upper == pytest.approx(0.4 * factors[0])
+    assert slide.upper == pytest.approx(0.4 * abs(factors[0]))
     for wrong in (
         replace(slide, axis=(0.0, 1.0, 0.0)),
-        replace(slide, upper=0.1 * factors[0]),
+        replace(slide, upper=0.1 * abs(factors[0])),
         replace(right.by_name["hinge"], origin=(0.3 * factors[0], -0.25 * factors[1], 0.0)),
     ):
         other = ArticulatedObject("cabinet", made_.parts, right.with_joint(wrong))
         assert usability(other, found, factor, PREDICTED) is False
     assert usability(made_, replace(found, truth=None), factor, PREDICTED) is None
+
+
+def test_a_mirrored_object_moves_as_its_mirror_picture() -> None:
+    whole = cabinet()
+    factor = np.array([-2.0, 2.0, 2.0])
+    mirror = np.diag([*factor, 1.0])
+    parts, tree = scaled(whole.parts, factor), scaled_tree(whole.tree, factor)
+    for q in ({"hinge": 1.1, "slide": 0.3}, {"hinge": 0.4, "slide": 0.0}):
+        posed = whole.tree.pose(q)
+        seen = tree.pose({**q, "slide": 2 * q["slide"]})
+        for link in tree.links:
+            np.testing.assert_allclose(seen[link] @ mirror, mirror @ posed[link], atol=1e-12)
+    for part, before in zip(parts, whole.parts, strict=True):
+        assert part.mesh is not None and before.mesh is not None
+        assert signed_volume(part.mesh) == pytest.approx(8 * signed_volume(before.mesh))
+
+
+def signed_volume(mesh: Mesh) -> float:
+    """Cubic metres; negative where faces look inwards."""
+    a, b, c = mesh.triangles.swapaxes(0, 1)
+    return float((np.cross(a, b) * c).sum() / 6)
 
 
 def test_the_summary_tells_both(tmp_path: Path) -> None:

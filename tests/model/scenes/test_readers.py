@@ -112,7 +112,7 @@ def _mesatask_with(**changes: object) -> dict:
         ({"rotation": [0, 0, 0, 0]}, "is zero"),
         ({"rotation": [0, 0, 1]}, "4 numbers"),
         ({"scale_factor": [1, math.nan, 1]}, "finite"),
-        ({"scale_factor": [1, -1, 1]}, "positive"),
+        ({"scale_factor": [1, 0, 1]}, "other than 0"),
         ({"position": [10**400, 0, 0]}, "finite"),
         ({"position": [1e30, 0, 0]}, "from the origin"),
         ({"position": [True, 0, 0]}, "3 numbers"),
@@ -152,18 +152,28 @@ def test_what_a_scene_file_says_in_vain_is_told(tmp_path: Path) -> None:
                 if "means nothing" in p.reason]  # fmt: skip
 
 
-def test_two_mirrors_are_half_a_turn_and_one_is_told(tmp_path: Path) -> None:
-    whole = made.own()["objects"][0]
-    pair = [{**whole, "id": "turned", "scale": [-1, -2, 1]},
-            {**whole, "id": "mirrored", "scale": [-1, 1, 1]}]  # fmt: skip
-    scene = read_scene(made.write_scene(tmp_path / "s.json", made.own(pair)))
-    (turned,) = scene.objects
-    np.testing.assert_allclose(
-        turned.world_from_object[:3, :3] * turned.scale,
-        made.world_pose()[:3, :3] * [-1, -2, 1], atol=1e-9,
-    )  # fmt: skip
-    (left,) = scene.problems
-    assert left.object == "mirrored" and left.told.startswith("left out: ") and "GLB" in left.told
+@pytest.mark.parametrize("mirror", [[-1, -2, 1], [-1, 1, 1], [3, -1, 1], [1, 1, -2], [-1, -1, -1]])
+def test_mirrors_are_kept_along_x_alone(mirror: list[float], tmp_path: Path) -> None:
+    """Every other mirroring is that one and a turn, so that the asset stays the right way up."""
+    own = made.own([{**made.own()["objects"][0], "scale": mirror}])
+    told = " ".join(map(str, mirror))
+    layout = made.mesatask()
+    layout["objects"][0]["scale_factor"] = mirror
+    sdf = made.lisdf().replace("<scale>1.0<", f"<scale>{told}<")
+    assert told in sdf
+    for file, value in (("s.json", own), ("layout.json", layout), ("w.lisdf", sdf)):
+        scene = read_scene(made.write_scene(tmp_path / file, value))
+        assert not scene.problems
+        (obj,) = scene.objects
+        np.testing.assert_allclose(
+            obj.world_from_object[:3, :3] * obj.scale, made.world_pose()[:3, :3] * mirror, atol=1e-9
+        )
+        assert np.sign(obj.scale).tolist() == [np.sign(mirror).prod(), 1, 1]
+        (again,) = read_scene(
+            made.write_scene(tmp_path / "again.json", scene_to_json(scene, {}))
+        ).objects
+        assert again.scale.tolist() == obj.scale.tolist()
+        np.testing.assert_allclose(again.world_from_object, obj.world_from_object, atol=1e-12)
 
 
 def test_words_of_mesatask_are_centimetres(tmp_path: Path) -> None:
