@@ -86,6 +86,18 @@ def in_processes(
     pool.shutdown()
 
 
+def in_order(function: Callable[[A], T], tasks: Sequence[A], jobs: int) -> list[T]:
+    """``function`` of each task, in their order, in ``jobs`` new processes; with one, in this one.
+
+    Args:
+        function: can be pickled; what it raises is raised here.
+    """
+    if jobs <= 1 or len(tasks) <= 1:
+        return [function(task) for task in tasks]
+    with in_processes(function, tasks, jobs, "spawn") as futures:
+        return [future.result() for future in futures]
+
+
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
     """Ctrl+C is heard after the block, and never by processes that are started in it.

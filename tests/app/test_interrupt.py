@@ -29,18 +29,23 @@ def in_group(group: int) -> list[int]:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 1.5])
-@pytest.mark.parametrize("command", ["evaluate", "check"])
+@pytest.mark.parametrize("command", ["evaluate", "check", "train"])
 def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path: Path) -> None:
+    jobs = ["--jobs", "2"]
     if command == "evaluate":
-        words = ["--data", "procedural", "--family", "Oven", "--n", "50"]
+        words = ["app.cli", command, "--data", "procedural", "--family", "Oven", "--n", "50"]
+    elif command == "train":
+        skipped = ["edges", "parts", "rooms", "moving", "mending"]
+        words = ["model.segmentation.training", *(f"--skip-{s}" for s in skipped)]
+        words, jobs = [*words, "--out", str(tmp_path)], ["--boxes.workers", "2"]
     else:
         data = open_dataset(DatasetOptions("procedural", families=("Oven",), n=8))
         for i in data.ids():
             (tmp_path / i).mkdir()
             UrdfExporter().export(data.load(i).object, tmp_path / i)
-        words = [str(tmp_path), "--no-cache"]
+        words = ["app.cli", command, str(tmp_path), "--no-cache"]
     run = subprocess.Popen(
-        [sys.executable, "-m", "app.cli", command, *words, "--jobs", "2"],
+        [sys.executable, "-m", *words, *jobs],
         start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from model.evaluation.pool import in_order
 from model.geometry.asset import Asset
 from model.segmentation.box_scores import BOX_SCORE_FEATURES, BoxDescriber
 from model.segmentation.boxes import Boxes
@@ -92,14 +94,8 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
 
 def collect(config: BoxTraining) -> list[list[Row]]:
     """Rows of each object; they do not depend on ``workers``."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
     seeds = range(config.first_seed, config.first_seed + config.objects)
-    if config.workers <= 1:
-        return [rows_of(seed, config) for seed in seeds]
-    with ProcessPoolExecutor(config.workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(rows_of, seeds, [config] * len(seeds), chunksize=4))
+    return in_order(partial(rows_of, config=config), seeds, config.workers)
 
 
 def fit_boxes(rows: list[Row], networks: int) -> Mlp:

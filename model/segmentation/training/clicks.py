@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from model.evaluation.pool import in_order
 from model.geometry.asset import Asset
 from model.segmentation.boxes import OBJECT_FEATURE_NAMES
 from model.segmentation.edge_strength import shipped_edge_model
@@ -255,15 +257,8 @@ def collect(
     seeds: range, config: ClickTraining, kind: Round, first: Mlp | None, later: Mlp | None
 ) -> list[tuple[Rows, Rows]]:
     """Rows of each object; they do not depend on ``workers``."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    if config.workers <= 1:
-        return [play(seed, config, kind, first, later) for seed in seeds]
-    n, context = len(seeds), get_context("spawn")
-    with ProcessPoolExecutor(config.workers, mp_context=context) as pool:
-        same = ([config] * n, [kind] * n, [first] * n, [later] * n)
-        return list(pool.map(play, seeds, *same, chunksize=4))
+    playing = partial(play, config=config, kind=kind, first=first, later=later)
+    return in_order(playing, seeds, config.workers)
 
 
 def fit_scorer(rows: Rows, networks: int = 1, names: tuple[str, ...] = OBJECT_FEATURE_NAMES) -> Mlp:

@@ -8,9 +8,8 @@ relief within their parts, most of them met as depth cameras see them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -18,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+from model.evaluation.pool import in_order
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, SegmentedObject
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
@@ -298,12 +298,12 @@ def collected(
 ) -> list[P]:
     """Rows of each object that had any; they do not depend on ``workers``."""
     numbers = [seed for one in seeds for seed in range(*one)]
-    if workers <= 1:
-        rows = [play_one(seed, config) for seed in numbers]
-    else:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            rows = list(pool.map(play_one, numbers, [config] * len(numbers), chunksize=4))
+    rows = in_order(partial(_played, play_one, config), numbers, workers)
     return [r for r in rows if len(r.share)]
+
+
+def _played(play_one: Callable[[int, C], Rows], config: C, seed: int) -> Rows:
+    return play_one(seed, config)
 
 
 def fitted(
