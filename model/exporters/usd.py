@@ -157,24 +157,29 @@ class _Writer:
                 "st", self.Sdf.ValueTypeNames.TexCoord2fArray, self.UsdGeom.Tokens.vertex
             )
             st.Set(self.Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uv, np.float32)))
-        if mesh.vertex_colors is not None:
-            linear = (mesh.vertex_colors[:, :3] / 255.0) ** 2.2
-            colors = np.ascontiguousarray(linear, np.float32)
-            made.CreateDisplayColorPrimvar(self.UsdGeom.Tokens.vertex).Set(
-                self.Vt.Vec3fArray.FromNumpy(colors)
-            )
-            return
+        shown = () if mesh.vertex_colors is None else self._colors(made, mesh.vertex_colors)
         binding = self.UsdShade.MaterialBindingAPI
         used = np.unique(mesh.face_material).tolist()
         if len(used) == 1:
-            binding.Apply(made.GetPrim()).Bind(self._look(mesh.materials[used[0]]))
+            binding.Apply(made.GetPrim()).Bind(self._look(mesh.materials[used[0]], shown))
             return
         for index in used:
             faces = np.flatnonzero(mesh.face_material == index).astype(np.int32)
             subset = binding.Apply(made.GetPrim()).CreateMaterialBindSubset(
                 f"subset_{index}", self.Vt.IntArray.FromNumpy(faces)
             )
-            binding.Apply(subset.GetPrim()).Bind(self._look(mesh.materials[index]))
+            binding.Apply(subset.GetPrim()).Bind(self._look(mesh.materials[index], shown))
+
+    def _colors(self, made: Any, rgba: npt.NDArray[np.uint8]) -> tuple[str, ...]:
+        """Write a mesh' own colours; the names of what materials read of them."""
+        linear = np.ascontiguousarray((rgba[:, :3] / 255.0) ** 2.2, np.float32)
+        vertex = self.UsdGeom.Tokens.vertex
+        made.CreateDisplayColorPrimvar(vertex).Set(self.Vt.Vec3fArray.FromNumpy(linear))
+        if (rgba[:, 3] == 255).all():
+            return ("displayColor",)
+        alpha = np.ascontiguousarray(rgba[:, 3] / 255.0, np.float32)
+        made.CreateDisplayOpacityPrimvar(vertex).Set(self.Vt.FloatArray.FromNumpy(alpha))
+        return ("displayColor", "displayOpacity")
 
     def _mesh(self, path: str, vertices: FloatArray, faces: npt.NDArray[np.int32]) -> Any:
         made = self.UsdGeom.Mesh.Define(self.stage, path)
@@ -189,9 +194,12 @@ class _Writer:
         made.CreateExtentAttr(self.Vt.Vec3fArray.FromNumpy(extent))
         return made
 
-    def _look(self, material: Material) -> Any:
+    def _look(self, material: Material, shown: tuple[str, ...]) -> Any:
+        """The material; ``shown`` of the mesh stands for its colour where it has no texture."""
         picture = None if material.texture is None else self._picture(material)
-        key = (material.base_color, picture, material.metallic, material.roughness)
+        shown = shown if picture is None else ()
+        color_of = material.base_color if not shown else (255, 255, 255, 255)
+        key = (color_of, picture, material.metallic, material.roughness, shown)
         if key in self.looks:
             return self.looks[key]
         types, shade = self.Sdf.ValueTypeNames, self.UsdShade
@@ -199,30 +207,39 @@ class _Writer:
         made = self.looks[key] = shade.Material.Define(self.stage, path)
         surface = shade.Shader.Define(self.stage, f"{path}/surface")
         surface.CreateIdAttr("UsdPreviewSurface")
-        *rgb, alpha = (c / 255.0 for c in material.base_color)
+        *rgb, alpha = (c / 255.0 for c in color_of)
         color = surface.CreateInput("diffuseColor", types.Color3f)
         color.Set(self.Gf.Vec3f(*(c**2.2 for c in rgb)))
-        surface.CreateInput("opacity", types.Float).Set(alpha)
+        opacity = surface.CreateInput("opacity", types.Float)
+        opacity.Set(alpha)
         roughness = _ROUGHNESS if material.roughness is None else material.roughness
         surface.CreateInput("roughness", types.Float).Set(roughness)
         if material.metallic is not None:
             surface.CreateInput("metallic", types.Float).Set(material.metallic)
         if picture is not None:
-            reader = shade.Shader.Define(self.stage, f"{path}/st")
-            reader.CreateIdAttr("UsdPrimvarReader_float2")
-            reader.CreateInput("varname", types.String).Set("st")
+            st = self._primvar(path, "st", "float2", types.Float2)
             texture = shade.Shader.Define(self.stage, f"{path}/texture")
             texture.CreateIdAttr("UsdUVTexture")
             texture.CreateInput("file", types.Asset).Set(self.Sdf.AssetPath(f"./{picture}"))
             texture.CreateInput("wrapS", types.Token).Set("repeat")
             texture.CreateInput("wrapT", types.Token).Set("repeat")
             texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
-            st = reader.CreateOutput("result", types.Float2)
             texture.CreateInput("st", types.Float2).ConnectToSource(st)
             color.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        if "displayColor" in shown:
+            color.ConnectToSource(self._primvar(path, "displayColor", "float3", types.Float3))
+        if "displayOpacity" in shown:
+            opacity.ConnectToSource(self._primvar(path, "displayOpacity", "float", types.Float))
         output = surface.CreateOutput("surface", types.Token)
         made.CreateSurfaceOutput().ConnectToSource(output)
         return made
+
+    def _primvar(self, path: str, name: str, kind: str, type: Any) -> Any:
+        """What reads a value that the mesh has at each vertex."""
+        reader = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
+        reader.CreateInput("varname", self.Sdf.ValueTypeNames.String).Set(name)
+        return reader.CreateOutput("result", type)
 
     def _picture(self, material: Material) -> str:
         assert material.texture is not None

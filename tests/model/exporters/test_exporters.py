@@ -211,6 +211,33 @@ def test_usd_has_limits_drives_mass_textures_and_the_mimic(whole, physics):
     assert pictures and all(Path(p).is_file() for p in pictures)
 
 
+def test_usd_materials_read_the_colours_of_vertices(tmp_path):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
+    rgba = np.array([[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [9, 9, 9, 128]])
+    for alpha in (255, 128):
+        rgba[3, 3] = alpha
+        mesh = Mesh(corners, faces, vertex_colors=rgba.astype(np.uint8))
+        coloured = ArticulatedObject("c", (Part("link_0", mesh),), KinematicTree(("link_0",)))
+        folder = tmp_path / str(alpha)
+        (path,) = write_object(coloured, load_exporter("usd"), folder)
+        stage = Usd.Stage.Open(str(path))
+        visual = next(p for p in stage.Traverse() if p.GetName() == "visual")
+        shown = UsdGeom.Gprim(visual).GetDisplayColorAttr().Get()
+        np.testing.assert_allclose(np.array(shown)[:3], np.eye(3), atol=1e-6)
+        material, _ = UsdShade.MaterialBindingAPI(visual).ComputeBoundMaterial()
+        surface = material.ComputeSurfaceSource()[0]
+        assert surface.GetIdAttr().Get() == "UsdPreviewSurface"
+        for name, primvar in (("diffuseColor", "displayColor"), ("opacity", "displayOpacity")):
+            source = surface.GetInput(name).GetConnectedSource()
+            if name == "opacity" and alpha == 255:
+                assert source is None
+                continue
+            reader = UsdShade.Shader(source[0].GetPrim())
+            assert reader.GetInput("varname").Get() == primvar
+            assert UsdGeom.PrimvarsAPI(visual).HasPrimvar(primvar)
+
+
 def test_a_free_base_falls_and_a_fixed_one_does_not(obj, tmp_path):
     for fixed in (True, False):
         physics = physics_of(obj, PhysicsSettings(collision=None, fixed_base=fixed))
