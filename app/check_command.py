@@ -96,7 +96,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
     """
     from model.exporters.inertia import inertial_problems
     from model.exporters.physics import physics_of
-    from model.exporters.saved import load_object
+    from model.exporters.saved import load_object, reading_notes
 
     obj = load_object(task.asset)
     start = time.process_time()
@@ -106,6 +106,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         "asset": str(task.asset),
         "name": task.name,
         "category": obj.category,
+        "notes": list(reading_notes(task.asset)),
         "links": len(obj.parts),
         "moving_joints": sum(j.moves for j in obj.tree.joints),
         "kilograms": round(sum(i.mass for i in physics.inertials.values()), 4),
@@ -255,6 +256,9 @@ def _print(report: dict[str, Any]) -> None:
         )  # fmt: skip
     target = console()
     target.print(table)
+    for row in report["assets"]:
+        for note in row.get("notes", ()):
+            target.print(f"note: {row['name']}: {note}", style="yellow", markup=False)
     target.print(_closing_line(report["summary"]))
 
 

@@ -189,4 +189,7 @@ def _print_batch(report: dict[str, Any]) -> None:
         )
     target = console()
     target.print(table)
+    for row in report["assets"]:
+        for note in dict.fromkeys(n for f in row.get("formats", ()) for n in f.get("notes", ())):
+            target.print(f"note: {row['asset']}: {note}", style="yellow", markup=False)
     target.print(f"{report['written']} written, {report['failed']} failed")

@@ -307,6 +307,9 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
             str(o["shortened"] or ""), Text(o["reason"] or ""),
         )  # fmt: skip
     printing.console().print(table)
+    for o in summary["results"]:
+        for note in o["notes"]:
+            printing.console().print(Text(f"note: {o['id']}: {note}", "yellow"))
     _print_problems(summary)
     _print_figures(summary["sim_id"], summary["sim_us"])
     printing.console().print(Text(f"written to {out}"))

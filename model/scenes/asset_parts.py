@@ -22,6 +22,7 @@ from model.geometry.topology import connected_shells
 from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
+from model.kinematics.urdf_reader import read_urdf_model
 from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = 12
@@ -39,11 +40,13 @@ class AssetParts:
     Attributes:
         how: where the cut comes from, for people.
         truth: the joints of the asset's own URDF, where it has one.
+        notes: what was changed on reading that URDF, for people.
     """
 
     parts: tuple[Part, ...]
     how: str
     truth: KinematicTree | None = None
+    notes: tuple[str, ...] = ()
 
 
 def known_parts(path: Path) -> AssetParts:
@@ -55,9 +58,9 @@ def known_parts(path: Path) -> AssetParts:
     """
     if path.is_dir():
         if (path / MOBILITY).is_file():
-            return _of_urdf(read_partnet_mobility(path))
+            return _of_urdf(read_partnet_mobility(path), path / MOBILITY)
         if (path / "object.urdf").is_file():
-            return _of_urdf(UrdfFolders(path.parent).load(path.name))
+            return _of_urdf(UrdfFolders(path.parent).load(path.name), path / "object.urdf")
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
     return _pieces(read_unshifted(path))
@@ -160,9 +163,10 @@ def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
     return AssetParts(parts, how)
 
 
-def _of_urdf(truth: GroundTruth) -> AssetParts:
+def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     found = _at_least_two(truth.object.parts, "links of its URDF")
-    return replace(found, truth=truth.object.tree)
+    # Not those on merged links: that fixed links are one part is no change.
+    return replace(found, truth=truth.object.tree, notes=read_urdf_model(path).notes)
 
 
 def _pieces(asset: Asset) -> AssetParts:

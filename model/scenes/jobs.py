@@ -164,6 +164,7 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         "joints": joints,
         "parts": len(parts),
         "how": how,
+        "notes": [] if found is None else list(found.notes),
         "problems": list(problems),
         "usable": usability(obj, found, placement.scale, state),
     }

@@ -268,7 +268,8 @@ def _summary(
         "problems": [asdict(p) for p in scene.problems],
         "results": [
             {"id": o.obj.id, "state": o.state, "kind": o.decision.kind, "reason": o.reason,
-             "joints": len(o.report.get("joints", ())), "shortened": len(o.changes)}
+             "joints": len(o.report.get("joints", ())), "shortened": len(o.changes),
+             "notes": o.report.get("notes", [])}
             for o in outcomes
         ],
         "files": files,

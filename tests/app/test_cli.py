@@ -474,7 +474,18 @@ def test_check_tells_good_from_bad(cupboards, capfd):
     assert report["summary"]["fine"] == 1 and report["summary"]["unreadable"] == 1
     words = ["check", str(cupboards / "good"), "--format", "glb", "--no-cache"]
     assert main(words) == 0
-    assert "1 of 1 can be read back; the gate: 1 fine," in capfd.readouterr().out
+    told = capfd.readouterr().out
+    assert "1 of 1 can be read back; the gate: 1 fine," in told and "note:" not in told
+
+
+def test_what_was_changed_on_reading_a_urdf_is_told(cupboards, tmp_path, capfd):
+    urdf = cupboards / "good" / "object.urdf"
+    urdf.write_text(re.sub(r'<axis xyz="[^"]*"', '<axis xyz="0 0 2"', urdf.read_text()))
+    given = [str(cupboards), "--jobs", "1", "--no-cache"]
+    main(["check", *given, "--format", "urdf", "--no-gate", "--no-collision"])
+    main(["export", *given, "--format", "urdf,sdf", "--out", str(tmp_path / "o"), "--no-collision"])
+    told = " ".join(capfd.readouterr().out.split())
+    assert told.count("axis of length 2 was normalised") == 2
 
 
 def test_what_the_gate_calls_broken_is_not_fine(cupboards, capfd):

@@ -83,6 +83,8 @@ def signed_volume(mesh: Mesh) -> float:
 def test_the_summary_tells_both(tmp_path: Path) -> None:
     assets = made.make_assets(tmp_path / "assets")
     write_asset(cabinet(), assets / "moving", provenance={})
+    urdf = assets / "moving" / "object.urdf"
+    urdf.write_text(urdf.read_text().replace('<axis xyz="1 0 0"', '<axis xyz="2 0 0"'))
     rock = Mesh(made.CORNERS * 0.2, made.FACES)
     stone = ArticulatedObject("stone", (Part("link_0", rock),), KinematicTree(("link_0",)))
     write_asset(stone, assets / "stone", provenance={})
@@ -100,3 +102,6 @@ def test_the_summary_tells_both(tmp_path: Path) -> None:
     }  # fmt: skip
     # The cabinet's drawer and door are found by geometry; the vase was never tried.
     assert summary["sim_us"]["articulable"] == 2 and summary["sim_us"]["usable"] <= 1
+    notes = {r["id"]: r["notes"] for r in summary["results"]}
+    assert ["axis of length 2 was normalised" in n for n in notes["cabinet_1"]] == [True]
+    assert notes["pot"] == []
