@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from model.segmentation.box_scores import Believed, BoxBeliefs, shipped_box_model
 from model.segmentation.cells import Cells
 from model.segmentation.depths import Depths
-from model.segmentation.front_features import FRONT_FEATURES, front_features
+from model.segmentation.front_features import FRONT_FEATURES, front_features, trimmed
 from model.segmentation.fronts import Front, Fronts
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import (
@@ -65,8 +65,6 @@ _ALONG = np.cos(np.radians(6))
 _SQUARE = 0.12
 _LEAST_SUPPORT = 0.03
 """Share of the surface that has to face along a direction for it to be a main one."""
-_TRIM = 0.01
-"""Share of a mask that may stick out of its box at each end: a handle, crumbs."""
 _FLAT = 0.3
 """Of its second longest side: what is thinner is a front that a box may lie behind."""
 _COVER = 0.2
@@ -177,10 +175,7 @@ class Boxes:
     def bounds(self, masks: Bool) -> tuple[Int, Int]:
         """(H, 3) first and last step of each mask, but for a hundredth of it at each end."""
         held = (self._bins @ masks.T.astype(np.float32)).T.reshape(len(masks), 3, _STEPS)
-        passed = np.cumsum(held, axis=2)
-        total = passed[:, :, -1:]
-        low = (passed > _TRIM * total).argmax(2)
-        high = (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(2)
+        low, high = trimmed(held)
         return low.astype(np.int16), high.astype(np.int16)
 
     def contents(self, low: Int, high: Int, margin: int = 1) -> Bool:

@@ -22,6 +22,7 @@ Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
 
 _TRIM = 0.01
+"""Share of what is held that may stick out at each end: a handle, crumbs."""
 _REACH = 2
 _KNOBS = 4
 _MARGIN, _UNEQUAL = 0.35, 3.0
@@ -146,9 +147,14 @@ def _bounds(
     """
     where = np.clip(at.astype(np.int64), 0, most - 1)
     bins = csr_matrix((np.ones(len(at), np.float32), (where, np.arange(len(at)))), (most, len(at)))
-    passed = np.cumsum((bins @ held.T).T, axis=1)
-    total = passed[:, -1:]
-    first = (passed > _TRIM * total).argmax(1)
-    last = (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(1)
+    first, last = trimmed((bins @ held.T).T)
     bounds = np.stack([first + 0.5 - half, last + 0.5 + half], axis=1)
     return np.clip(np.floor(bounds), 0, most - 1).astype(np.int64)
+
+
+def trimmed(held: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """First and last bin along the last axis of what they hold, but for a hundredth at each end."""
+    passed = np.cumsum(held, axis=-1)
+    total = passed[..., -1:]
+    first = (passed > _TRIM * total).argmax(-1)
+    return first, (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(-1)

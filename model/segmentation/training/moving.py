@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+from model.datasets.procedural.scan import simulate_scan
 from model.evaluation.pool import in_order
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, SegmentedObject
@@ -43,7 +43,15 @@ from model.segmentation.training.clicks import (
     overlaps,
 )
 from model.segmentation.training.ornaments import ornamented
-from model.segmentation.training.scans import FLUSH, SMALL_PARTED, SQUARE, Shape, build, scan
+from model.segmentation.training.scans import (
+    FLUSH,
+    SMALL_PARTED,
+    SQUARE,
+    Shape,
+    build,
+    depth_cameras,
+    scan,
+)
 
 if TYPE_CHECKING:
     from model.segmentation.training.mending import MendingTraining
@@ -140,16 +148,11 @@ def _photographed(
     seen, numbers = _pieces(shape)
     ahead = rng.uniform(-np.pi, np.pi) if rng.random() < 0.1 else ahead
     around = ahead + rng.uniform(-0.9, 0.9, rng.integers(1, 6))
-    size = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
-    noise = float(rng.choice(_NOISE)) * size
-    settings = ScanSettings(
-        tuple(View(float(a), float(rng.uniform(0.05, 0.7))) for a in around),
-        count,
-        # Depths are about 1.6 diagonals, and the noise grows with their square.
-        depth_noise=noise / (1.6 * size) ** 2,
+    noise = float(rng.choice(_NOISE))
+    settings = replace(
+        depth_cameras(shape, around, count, noise, rng),
         color_noise=float(rng.choice([3, 6, 10])),
         outliers=float(rng.choice([0, 0.0005, 0.002])),
-        misalignment=0.3 * noise,
     )
     found = simulate_scan(seen, settings, rng)
     labels = np.where((found.part < 0) | found.smeared, -1, numbers[found.part])

@@ -194,17 +194,32 @@ def _photographed(
     """What one to four simulated depth cameras before the object saw."""
     assert shape.object is not None
     around = rng.uniform(-0.9, 0.9, rng.integers(1, 5))
-    views = tuple(View(float(a), float(rng.uniform(0.05, 0.7))) for a in around)
+    seen = simulate_scan(shape.object, depth_cameras(shape, around, count, noise, rng), rng)
+    return LabelledCloud(seen.cloud, seen.part.astype(np.int16), shape.family)
+
+
+def depth_cameras(
+    shape: Shape,
+    around: npt.NDArray[np.float64],
+    count: int,
+    noise: float,
+    rng: np.random.Generator,
+) -> ScanSettings:
+    """Depth cameras at some heights before a shape.
+
+    Args:
+        around: (cameras,) azimuths in radians.
+        count: points.
+        noise: of a point, in diagonals of the shape.
+    """
     size = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
-    settings = ScanSettings(
-        views,
+    return ScanSettings(
+        tuple(View(float(a), float(rng.uniform(0.05, 0.7))) for a in around),
         count,
         # Depths are about 1.6 diagonals, and the noise grows with their square.
         depth_noise=noise * size / max((1.6 * size) ** 2, 1e-6),
         misalignment=0.3 * noise * size,
     )
-    seen = simulate_scan(shape.object, settings, rng)
-    return LabelledCloud(seen.cloud, seen.part.astype(np.int16), shape.family)
 
 
 def random_scan(
