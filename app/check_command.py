@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from app.batch import asset_names, find_assets, run_all
 from app.options import add_json
 from app.physics_options import add_physics, physics_settings, store_folder
-from model.errors import ArtiworldError
+from model.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
     from model.exporters.physics import Physics, PhysicsSettings
@@ -58,9 +58,8 @@ def run(args: argparse.Namespace) -> int:
     That is what can't be read back, and what the gate calls broken unless that is allowed.
     """
     from app import printing
-    from app.export_command import named_formats
 
-    formats = named_formats(args.format or ["all"])
+    formats = _readable_formats(args.format)
     assets = find_assets(args.assets)
     settings, store = physics_settings(args), store_folder(args)
     tasks = [
@@ -78,6 +77,24 @@ def run(args: argparse.Namespace) -> int:
     show.result(report, lambda: _print(report))
     told = "readable" if args.allow_broken else "fine"
     return 0 if all(row[told] for row in report["assets"]) else 1
+
+
+def _readable_formats(given: list[str]) -> list[str]:
+    """The formats to check; of plug-ins' nothing is known that reads them back.
+
+    Raises:
+        ConfigurationError: where one of these is asked for by its name.
+    """
+    from app.export_command import named_formats
+    from model.exporters.registry import BUILT_IN
+
+    formats = named_formats(given or ["all"])
+    unread = [f for f in formats if f not in BUILT_IN]
+    if unread and {n.strip() for word in given for n in word.split(",")} & set(unread):
+        raise ConfigurationError(
+            f"nothing here reads the format {unread[0]!r} back; there are {', '.join(BUILT_IN)}"
+        )
+    return [f for f in formats if f in BUILT_IN]
 
 
 def _failed(task: CheckTask, error: Exception) -> dict[str, Any]:

@@ -108,7 +108,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     from app.headless import part_of
     from model.exporters.physics import physics_of
     from model.exporters.readback import read_back
-    from model.exporters.registry import load_exporter, write_object
+    from model.exporters.registry import BUILT_IN, load_exporter, write_object
     from model.exporters.saved import load_object, reading_notes
     from model.exporters.urdf import losses_of
     from model.progress import no_progress
@@ -130,12 +130,14 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
                 {"file": os.path.relpath(f, folder), "bytes": f.stat().st_size} for f in files
             ],
         }
-        if task.check:
+        said = [*notes, *(losses_of(obj) if name == "urdf" else ())]
+        if task.check and name in BUILT_IN:
             back = read_back(name, files[0], obj)
             entry |= {"readers": list(back.readers), "problems": list(back.problems)}
-        lost = losses_of(obj) if name == "urdf" else ()
-        if notes or lost:
-            entry["notes"] = [*notes, *lost]
+        elif task.check:  # a plug-in's
+            said.append(f"nothing here reads {name} back: it was written, not checked")
+        if said:
+            entry["notes"] = said
         written.append(entry)
     shapes = {link: len(held) for link, held in physics.collision.items()}
     return {"asset": str(task.asset), "collision_shapes": shapes, "formats": written}
