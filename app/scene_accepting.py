@@ -324,7 +324,8 @@ class Accepting:
         self._told.remove(told)
         if told.accepted:
             told.notice("Accepted", _objects(told.accepted), "green")
-        held = [(self._desk.works[i], self.refused[i]) for i in told.refused]
+        # Without those that were decided on anew meanwhile.
+        held = [(self._desk.works[i], self.refused[i]) for i in told.refused if i in self.refused]
         if not held:
             return
         work, first = next(

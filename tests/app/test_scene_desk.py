@@ -310,6 +310,30 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     stop()
 
 
+def test_what_was_held_back_and_decided_anew_meanwhile_is_told_once(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, first, small = world.desk, world.desk.work("first"), world.desk.work("small")
+    assert first is not None and small is not None
+    gate, mine = Slow(desk, monkeypatch), list[str]()
+    both = (small.id, first.id)
+    desk.do(DecideObjects("accept", both), "ann", lambda *n: mine.append(n[1]))
+    gate.answer("look")
+    wait(lambda: desk.accepting.refusal(small), "it is held back")
+    # The other one is still being judged when the first is accepted as it is.
+    desk.do(DecideObjects("accept", (small.id,), looked=True), "ann", lambda *n: mine.append(n[1]))
+    gate.answer("fine")
+    wait(lambda: mine, "the first decision is told", 60)
+    gate.answer("look")
+    wait(lambda: len(mine) == 2, "the second one too", 60)
+    assert mine == ["2 objects", "1 object"]
+    assert statuses(desk)["first"] == statuses(desk)["small"] == "accepted"
+    desk.do(cmd.Undo(), "ann")
+    desk.do(cmd.Undo(), "ann")
+    assert statuses(desk)["first"] == statuses(desk)["small"] == "predicted"
+    world.settle()
+
+
 def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
     lift = Joint(
         "lift", "prismatic", "link_0", "helper_1", (0, 0, 1), (0, 0, 0), lower=0, upper=0.08
