@@ -17,12 +17,14 @@ from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
 from model.geometry.asset import Source
 from sessions import commands as cmd
+from sessions.document import Document
 from sessions.provenance import provenance
 from sessions.state import Context, SessionState, apply, review_problems
 from sessions.store import Entry, ObjectRecord
 
 if TYPE_CHECKING:
     from app.open_object import OpenObject
+    from app.part_tasks import PartSource
 
 
 def accept(
@@ -55,9 +57,11 @@ def accept(
     if problems:
         raise CommandError("; ".join(problems))
     assert doc.tree is not None
+    source = obj.source(doc)
 
     def again() -> None:
         try:
+            _check_unchanged(obj, doc, source)
             accept(obj, comment, who, at, override, looked_at=looked_at, refused=refused)
         except CommandError as error:
             _refuse(obj, error, refused)
@@ -72,18 +76,13 @@ def accept(
         looked_at=gate is not None and gate is looked_at,
     )  # fmt: skip
     folder = asset_folder(obj.bench.workspace, obj.record)
-    source = obj.source(doc)
     job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
-        now = obj.document
-        changed = ""
-        if now.segmentation is None or (now.tree, obj.source(now)) != (doc.tree, source):
-            changed = "It was edited meanwhile: accept it again"
-        elif now.review != doc.review:
-            changed = f"It was {now.review.state} meanwhile by {now.review.by}"
-        if changed:
-            _refuse(obj, CommandError(changed), refused)
+        try:
+            _check_unchanged(obj, doc, source)
+        except CommandError as error:
+            _refuse(obj, error, refused)
             return
         # Only now: an asset that was accepted before stays until this one is to take its place.
         written = str(publish(draft, folder, record).folder)
@@ -93,6 +92,19 @@ def accept(
 
     obj.start("save", job, keep)
     obj.changed()
+
+
+def _check_unchanged(obj: OpenObject, before: Document, source: PartSource) -> None:
+    """Refuse where the object isn't any more what was to be accepted.
+
+    Raises:
+        CommandError: saying what happened meanwhile.
+    """
+    now = obj.document
+    if now.segmentation is None or (now.tree, obj.source(now)) != (before.tree, source):
+        raise CommandError("It was edited meanwhile: accept it again")
+    if now.review != before.review:
+        raise CommandError(f"It was {now.review.state} meanwhile by {now.review.by}")
 
 
 def _refuse(

@@ -204,6 +204,22 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
     assert "rejected meanwhile by rob" in str(said[0])
     assert obj.document.review.state == "rejected"
 
+    # Nor while the gate is still at work, and what was edited meanwhile is another object.
+    for upper, meanwhile, told in (
+        (1.3, cmd.Reject("axis"), "rejected meanwhile by rob"),
+        (1.31, cmd.SetJoint(replace(DOOR, upper=1.32)), "edited meanwhile"),
+    ):
+        said.clear()
+        busy = obj.bench.prediction.submit(time.sleep, 0.5, priority=9)
+        wait(lambda busy=busy: busy.state == "running", "the gate is held up")
+        obj.do(cmd.SetJoint(replace(DOOR, upper=upper)), "tester")
+        assert obj.judging.report is None
+        accept(obj, "", "tester", NOW, refused=said.append)
+        obj.do(meanwhile, "rob")
+        wait(lambda: said or obj.document.review.state == "accepted", "it is told")
+        assert said and told in str(said[0])
+        assert obj.document.review.state != "accepted"
+
 
 def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch) -> None:
     tree = cupboard.document.tree
