@@ -216,6 +216,8 @@ class Accepting:
                 self._vain.add(entry)
                 self._accepted(entry)
                 continue
+            if doc.review.state == "rejected" and doc.review.at > record.at:
+                problems = (f"it was rejected meanwhile by {doc.review.by}.",)
             if problems:
                 self._refuse(work, "; ".join(problems))
                 continue
@@ -235,8 +237,8 @@ class Accepting:
         job = desk.bench.prediction.submit(judge_joints, source, doc.tree, priority=6)
 
         def keep(report: GateReport) -> None:
-            if work.document.tree != doc.tree:
-                return  # edited meanwhile: it is judged again
+            if not _as_it_was(doc, work.document):
+                return  # edited or decided on meanwhile: it is looked at again
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
             looked = self._looked.get(work.id)
@@ -275,9 +277,8 @@ class Accepting:
         job = desk.bench.draft_asset(source, doc.tree, _silent)
 
         def keep(draft: Path) -> None:
-            now = work.document
-            if now.tree != doc.tree or now.segmentation != doc.segmentation:
-                return  # edited meanwhile: it is judged again
+            if not _as_it_was(doc, work.document):
+                return  # edited or decided on meanwhile: it is looked at again
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
             written = str(publish(draft, folder, told).folder)
@@ -350,6 +351,11 @@ class Accepting:
 def _same(one: Document, other: Document) -> bool:
     """Whether the gate would say the same of both."""
     return (one.tree, one.segmentation, one.parts) == (other.tree, other.segmentation, other.parts)
+
+
+def _as_it_was(one: Document, other: Document) -> bool:
+    """Whether the same would be written of both, and nobody decided anything since."""
+    return _same(one, other) and (one.category, one.review) == (other.category, other.review)
 
 
 def _objects(count: int) -> str:

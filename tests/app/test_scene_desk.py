@@ -25,6 +25,7 @@ from app.viewer.scene_card import count_text
 from app.viewer.scene_list import order, page_buttons
 from app.workbench import Workbench
 from model.errors import CommandError
+from model.exporters.saved import load_object
 from model.gate.report import Finding, GateReport, JointVerdict
 from model.geometry.readers import read_asset
 from model.kinematics.articulated_object import Prediction
@@ -331,6 +332,39 @@ def test_what_was_held_back_and_decided_anew_meanwhile_is_told_once(
     desk.do(cmd.Undo(), "ann")
     desk.do(cmd.Undo(), "ann")
     assert statuses(desk)["first"] == statuses(desk)["small"] == "predicted"
+    world.settle()
+
+
+def test_what_is_decided_or_named_inside_meanwhile_counts(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, small = world.desk, world.desk.work("small")
+    assert small is not None
+    gate, mine = Slow(desk, monkeypatch), list[str]()
+    desk.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
+    wait(lambda: gate.asked, "the gate is asked")
+    small.live.do(cmd.Reject("axis"), "rob")
+    gate.answer("fine")
+    wait(lambda: mine, "it is told", 60)
+    assert mine == ["small, it was rejected meanwhile by rob. Enter opens it."]
+    assert statuses(desk)["small"] == "rejected"
+    small.live.do(cmd.Undo(), "rob")
+    desk.do(cmd.Undo(), "ann")
+
+    mine.clear()
+    name = small.document.part_names[1]
+    desk.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
+    wait(lambda: gate.asked, "the gate is asked")
+    small.live.do(cmd.NamePart(1, "flap"), "rob")
+    gate.answer("fine")
+    wait(lambda: gate.asked, "it is judged as it is now")
+    gate.answer("fine")
+    wait(lambda: mine, "it is told", 60)
+    assert mine == ["1 object"] and small.document.saved is not None
+    saved = load_object(small.document.saved.folder)
+    assert "flap" in [p.name for p in saved.parts]
+    desk.do(cmd.Undo(), "ann")
+    small.live.do(cmd.NamePart(1, name), "rob")
     world.settle()
 
 
