@@ -297,7 +297,8 @@ class OpenObject(Watched):
             self._failed(what, str(error))
         elif error is not None and what in ("predict", "save"):
             self.tell("Cancelled", "Nothing was changed", "gray")
-        if newest and what in ("labels", "predict"):
+        asked = what in ("segment", "labels") and error is None  # what failed would fail again
+        if newest and (asked or what == "predict"):
             self._state_changed()
         else:
             self.changed()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,8 @@ from sessions.tool_commands import ToolRegion
 
 if TYPE_CHECKING:
     from app.open_object import OpenObject
+
+T = TypeVar("T")
 
 TOOL_SECONDS = 120.0
 _LITTLE = 0.03
@@ -115,7 +118,7 @@ class Segmenting:
                 priority=10,
                 key=("segment", obj.record.id),
             )
-            obj.start("segment", job, self._keep)
+            obj.start("segment", job, self._of(asset, self._keep))
             return
         ref = record.labels if record is not None and doc.prompts else None
         with self._lock:
@@ -127,11 +130,18 @@ class Segmenting:
         job = obj.bench.segmentation.submit(
             segmenting_tasks.display_labels, obj.bench.workspace, ref, asset.element, priority=9
         )
-        obj.start("labels", job, lambda labels: self._show(ref, labels))
+        obj.start("labels", job, self._of(asset, lambda labels: self._show(ref, labels)))
+
+    def _of(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
+        """``keep``, but for an answer about elements that were read anew meanwhile."""
+        return lambda answer: keep(answer) if self._obj.asset is asset else None
 
     def _keep(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
         self._count_vain(answer)
-        self._show(answer.labels, answer.display_labels)
+        # What was undone meanwhile isn't shown; while there is more to answer, it is better than
+        # nothing.
+        if answer.prompts_key == self._obj.document.key or needed_jobs(self._obj.state):
+            self._show(answer.labels, answer.display_labels)
         self._obj.do(
             cmd.RecordSegmentation(
                 answer.prompts_key, answer.labels, answer.segmenter, answer.seconds, answer.counts

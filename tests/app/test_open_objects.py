@@ -16,6 +16,7 @@ from app import display_tasks, workbench
 from app.config import ServeConfig
 from app.open_object import OpenObject
 from app.workbench import Workbench
+from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.job_functions import killed_while_opening
@@ -111,3 +112,28 @@ def test_objects_that_nobody_looks_at_are_let_go_and_come_back(
     stop()
     bench.object(other)
     assert bench.object(shown) is not looked_at
+
+
+def test_what_was_undone_before_it_was_answered_is_not_shown(bench_of, tmp_path: Path) -> None:
+    path = tmp_path / "box.ply"
+    GOOD.export(path)
+    bench = bench_of(path)
+    obj = settled(bench, bench.records()[0].id)
+
+    def undone(command: Any) -> None:
+        busy = bench.segmentation.submit(time.sleep, 0.3, priority=99)
+        wait(lambda: busy.state == "running", "the segmenter is held up")
+        obj.do(cmd.AddClick(Click((0.5, 0.0, 0.0), 1)), "tester")
+        obj.do(command, "tester")
+        wait(lambda: busy.done and not obj.jobs, "nothing is under way")
+
+    undone(cmd.Undo())
+    assert obj.labels is None and not obj.document.prompts
+    obj.do(cmd.AddClick(Click((0.0, 0.0, 0.35), 2)), "tester")
+    wait(lambda: obj.document.segmentation_current and not obj.jobs, "it is answered")
+    assert obj.labels is not None and set(obj.labels.tolist()) == {0, 2}
+    undone(cmd.Undo())
+    assert set(obj.labels.tolist()) == {0, 2}
+    # The answer is about elements that are none any more.
+    undone(cmd.SetFrame("x", 1.0))
+    assert obj.labels is None and obj.asset is not None
