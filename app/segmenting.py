@@ -13,6 +13,7 @@ import numpy.typing as npt
 from app import segmenting_tasks, tool_tasks
 from app.display_tasks import OpenedAsset
 from app.segmenting_tasks import StoredRegion
+from model.errors import CommandError
 from model.segmentation.prompts import MAX_PARTS, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
@@ -184,7 +185,7 @@ class Segmenting:
         """Let a segmentation tool work; the number of regions that came of it.
 
         Raises:
-            CommandError: where the tool can't work on what there is.
+            CommandError: where the tool can't work on what there is, or that changed meanwhile.
         """
         obj = self._obj
         asset, doc = obj.need_asset(), obj.document
@@ -204,6 +205,9 @@ class Segmenting:
             request,
             priority=12,
         ).result(TOOL_SECONDS)
+        if _worked_on(obj.document) != _worked_on(doc):
+            # By another tab: prompts at the end, elements and free numbers are others now.
+            raise CommandError("something else was changed meanwhile: use the tool again")
         if isinstance(offers, tool_tasks.FaceCutOffer):
             self._cut_faces(offers, request.tool, who)
             return 1
@@ -277,6 +281,12 @@ def _shares(
     return {int(i) - 1: float(held[i] / total) for i in np.flatnonzero(held)}
 
 
+def _worked_on(doc: Document) -> tuple[object, ...]:
+    """What a tool's answer refers to."""
+    frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
+    return doc.prompts, {p.id for p in doc.parts}, frame
+
+
 def _never_used(doc: Document) -> set[int]:
     """Parts that somebody declared and left at that: no prompt, no name, no joint."""
     used = {0, *(p.part for p in doc.prompts), *(p.like for p in doc.parts)}
@@ -289,7 +299,10 @@ def _never_used(doc: Document) -> set[int]:
 
 
 def _free(used: set[int]) -> int:
-    return next(i for i in range(1, MAX_PARTS) if i not in used)
+    found = next((i for i in range(1, MAX_PARTS) if i not in used), None)
+    if found is None:
+        raise CommandError(f"there are {MAX_PARTS - 1} parts already, and no more are possible")
+    return found
 
 
 def _last_of(doc: Document, part: int) -> int:

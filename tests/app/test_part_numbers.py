@@ -5,19 +5,24 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from app.segmenting import Segmenting
-from app.tool_tasks import RegionOffer, ToolRequest
+from app.tool_tasks import FaceCutOffer, MaskOffer, RegionOffer, ToolRequest
+from model.errors import CommandError
 from model.segmentation.prompts import Click
-from sessions.commands import AddClick, AddPart, NamePart
+from sessions.commands import AddClick, AddPart, NamePart, SetFrame
+from sessions.describe import describe
 from sessions.state import Context, SessionState, apply
+from sessions.tool_commands import FaceCut
 
 REF = "a" * 64
 HERE = Context("tester", "2026-01-01T00:00:00+00:00")
 
 
-def desk(offers: list[RegionOffer], *commands: Any) -> tuple[Segmenting, Any]:
+def desk(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
     """An open object after ``commands``, whose tools find ``offers``."""
-    job = SimpleNamespace(result=lambda seconds: offers)
+    job = SimpleNamespace(before=lambda: None, result=lambda seconds: (job.before(), offers)[1])
     obj: Any = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder=None),
         bench=SimpleNamespace(
@@ -53,3 +58,19 @@ def test_what_takes_an_empty_number_has_its_name() -> None:
     segmenting, obj = desk([RegionOffer(-1, REF, 9)], *said)
     segmenting.use_tool(ToolRequest("same shape", 2), "tester")
     assert obj.document.part_names == {1: "knob", 2: "knob"} and obj.document.part(1).like == 2
+
+
+@pytest.mark.parametrize(
+    "meanwhile", [AddClick(Click((1, 0, 0), 3)), AddPart(1), SetFrame("x", 1.0)]
+)
+def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile: Any) -> None:
+    for tool, offers in (
+        ("propose", [RegionOffer(-1, REF, 9)] * 2),
+        ("next mask", MaskOffer([RegionOffer(2, REF, 9)], 1, 2)),
+        ("cut", FaceCutOffer(FaceCut(REF, ((0, 0, 1, 0),)), (), REF, {0: 1})),
+    ):
+        segmenting, obj = desk(offers, AddClick(Click((0, 0, 0), 2)))
+        obj.bench.segmentation.submit().before = lambda obj=obj: obj.do(meanwhile)
+        with pytest.raises(CommandError, match="meanwhile"):
+            segmenting.use_tool(ToolRequest(tool, 2), "tester")
+        assert obj.document.label == describe(meanwhile)
