@@ -94,6 +94,7 @@ class Commands:
     def _refused(self, obj: OpenObject, error: CommandError) -> None:
         """Say why, and show what the gate wants to be looked at."""
         app = self._app
+        app.review_panel.refused(obj)
         if isinstance(error, LookFirstError) and app.object is obj:
             app.set_stage("Review")
             app.review_panel.gate.show_worst()

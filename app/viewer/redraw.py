@@ -121,16 +121,17 @@ class Redraw:
             lines.append(f"⚠ {plain(obj.problem, 400)}")
         if doc.prediction_stale:
             lines.append("⚠ The parts changed since the prediction: predict again (P)")
-        shown = [w for w in _BUSY if w in obj.busy]
+        busy = dict(obj.busy)  # jobs end while this is drawn
+        shown = [w for w in _BUSY if w in busy]
         fraction = 0.0
         if shown:
-            fraction, message = obj.busy[shown[0]]
+            fraction, message = busy[shown[0]]
             lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         put(self._app.status, "content", "\n\n".join(lines))
         put(self._app.again_button, "visible", obj.problem is not None)
         put(self._app.progress, "visible", bool(shown))
         put(self._app.progress, "value", round(100 * fraction, 1))
-        stoppable = {"predict", "save", "room"} & set(obj.busy)
+        stoppable = {"predict", "save", "room"} & set(busy)
         put(self._app.cancel_button, "visible", bool(stoppable))
 
     def _draw_scene(self, obj: OpenObject) -> None:

@@ -85,6 +85,11 @@ class ReviewPanel:
             self._asked = None
             raise
 
+    def refused(self, obj: OpenObject) -> None:
+        """What was asked for isn't decided: another one's decision later is none to go on after."""
+        if self._asked is not None and self._asked[0] == obj.record.id:
+            self._asked = None
+
     def clear(self) -> None:
         """Empty what was typed."""
         self._comment.value = ""

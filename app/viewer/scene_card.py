@@ -123,10 +123,11 @@ class SceneCard:
             lines.append(f"⚠ {plain(desk.problem, 400)}")
         # What was taken back may need a moment to stop; nobody waits for it any more.
         idle = () if desk.accepting.waiting else ("accept",)
-        shown = [w for w in _BUSY if w in desk.busy and w not in idle]
+        busy = dict(desk.busy)  # jobs end while this is drawn
+        shown = [w for w in _BUSY if w in busy and w not in idle]
         fraction = 0.0
         if shown:
-            fraction, message = desk.busy[shown[0]]
+            fraction, message = busy[shown[0]]
             lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         problems = () if desk.scene is None else desk.scene.problems
         if problems:
