@@ -369,7 +369,8 @@ class SceneDesk(Watched):
         self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep, work), told)
 
     def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
-        error = self.jobs.hand_over(what, job, keep)
+        with self._lock:  # nothing is taken back while an answer is taken in
+            error = self.jobs.hand_over(what, job, keep)
         if isinstance(error, ArtiworldError):
             self._failed(what, str(error), work)
         # Only now: what is kept above asks for the next job, and this one isn't to be asked again.

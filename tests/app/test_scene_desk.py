@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -365,6 +366,29 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     assert "flap" in [p.name for p in saved.parts]
     desk.do(cmd.Undo(), "ann")
     small.live.do(cmd.NamePart(1, name), "rob")
+    world.settle()
+
+
+def test_undo_while_the_asset_takes_its_place_takes_it_back(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, small = world.desk, world.desk.work("small")
+    assert small is not None
+    gate, publish = Slow(desk, monkeypatch), scene_accepting.publish
+    before = desk.document.decided
+    undoing = threading.Thread(target=lambda: desk.undo("ann"))
+
+    def slow(*given: Any) -> Any:
+        undoing.start()
+        wait(lambda: desk.document.decided == before, "it is undone", 20)
+        time.sleep(0.3)
+        return publish(*given)
+
+    monkeypatch.setattr(scene_accepting, "publish", slow)
+    desk.do(DecideObjects("accept", (small.id,)), "ann")
+    gate.answer("fine")
+    wait(lambda: undoing.ident and not undoing.is_alive() and not desk.busy, "all is done", 60)
+    assert statuses(desk)["small"] == "predicted"
     world.settle()
 
 
