@@ -180,6 +180,7 @@ class OpenObject(Watched):
     def _opened(self, asset: OpenedAsset) -> None:
         with self._lock:
             self.asset = asset
+        self.bench.note_broken(self.record.id, False)
         if self.state.seq == 0:
             self.segmenting.take_source_parts(asset)
             if asset.category:
@@ -307,7 +308,10 @@ class OpenObject(Watched):
         if what == "check":
             self.judging.failed(message)
         if what == "open":
+            # Where uploads are kept says nothing to the one who sent the file.
+            message = message.replace(f"{Path(self.record.path).parent}/", "")
             self.problem = message
+            self.bench.note_broken(self.record.id, True)
         self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
 
 

@@ -27,7 +27,11 @@ OPEN_KEPT = 4
 
 
 class Workbench:
-    """Workers, store and open objects of one server."""
+    """Workers, store and open objects of one server.
+
+    Attributes:
+        broken: objects whose file couldn't be read when somebody last wanted to see them.
+    """
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
         self.config = config
@@ -46,6 +50,7 @@ class Workbench:
         self._queue_listeners: list[Listener] = []
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
+        self.broken: frozenset[int] = frozenset()
         self.add_paths(paths)
 
     def add_paths(self, paths: list[Path]) -> list[int]:
@@ -109,6 +114,14 @@ class Workbench:
         with self._lock:
             before, self._records[object_id] = self._records.get(object_id), record
         if before is None or before.state != record.state:
+            self._tell_queue()
+
+    def note_broken(self, object_id: int, broken: bool) -> None:
+        """Whether an object's file couldn't be read, for the queue."""
+        with self._lock:
+            before = self.broken
+            self.broken = before | {object_id} if broken else before - {object_id}
+        if self.broken != before:
             self._tell_queue()
 
     def _tell_queue(self) -> None:

@@ -9,8 +9,11 @@ import viser
 from app.pointer_messages import title_buttons
 from app.viewer import palette
 from app.viewer.queue_names import clipped, queue_names
+from app.viewer.scene_list import page_buttons
 from app.viewer.text import plain
+from app.viewer.widgets import put
 from sessions import commands as cmd
+from sessions.records import ObjectRecord
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -44,7 +47,7 @@ class QueuePanel:
             self._filter = gui.add_dropdown("Show", options, initial_value=ALL)
             self._search = gui.add_text("Find", "", hint="Part of an object's name")
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
-            self._pages = gui.add_button_group("Page", ("◀", "▶"))
+            self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
             self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
             self._upload = gui.add_upload_button(
                 "Add files",
@@ -61,7 +64,7 @@ class QueuePanel:
             button.on_click(lambda _, k=k: app.act(lambda: self._open(k)))
         self._filter.on_update(lambda _: self._turn(None))
         self._search.on_update(lambda _: self._turn(None))
-        self._pages.on_click(lambda e: self._turn(-1 if e.target.value == "◀" else 1))
+        self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
         self._next.on_click(
             lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
         )
@@ -111,8 +114,9 @@ class QueuePanel:
                 self._first = ids.index(current) // PAGE * PAGE
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
+        broken = app.bench.broken
         now = (
-            tuple((r.id, names[r.id], r.state) for r in page),
+            tuple((r.id, names[r.id], r.state, r.id in broken) for r in page),
             current,
             len(chosen),
             self._first,
@@ -121,12 +125,16 @@ class QueuePanel:
         if now == self._shown:
             return
         self._shown = now
+
+        def stands(record: ObjectRecord) -> str:
+            return "can't be read" if record.id in broken else words[record.state]
+
         done = sum(r.state == "accepted" for r in records)
         self._summary.content = f"**{done} of {len(records)}** accepted"
         self._bar.value = round(100 * done / max(len(records), 1), 1)
         self._ids = [r.id for r in page]
-        many = len(chosen) > PAGE
-        self._pages.visible = many
+        put(self._pages, "visible", len(chosen) > PAGE)
+        put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
         for k, button in enumerate(self._buttons):
             if k >= len(page):
                 if button.visible:
@@ -135,14 +143,14 @@ class QueuePanel:
             record = page[k]
             here = record.id == current
             button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
-            button.icon = _ICONS[record.state]
+            button.icon = viser.Icon.ALERT_TRIANGLE if record.id in broken else _ICONS[record.state]
             button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
-            button.hint = f"{plain(names[record.id])}: {words[record.state]}"
+            button.hint = f"{plain(names[record.id])}: {stands(record)}"
             button.visible = True
         title_buttons(
             app.client,
             {
-                button._impl.uuid: f"{names[record.id]}: {words[record.state]}"
+                button._impl.uuid: f"{names[record.id]}: {stands(record)}"
                 for button, record in zip(self._buttons, page, strict=False)
             },
         )

@@ -59,15 +59,15 @@ class Redraw:
         for stage, folder in app.folders.items():
             # There is nothing to click on where the file can't be opened.
             put(folder, "visible", stage == app.stage and not (broken and stage == "Annotate"))
+        empty = broken and app.object is not None and app.object.document.tree is None
+        put(app.stage_buttons, "visible", not empty)
         labels = tuple(("● " if s == app.stage else "") + s for s in STAGES)
         if app.stage_buttons.options != labels:
             app.stage_buttons.options = labels
         obj = app.object
         if obj is None:
             if self.asset is not None:
-                app.scene.clear()
-                self.asset = None
-                app.motion.forget_scene()
+                self._clear()
                 app.pointing.tell_page()
             return
         self._draw_status(obj)
@@ -82,9 +82,8 @@ class Redraw:
             self.asset = obj.asset
             app.motion.forget_scene()
             app.pointing.begin(same=stays)
-        elif obj.asset is None and self.asset is not None and not self._read_again(obj):
-            app.scene.clear()
-            self.asset = None
+        elif obj.asset is None and self._shown is not None and not self._read_again(obj):
+            self._clear()
         self._draw_scene(obj)
         app.annotate_panel.draw(obj)
         app.source_panel.draw(obj)
@@ -92,6 +91,12 @@ class Redraw:
         app.joints_panel.draw(obj)
         if app.stage == "Review":  # it reads the history, which no click should pay for
             app.review_panel.draw(obj)
+
+    def _clear(self) -> None:
+        """Take the picture away: it is of another object, or of a file that can't be read now."""
+        self._app.scene.clear()
+        self.asset = self._shown = None
+        self._app.motion.forget_scene()
 
     def _read_again(self, obj: OpenObject) -> bool:
         """Whether what is shown is the same object, whose faces are numbered anew just now."""

@@ -63,10 +63,12 @@ def test_a_file_that_changed_is_tried_again(bench_of, tmp_path: Path) -> None:
     wait(lambda: obj.problem, "the problem")
     bench.object(number)
     assert obj.problem and "open" not in obj.jobs
+    assert obj.problem.startswith("box.ply: ")  # where it is kept is nothing to tell
+    assert bench.broken == {number}
     GOOD.export(path)
     bench.object(number)
     wait(lambda: obj.asset, "it opens")
-    assert obj.problem is None
+    assert obj.problem is None and not bench.broken
 
 
 def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
