@@ -120,6 +120,14 @@ class ClientApp:
         )
         self.stage_buttons = gui.add_button_group("Step", STAGES)
         self.stage_buttons.on_click(lambda e: self._stage_clicked(e.target.value))
+        self.play_buttons = gui.add_button_group(
+            "Motion", ("Play / stop (Space)", "Reset pose (R)"), visible=False
+        )
+        self.play_buttons.on_click(
+            lambda e: self.act(
+                self.commands.play if e.target.value.startswith("Play") else self.motion.reset
+            )
+        )
         self.folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STAGES}
         with self.folders["Annotate"]:
             self.annotate_panel = AnnotatePanel(self)

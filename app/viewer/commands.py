@@ -10,6 +10,7 @@ import numpy as np
 
 from app.accepting import accept
 from app.judging import LookFirstError
+from app.pointer_messages import tell_page
 from app.viewer.keys import KEYS
 from model.errors import CommandError
 from sessions import commands as cmd
@@ -184,17 +185,25 @@ class Commands:
 
     def choose_joint_at(self, element: int) -> None:
         """The joint whose part holds a displayed element's source element."""
-        app = self._app
-        obj = app.need_object()
-        if obj.labels is None or obj.asset is None or any(app.motion.q.values()):
+        obj = self._app.need_object()
+        if obj.labels is None or obj.asset is None:
             return
         shown = np.flatnonzero(obj.asset.element == element)
-        if not len(shown):
+        if len(shown):
+            self.choose_joint_of(int(obj.labels[shown[0]]))
+
+    def choose_joint_of(self, part: int | None) -> None:
+        """The joint that moves a part, where there is one."""
+        tree = self._app.need_object().document.tree
+        link = f"link_{part}"
+        if tree is None or part is None:
+            said = "Nothing there" if part is None else "No joints yet"
+        elif link not in tree.joint_of:
+            said = "The base doesn't move"
+        else:
+            self._app.choose_joint(link)
             return
-        link = f"link_{int(obj.labels[shown[0]])}"
-        tree = obj.document.tree
-        if tree is not None and link in tree.joint_of:
-            app.choose_joint(link)
+        tell_page(self._app.client, said=said)
 
     def play_all(self) -> None:
         """Start or stop moving all the joints, of a scene those of all its objects."""

@@ -34,12 +34,17 @@ DEFAULT_LIMITS = {"revolute": (0.0, math.pi / 2), "prismatic": (0.0, 0.3)}
 
 
 class JointEditor:
-    """The widgets for one joint, and what a person does with them."""
+    """The widgets for one joint, and what a person does with them.
+
+    Attributes:
+        pose_box: the place for the slider that moves it.
+    """
 
     def __init__(self, app: ClientApp) -> None:
         self._app = app
         gui = app.client.gui
         self._child = gui.add_dropdown("Moves", ("—",))
+        self.pose_box = gui.add_folder(None)
         self._note = gui.add_markdown("")
         self._name = gui.add_text("Name", "")
         self._type = gui.add_dropdown("Type", JOINT_TYPES)
@@ -53,7 +58,9 @@ class JointEditor:
         self._upper = gui.add_number("Upper [°]", 0.0, step=0.1)
         self._free = gui.add_button_group("Limits", ("Free range", "Zero is closed"))
         self._gizmo = gui.add_button("Axis handles (G)", icon=viser.Icon.AXIS_X, color="gray")
-        self._locked = gui.add_checkbox("Keep when predicting again", False)
+        self._locked = gui.add_checkbox(
+            "Keep it", False, hint="Predicting again leaves this joint as it is"
+        )
         self._reset = gui.add_button("Reset to the prediction", color="gray")
         app.on_update(self._child, self._child_chosen)
         self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))

@@ -35,6 +35,7 @@ class JointsPanel:
         self._sliders: dict[str, Any] = {}
         self._motion_key: Any = None
         self._rows: list[Any] = []
+        self._pose: tuple[Any, list[Any]] = None, []
         gui = app.client.gui
         self._empty = gui.add_markdown("")
         self._again = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
@@ -45,33 +46,31 @@ class JointsPanel:
         self._what = gui.add_markdown("")
         self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
         self._quick = QuickNames(app, self._named)
-        self._motion = gui.add_folder("Motion")
-        with self._motion:
-            self._all = gui.add_button_group(
-                "All joints", ("Play / stop (Space)", "Reset pose (R)")
-            )
         self._folder = gui.add_folder("Joint")
         with self._folder:
             self.editor = JointEditor(app)
+        self._motion = gui.add_folder("All joints")
         app.on_update(self._category, self._categorised)
         self._again.on_click(lambda _: app.act(app.commands.predict))
         self._here.on_click(lambda _: app.act(app.commands.predict_here))
-        self._all.on_click(
-            lambda e: app.act(
-                app.commands.play if e.target.value.startswith("Play") else app.motion.reset
-            )
-        )
 
-    def show_q(self, q: dict[str, float]) -> None:
-        """Bring the sliders to ``q`` without moving anything."""
+    def show_q(self, q: dict[str, float], but: Any = None) -> None:
+        """Bring the sliders, ``but`` one, to ``q`` without moving anything."""
         tree = None if self._app.object is None else self._app.object.document.tree
         if tree is None:
             return
-        for name, slider in self._sliders.items():
+        mine = self._pose[1][:1]
+        for name, slider in [*self._sliders.items(), *((self._pose_of, s) for s in mine)]:
             joint = tree.by_name.get(name)
-            if joint is not None:
+            if joint is not None and slider is not but:
                 value = round(shown(joint, q.get(name, 0.0)), 1)
                 put(slider, "value", min(max(value, slider.min), slider.max))
+
+    @property
+    def _pose_of(self) -> str:
+        """The joint that the slider in the editor moves."""
+        key = self._pose[0]
+        return "" if key is None else key[0]
 
     # --- drawing
 
@@ -101,7 +100,7 @@ class JointsPanel:
         if now == self._drawn:
             return
         self._drawn = now
-        for widget in (self._tree, self._motion, self._folder):
+        for widget in (self._tree, self._folder):
             put(widget, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
         self._draw_names(doc, wanted)
@@ -110,11 +109,13 @@ class JointsPanel:
             text = "No joints yet. Click the moving parts, then predict."
             put(self._empty, "content", text)
             self._draw_motion(None, doc)
+            self._draw_pose(None)
             return
         if app.child not in tree.joint_of:
             app.child = next((j.child for j in tree.joints if j.moves), None)
         put(self._tree, "content", tree_text(tree, doc, obj.checks))
         self._draw_motion(tree, doc)
+        self._draw_pose(app.joint)
         self.editor.draw(obj, tree)
 
     def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
@@ -169,35 +170,66 @@ class JointsPanel:
         for row in self._rows:
             row.remove()
         self._rows, self._sliders = [], {}
-        gui, app = self._app.client.gui, self._app
+        sliders: dict[str, Any] = {}
+        gui = self._app.client.gui
+        put(self._motion, "visible", len(moving) > 1)
         with self._motion:
             for joint in moving:
-                low, high = _range(joint)
                 unit = "°" if joint.rotates else "mm"
-                step = max(round((high - low) / 400, 1), 0.1)
-                start = round(shown(joint, app.motion.q.get(joint.name, 0.0)), 1)
-                slider = gui.add_slider(
-                    f"{part_title(doc, joint.child)} [{unit}]",
-                    min=low,
-                    max=high,
-                    step=step,
-                    initial_value=min(max(start, low), high),
-                    hint=f"{joint.name}: {joint.type}",
-                )
-                slider.on_update(lambda e, j=joint: self._slid(e, j))
+                slider = self._slider(f"{part_title(doc, joint.child)} [{unit}]", joint)
                 buttons = gui.add_button_group("", ("▶ / ■", "Edit"))
                 buttons.on_click(lambda e, j=joint: self._row_clicked(e.target.value, j))
-                self._sliders[joint.name] = slider
+                sliders[joint.name] = slider
                 self._rows += [slider, buttons]
+        self._sliders = sliders
+
+    def _draw_pose(self, joint: Joint | None) -> None:
+        """The slider of the chosen joint, beside what is edited."""
+        if joint is not None and (not joint.moves or joint.mimic is not None):
+            joint = None
+        key = None if joint is None else (joint.name, joint.type, joint.lower, joint.upper)
+        if key == self._pose[0]:
+            return
+        for row in self._pose[1]:
+            row.remove()
+        self._pose = key, []
+        if joint is None:
+            return
+        gui, app = self._app.client.gui, self._app
+        with self.editor.pose_box:
+            slider = self._slider("Pose [°]" if joint.rotates else "Pose [mm]", joint)
+            play = gui.add_button_group("", ("▶ / ■",))
+        play.on_click(lambda _: app.act(lambda: app.motion.play(joint.name)))
+        self._pose = key, [slider, play]
+
+    def _slider(self, label: str, joint: Joint) -> Any:
+        """A slider that moves a joint."""
+        low, high = _range(joint)
+        start = round(shown(joint, self._app.motion.q.get(joint.name, 0.0)), 1)
+        slider = self._app.client.gui.add_slider(
+            label,
+            min=low,
+            max=high,
+            step=max(round((high - low) / 400, 1), 0.1),
+            initial_value=min(max(start, low), high),
+            hint=f"{joint.name}: {joint.type}",
+        )
+        slider.on_update(lambda e: self._slid(e, joint))
+        return slider
 
     def _slid(self, event: Any, joint: Joint) -> None:
         if event.client is None:
             return
-        value = event.target.value
+        value, slider, app = event.target.value, event.target, self._app
         q = math.radians(value) if joint.rotates else value / 1000
         if joint.lower is not None and joint.upper is not None:  # the slider's ends are rounded
             q = min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))
-        self._app.act(lambda: self._app.motion.set_q(joint.name, q))
+
+        def moved() -> None:
+            app.motion.set_q(joint.name, q)
+            self.show_q(app.motion.q, but=slider)
+
+        app.act(moved)
 
     def _row_clicked(self, which: str, joint: Joint) -> None:
         app = self._app

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from viser import transforms as vtf
 
 from app.viewer.animation import Animation
 from model.gate.report import Finding
+from model.kinematics.joint import Joint
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -29,6 +32,7 @@ class Motion:
         self.gizmo_on = False
         self._gizmo: Any = None
         self._gizmo_key: Any = None
+        self._gizmo_held = False
         self._moment: dict[str, float] | None = None
         self._animation = Animation(self._animate)
 
@@ -43,6 +47,7 @@ class Motion:
 
     def forget_scene(self) -> None:
         """The scene was cleared, and the handles and marks with it."""
+        self._gizmo_held = False
         self._gizmo, self._gizmo_key, self._moment = None, None, None
 
     def set_q(self, name: str, value: float) -> None:
@@ -88,6 +93,7 @@ class Motion:
         with app.client.atomic():
             app.scene.parts.pose(poses)
             app.scene.marks.pose(poses)
+            self._place_gizmo(poses)
 
     def show_moment(self, moment: Finding | None, text: str) -> None:
         """Pose everything as at a moment, and mark it until the pose changes; None is rest."""
@@ -129,38 +135,75 @@ class Motion:
         app = self._app
         joint = app.joint
         wanted = joint if self.gizmo_on and joint is not None and joint.moves else None
-        key = None if wanted is None else (wanted.child, wanted.origin, wanted.axis)
+        key = None if wanted is None else (wanted.child, wanted.parent, wanted.origin, wanted.axis)
         if key == self._gizmo_key:
             return
-        self._gizmo_key = key
+        self._gizmo_key, self._gizmo_held = key, False
         if self._gizmo is not None:
             self._gizmo.remove()
             self._gizmo = None
         if wanted is None or app.object is None or app.object.asset is None:
             return
+        position, wxyz = _posed(wanted, self._parent_pose(wanted))
         self._gizmo = app.client.scene.add_transform_controls(
             "/gizmo",
             scale=0.22 * app.object.asset.diagonal,
-            position=wanted.origin,
-            wxyz=_frame_along(wanted.axis),
+            position=position,
+            wxyz=wxyz,
             depth_test=False,
         )
 
         @self._gizmo.on_update
         def _(event: Any) -> None:
-            if event.phase == "end":
+            if event.phase == "start":
+                self._gizmo_held = True
+                app.act(self.stop)
+            elif event.phase == "end":
                 app.act(self.take_gizmo)
+
+    def _parent_pose(self, joint: Joint) -> npt.NDArray[np.float64]:
+        """(4, 4) posed_from_rest of what carries a joint, as it is now."""
+        tree = None if self._app.object is None else self._app.object.document.tree
+        if tree is None or joint.parent not in tree.links:
+            return np.eye(4)
+        names = tree.by_name
+        return tree.pose({k: v for k, v in self.q.items() if k in names})[joint.parent]
+
+    def _place_gizmo(self, poses: Mapping[str, npt.NDArray[np.float64]]) -> None:
+        """The handles go with what carries the joint, unless a person holds them."""
+        joint = self._app.joint
+        if self._gizmo is None or joint is None or self._gizmo_held or joint.parent not in poses:
+            return
+        position, wxyz = _posed(joint, poses[joint.parent])
+        if not np.allclose(position, self._gizmo.position, atol=1e-9):
+            self._gizmo.position = position
+        if not np.allclose(wxyz, self._gizmo.wxyz, atol=1e-9):
+            self._gizmo.wxyz = wxyz
 
     def take_gizmo(self) -> None:
         """The handles were let go: their place is the joint's new axis."""
+        self._gizmo_held = False
         gizmo, joint = self._gizmo, self._app.joint
         if gizmo is None or joint is None:
             return
-        axis = vtf.SO3(np.asarray(gizmo.wxyz)).as_matrix()[:, 2]
-        origin = tuple(float(v) for v in gizmo.position)
+        self._gizmo_key = None  # drawn again where the joint is now, also if this is refused
+        rest = np.linalg.inv(self._parent_pose(joint))
+        axis = rest[:3, :3] @ vtf.SO3(np.asarray(gizmo.wxyz)).as_matrix()[:, 2]
+        origin = rest[:3, :3] @ np.asarray(gizmo.position, np.float64) + rest[:3, 3]
         self._app.set_joint(
-            dataclasses.replace(joint, origin=origin, axis=tuple(float(v) for v in axis))
+            dataclasses.replace(
+                joint,
+                origin=tuple(float(v) for v in origin),
+                axis=tuple(float(v) for v in axis),
+            )
         )
+
+
+def _posed(joint: Joint, posed_from_rest: npt.NDArray[np.float64]) -> tuple[Any, Any]:
+    """Where a joint's axis is: its place, and a rotation, wxyz, whose z is the axis."""
+    turn = vtf.SO3.from_matrix(posed_from_rest[:3, :3])
+    place = posed_from_rest[:3, :3] @ np.asarray(joint.origin) + posed_from_rest[:3, 3]
+    return place, (turn @ vtf.SO3(_frame_along(joint.axis))).wxyz
 
 
 def _frame_along(axis: tuple[float, float, float]) -> Any:

@@ -10,6 +10,7 @@ import viser
 from viser import transforms as vtf
 
 from app.display_tasks import PartPayload
+from app.viewer.scene_rays import hit_distance
 from app.viewer.tints import OPACITY, add_tint, tinted
 
 
@@ -25,6 +26,7 @@ class MovingParts:
         self._point_size = point_size
         self._payloads: list[PartPayload] | None = None
         self._frames: dict[int, viser.FrameHandle] = {}
+        self._poses: Mapping[str, npt.NDArray[np.float64]] = {}
 
     def draw(self, payloads: list[PartPayload]) -> bool:
         """Draw the parts, invisible at first; False where they are drawn already."""
@@ -71,6 +73,7 @@ class MovingParts:
 
     def pose(self, posed_from_rest: Mapping[str, npt.NDArray[np.float64]]) -> None:
         """Move the drawn parts and their axes; one message for all."""
+        self._poses = posed_from_rest
         with self._client.atomic():
             for part, frame in self._frames.items():
                 transform = posed_from_rest.get(f"link_{part}")
@@ -78,6 +81,26 @@ class MovingParts:
                     continue
                 frame.wxyz = vtf.SO3.from_matrix(transform[:3, :3]).wxyz
                 frame.position = transform[:3, 3]
+
+    def pick(
+        self, origin: npt.ArrayLike, direction: npt.ArrayLike, hidden: frozenset[int]
+    ) -> int | None:
+        """The part that a ray, (3,) and (3,), meets first where the parts are now, or None."""
+        nearest, found = np.inf, None
+        for payload in self._payloads or ():
+            if payload.part in hidden:
+                continue
+            shape = payload.points if payload.vertices is None else payload.vertices
+            if shape is None or not len(shape):
+                continue
+            rest = np.linalg.inv(self._poses.get(f"link_{payload.part}", np.eye(4)))
+            start = rest[:3, :3] @ np.asarray(origin, np.float64) + rest[:3, 3]
+            along = rest[:3, :3] @ np.asarray(direction, np.float64)
+            faces = None if payload.faces is None else payload.faces.astype(np.uint32)
+            distance = hit_distance(start, along, shape, faces)
+            if distance < nearest:
+                nearest, found = distance, payload.part
+        return found
 
     def pretend(self, parts: Iterable[int]) -> None:
         """Frames without geometry, to measure how fast poses are sent."""

@@ -230,6 +230,11 @@ class Pointing:
         obj = app.need_object()
         if obj.asset is None:
             return
+        if app.stage != "Annotate" and any(app.motion.q.values()):
+            # What the workers pick from is at rest, which what is seen isn't.
+            part = app.scene.parts.pick(origin, direction, app.hidden)
+            app.commands.choose_joint_of(part)
+            return
         hit = app.bench.geometry.submit(
             picking_tasks.pick,
             obj.asset.folder,

@@ -70,6 +70,8 @@ class Redraw:
                 self._clear()
                 app.pointing.tell_page()
             return
+        has_joints = obj.document.tree is not None and app.stage != "Annotate"
+        put(app.play_buttons, "visible", has_joints)
         self._draw_status(obj)
         self._follow_prediction(obj)
         if obj.asset is not None and obj.asset is not self.asset:
