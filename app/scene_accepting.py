@@ -335,11 +335,12 @@ class Accepting:
         count = sum(len(self._desk.twins(w.item.obj.id)) for w, _ in held)
         more = f" The others: Show, {HELD}." if len(held) > 1 else ""
         what = (
-            "Y again accepts it as it is, Enter shows it."
+            # By now the person may be at another object.
+            "Choose it again: Y accepts it as it is, Enter shows it."
             if first.wants_a_look
-            else "Enter shows where: mend it, or say why it is right."
+            else "Choose it again: Enter shows where; mend it, or say why it is right."
             if first.report is not None
-            else "Enter opens it."
+            else "Choose it again: Enter opens it."
         )
         told.notice(
             f"{_objects(count)} not accepted",

@@ -350,6 +350,11 @@ class SceneDesk(Watched):
         if prepared.prediction is not None:
             do(cmd.RecordPrediction(prepared.prediction, prepared.labels), WHO)
 
+    def to_come(self, row: Row) -> bool:
+        """Whether an object to do waits for its prediction rather than for a person."""
+        work = None if row.work is None else self.works.get(row.work)
+        return row.shown == "todo" and work is not None and not work.prepared
+
     def pause(self, paused: bool) -> None:
         """Stop looking at more objects, or go on."""
         self.paused = paused

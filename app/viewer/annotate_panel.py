@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
 import viser
 
 from app.open_object import OpenObject
@@ -13,9 +11,9 @@ from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
 from app.viewer.prompt_list import PromptEntry, prompt_entries
 from app.viewer.quick_names import QuickNames
+from app.viewer.stage import may_be_a_room
 from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
-from model.segmentation.nodes import ROOM_METRES
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.document import Document
@@ -24,6 +22,7 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 OTHER = "other…"
+LEAVE_OUT = "Leave out floor and walls"
 PROMPTS_SHOWN = 12
 PARTS_SHOWN = 40
 
@@ -84,6 +83,12 @@ class AnnotatePanel:
         gui = app.client.gui
         self._hint = gui.add_markdown("")
         self._unit = UnitHint(app)
+        self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
+        # Above the parts: however many these are, it stays where it is.
+        self._predict = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
+        self._here = gui.add_button(
+            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
+        )
         self._category = gui.add_dropdown(
             "Category", (NONE, *palette.CATEGORIES, OTHER), initial_value=NONE
         )
@@ -110,10 +115,6 @@ class AnnotatePanel:
             self._prompt_box = gui.add_folder(None)
             self._prompt_buttons: list[tuple[Any, PromptEntry]] = []
             self._prompt_actions = gui.add_button_group("Remove", ("Last", "Of this part", "All"))
-        self._predict = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
-        self._here = gui.add_button(
-            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
-        )
         self._wire()
 
     def _wire(self) -> None:
@@ -129,6 +130,7 @@ class AnnotatePanel:
         self._prompt_actions.on_click(
             lambda e: app.act(lambda: self._prompt_action(e.target.value))
         )
+        self._room.on_click(lambda _: app.act(self._room_clicked))
         self._predict.on_click(lambda _: app.act(app.commands.predict))
         self._here.on_click(lambda _: app.act(app.commands.predict_here))
 
@@ -136,6 +138,12 @@ class AnnotatePanel:
 
     def _document(self) -> Document:
         return self._app.need_object().document
+
+    def _room_clicked(self) -> None:
+        if self._room.label == LEAVE_OUT:
+            self._app.source_panel.leave_out()
+        else:
+            self._app.source_panel.cut_out()
 
     def _category_chosen(self) -> None:
         value = self._category.value
@@ -278,8 +286,8 @@ class AnnotatePanel:
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
-        put(self._here, "visible", obj.backend_away)
         app, doc = self._app, obj.document
+        put(self._here, "visible", obj.backend_away and not app.picking_out)
         shares = obj.segmenting.shares
         now = (
             obj.record.id,
@@ -291,10 +299,14 @@ class AnnotatePanel:
             app.part,
             app.hidden,
             id(obj.asset),
+            app.picking_out,
+            doc.segmentation is None,
         )
         if now == self._drawn:
             return
         self._drawn = now
+        put(self._predict, "visible", not app.picking_out)
+        put(self._predict, "color", "gray" if doc.segmentation is None else "blue")
         self._draw_hint(obj, doc)
         self._draw_parts(doc, shares)
         self._draw_names(doc)
@@ -302,7 +314,11 @@ class AnnotatePanel:
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
+        room = wide and self._app.bench.desk is None and doc.placement is None
+        whole = room and doc.left_out is None and not doc.prompts
         odd = self._unit.draw(obj)
+        put(self._room, "label", LEAVE_OUT if whole else "Cut this part out as an object")
+        put(self._room, "visible", room and odd is None)
         if self._app.picking_out:
             text = (
                 f"**Part {self._app.part}** is what is taken out. Things side by side with one "
@@ -310,10 +326,15 @@ class AnnotatePanel:
             )
         elif odd is not None:
             text = f"**{odd}**"
-        elif wide and doc.left_out is None and not doc.prompts:
+        elif whole:
             text = (
-                "**A room?** Leave out the floor and the walls first (*Room or table top*, below). "
+                "**A room?** Leave out the floor and the walls first. "
                 "Then click or box one thing and cut it out as an object."
+            )
+        elif room:
+            text = (
+                "**Click or box (Alt+drag) one thing** and cut it out as an object. "
+                "Shift+click says *not this*; **Tab** shows other masks."
             )
         elif not doc.prompts:
             text = (
@@ -349,8 +370,13 @@ class AnnotatePanel:
     def _draw_names(self, doc: Document) -> None:
         name = _part_name(doc, self._app.part)
         _show_choice(self._name, self._name_text, name, palette.PART_NAMES)
-        self._quick.show(self._app.part != BASE, name)
         _show_choice(self._category, self._category_text, doc.category, palette.CATEGORIES)
+        picking = self._app.picking_out  # what is taken out is named above
+        self._quick.show(self._app.part != BASE and not picking, name)
+        for choice, text in ((self._name, self._name_text), (self._category, self._category_text)):
+            put(choice, "visible", not picking)
+            if picking:
+                put(text, "visible", False)
 
     def _draw_prompts(self, doc: Document) -> None:
         app = self._app
@@ -370,11 +396,6 @@ class AnnotatePanel:
             remove = cmd.RemovePrompt(entry.index, entry.count)
             button.on_click(lambda _, remove=remove: app.act(lambda: app.do(remove)))
             self._prompt_buttons.append((button, entry))
-
-
-def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
-    """Whether (2, 3) bounds in metres are a room's: a row of cabinets is not as deep."""
-    return bool(np.ptp(bounds[:, :2], axis=0).min() > ROOM_METRES)
 
 
 def _percent(share: float) -> str:

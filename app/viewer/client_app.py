@@ -139,10 +139,11 @@ class ClientApp:
 
     def _start(self) -> None:
         """Go back to where this browser was, else to the first object that is not done."""
-        wanted, inside = None, ""
+        wanted, inside, chosen = None, "", ""
         try:
             stored = self.client.local_storage.get_item("artiworld", timeout=3.0)
-            name, number, inside, light = [*(stored or "").split("\n", 3), "", "", ""][:4]
+            kept = [*(stored or "").split("\n"), "", "", "", ""]
+            name, number, inside, light, chosen = kept[:5]
             self.light.plain = light == PLAIN
             self.who = cmd.clean_text(name, 60, "your name") or self.who
             wanted = int(number) if number.isdigit() else None
@@ -150,8 +151,8 @@ class ClientApp:
             log.info("tab %s has no memory of its own", self.client.client_id)
         self.queue_panel.show_user(self.who)
         if self._in_scene is not None:
-            if inside:
-                self._in_scene.come_back(inside)
+            if inside or chosen:
+                self._in_scene.come_back(inside, chosen)
             return
         records = self.bench.records()
         if not records:
@@ -235,9 +236,12 @@ class ClientApp:
     def remember(self) -> None:
         """Keep the person's name, place and light in the browser."""
         number = "" if self.object is None else str(self.object.record.id)
-        inside = "" if self._in_scene is None else self._in_scene.inside or ""
+        scene = self._in_scene
+        inside = "" if scene is None else scene.inside or ""
+        chosen = "" if scene is None else scene.selected or ""
         light = PLAIN if self.light.plain else ""
-        self.client.local_storage.set_item("artiworld", f"{self.who}\n{number}\n{inside}\n{light}")
+        kept = "\n".join((self.who, number, inside, light, chosen))
+        self.client.local_storage.set_item("artiworld", kept)
 
     @property
     def in_scene(self) -> InScene:

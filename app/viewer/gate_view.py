@@ -38,9 +38,11 @@ class GateView:
         self._shown: tuple[Any, str] | None = None
         self._looked_at: deque[GateReport] = deque(maxlen=64)
         self._wanted: int | None = None  # an object whose worst moment is shown once it is judged
-        gui = app.client.gui
-        self._headline = gui.add_markdown("")
-        self._folder = gui.add_folder("Joints, worst first", visible=False)
+        self._headline = app.client.gui.add_markdown("")
+
+    def build_list(self) -> None:
+        """Make the list, below what decides: its length is not to move that."""
+        self._folder = self._app.client.gui.add_folder("Joints, worst first", visible=False)
 
     # --- what a person does
 
@@ -156,7 +158,7 @@ def headline(obj: OpenObject, doc: Document, report: GateReport | None) -> str:
         if obj.judging.problem:
             return f"⚠ **The joints couldn't be judged:** {plain(obj.judging.problem, 200)}"
         fraction, message = obj.busy.get("check", (0.0, ""))
-        return f"*Judging the joints… {100 * fraction:.0f} % {plain(message)}*"
+        return f"*Judging the joints… {100 * fraction:.0f} % {plain(message)}".rstrip() + "*"
     counts = {v: len(report.with_verdict(v)) for v in ("broken", "look", "fine")}
     parts = [f"{SIGNS[v]} {n} {WORDS[v]}" for v, n in counts.items() if n]  # type: ignore[index]
     line = f"**Gate: {' · '.join(parts) or 'no joint moves'}**"

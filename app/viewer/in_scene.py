@@ -13,6 +13,7 @@ from app.viewer.scene_card import SceneCard
 from app.viewer.scene_list import SceneList, order
 from app.viewer.scene_motion import SceneMotion
 from app.viewer.scene_picture import ScenePicture
+from app.viewer.stage import fitting_distance
 from model.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason
@@ -58,7 +59,7 @@ class InScene:
         self.inside: str | None = None
         self.picking = False
         self.rows: list[Row] = []
-        self._wanted: str | None = None
+        self._wanted: tuple[str, str] | None = None
         self._eye: Any = None
         self._seen = False
         self._moment: Any = None
@@ -88,10 +89,12 @@ class InScene:
             if len(desk.items) == 1:  # a room: there is nothing else to choose
                 self.selected = next(iter(desk.items))
         if self._wanted is not None and desk.scene is not None:
-            wanted, self._wanted = self._wanted, None
-            if wanted in desk.items and desk.work(wanted) is not None:
-                self.selected = wanted
+            (inside, chosen), self._wanted = self._wanted, None
+            if inside in desk.items and desk.work(inside) is not None:
+                self.selected = inside
                 self._app.act(self.enter)
+            elif chosen in desk.items:
+                self._app.act(lambda: self.choose(chosen))
         self.picture.draw(self.rows, self.selected)
         self._show_moment()
         self.list.draw()
@@ -123,9 +126,10 @@ class InScene:
         self.unwatch()
         self.motion.stop()
 
-    def come_back(self, id: str) -> None:
-        """Work on this object as soon as the scene is read: the page was loaded again."""
-        self._wanted = id
+    def come_back(self, inside: str, chosen: str) -> None:
+        """As soon as the scene is read, work on an object again, or choose one: the page was
+        loaded again."""
+        self._wanted = inside, chosen
 
     # --- choosing
 
@@ -139,6 +143,7 @@ class InScene:
         if self.inside is not None and id is not None and id != self.inside:
             self.leave()
         self.selected = id
+        self._app.remember()
         self.desk.prefer(id)
         if look and id is not None and self.inside is None:
             self.picture.frame([id], front=True)
@@ -218,8 +223,12 @@ class InScene:
         if following is not None:
             self.choose(following, look=True)
         elif ahead:
-            left = f"{len(ahead)} {'wants' if len(ahead) == 1 else 'want'} clicks"
-            self._app.notify("Nothing else is predicted", f"{left}: N, then Enter", "gray")
+            coming = sum(self.desk.to_come(r) for r in self.desk.rows() if r.id in ahead)
+            left = len(ahead) - coming
+            said = [f"{coming} still to be predicted"] if coming else []
+            if left:
+                said.append(f"{left} {'wants' if left == 1 else 'want'} you: N, then Enter")
+            self._app.notify("Nothing else is predicted", "; ".join(said), "gray")
         else:
             self._app.notify(*_at_the_end(self.desk))
 
@@ -312,14 +321,19 @@ class InScene:
 
     def look_as_before(self) -> None:
         """The object was just drawn: look at it from where the person looked at it last, who
-        picks from it or picked it out. What is opened otherwise is seen from its front."""
+        picks from it; from the same side, but near, who picked it out. What is opened otherwise
+        is seen from its front."""
         eye, self._eye = self._eye, None
         if self.picking and self.picture.camera is not None:
             self.picture.look_from(*self.picture.camera)
         elif eye is not None:
             asset = self._app.need_object().asset
             assert asset is not None
-            self.picture.look_from(eye, self.picture.in_scene(asset.bounds.mean(0)))
+            at = self.picture.in_scene(asset.bounds.mean(0))
+            away = eye - at
+            far = float(np.linalg.norm(away))
+            near = 1.3 * fitting_distance(self._app.client.camera, asset.diagonal)
+            self.picture.look_from(at + away * (min(near, far) / max(far, 1e-9)), at)
 
     def leave(self) -> None:
         """Back to the scene."""

@@ -60,7 +60,7 @@ class Redraw:
             # There is nothing to click on where the file can't be opened.
             put(folder, "visible", stage == app.stage and not (broken and stage == "Annotate"))
         empty = broken and app.object is not None and app.object.document.tree is None
-        put(app.stage_buttons, "visible", not empty)
+        put(app.stage_buttons, "visible", not empty and not app.picking_out)
         labels = tuple(("● " if s == app.stage else "") + s for s in STAGES)
         if app.stage_buttons.options != labels:
             app.stage_buttons.options = labels
@@ -124,6 +124,13 @@ class Redraw:
             lines.append(
                 f"{asset.element_count:,} {kind} · {size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm"
             )
+        review = doc.review
+        if (
+            review.state == "rejected" and self._app.stage != "Review"
+        ):  # whoever mends it wants to know what to mend
+            said = plain((review.reason or "").replace("_", " "))
+            said += f": “{plain(review.comment, 300)}”" if review.comment else ""
+            lines.append(f"⚠ Rejected by {plain(review.by)}: {said}".rstrip(": "))
         if obj.problem:
             lines.append(f"⚠ {plain(obj.problem, 400)}")
         if doc.prediction_stale:

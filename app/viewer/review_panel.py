@@ -39,13 +39,14 @@ class ReviewPanel:
         self._asked: tuple[int, int] | None = None  # the object, and its state at that time
         gui = app.client.gui
         self.gate = GateView(app)
-        self._summary = gui.add_markdown("")
         self._override = gui.add_text(
             "Right all the same, because", "", visible=False,
             hint="The gate calls a joint broken: say why it may be accepted",
         )  # fmt: skip
         self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green")
         self._reject = RejectButtons(app)
+        self.gate.build_list()
+        self._summary = gui.add_markdown("")
         self._comment = gui.add_text("Comment", "", multiline=True)
         self._go_on = gui.add_checkbox(
             "Go on to the next object", True, hint="After a decision: the least sure one first"

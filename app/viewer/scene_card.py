@@ -106,14 +106,17 @@ class SceneCard:
         self._draw_chosen(scene.selected)
         ready = scene.sure(self.above)
         count = sum(r.work in ready for r in scene.rows)
-        put(self._count, "content", count_text(scene.rows, count, self.above))
+        coming = sum(desk.to_come(r) for r in scene.rows)
+        put(self._count, "content", count_text(scene.rows, count, self.above, coming))
         put(self._accept_all, "label", f"Accept {_number(count)}".rstrip())
         put(self._accept_all, "disabled", not ready)
         saved = desk.document.saved
         put(self._saved, "visible", saved is not None)
         if saved is not None:
             put(self._saved, "content", f"Saved in {plain(saved.folder, 300)}")
-        put(self._save, "disabled", "save" in desk.busy or desk.scene is None)
+        saving = "save" in desk.busy
+        put(self._save, "disabled", saving or desk.scene is None)
+        put(self._save, "label", "Saving the scene…" if saving else "Save the scene")
         put(self._report, "disabled", "report" in desk.busy or desk.scene is None)
 
     def _draw_status(self) -> None:
@@ -159,6 +162,7 @@ class SceneCard:
         decided = row is not None and row.status in ("accepted", "rejected")
         waiting = work is not None and work.id in desk.accepting.waiting
         put(self._pick, "visible", can_work and not has_tree)
+        put(self._pick, "color", "blue" if work is None and len(desk.items) == 1 else "gray")
         put(self._accept, "visible", has_tree and row is not None and row.status != "accepted")
         put(self._accept, "disabled", waiting)
         refusal = None if work is None else desk.accepting.refusal(work)
@@ -219,19 +223,26 @@ def _number(count: int) -> str:
     return f"{count} object{'s'[: count != 1]}" if count else ""
 
 
-def count_text(rows: Sequence[Row], count: int, above: float) -> str:
-    """What is left to decide; ``count`` objects are at least ``above`` sure, 0..1."""
+def count_text(rows: Sequence[Row], count: int, above: float, coming: int = 0) -> str:
+    """What is left to decide; ``count`` objects are at least ``above`` sure, 0..1, and ``coming``
+    are still to be predicted."""
     shown = Counter(r.shown for r in rows)
     known, going, held, clicks = (shown[s] for s in ("predicted", "judging", "held", "todo"))
+    clicks -= coming
     lines = [f"{going} {'is' if going == 1 else 'are'} being judged."] if going else []
     if known:
         lines.append(
             f"**{count}** of {known} predicted objects: at least {100 * above:.0f} % sure."
         )
     if held:
-        lines.append(f"{held} held back by the gate: Enter shows where.")
+        lines.append(f"{held} held back by the gate (⚠ in the list).")
+    if coming:
+        lines.append(f"{coming} still to be predicted.")
     if clicks:
-        lines.append(f"{clicks} {'wants' if clicks == 1 else 'want'} clicks: Enter.")
+        lines.append(f"{clicks} {'wants' if clicks == 1 else 'want'} clicks (✎ in the list).")
     if not lines and any(r.work is not None for r in rows):
         lines.append(f"{decided_text(rows)}.")
-    return " ".join(lines) or "Nothing here can be articulated."
+    nothing = "Nothing here can be articulated."
+    if len(rows) == 1 and rows[0].status == "static":
+        nothing = "Nothing yet: pick an object out of it."
+    return " ".join(lines) or nothing

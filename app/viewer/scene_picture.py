@@ -237,7 +237,9 @@ class ScenePicture:
 
     def _draw_outline(self, selected: str | None) -> None:
         found = None if selected is None else self._desk.items.get(selected)
-        stand = None if found is None or self.ghosted is not None else self.stand(found)
+        # Where there is one object alone, a box round it would only be in the way.
+        hidden = self.ghosted is not None or len(self._desk.items) == 1
+        stand = None if found is None or hidden else self.stand(found)
         key = None if stand is None else (selected, stand[1].world.tobytes())
         if key == self._outlined:
             return
@@ -249,6 +251,9 @@ class ScenePicture:
             return
         corners = corners_of(*stand, margin=0.012)
         size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+        # Not through what it stands on, which would hide the box's lower edges.
+        lowest = float(corners_of(*stand)[:, 2].min()) + 2e-3 * size
+        corners[:, 2] = np.maximum(corners[:, 2], lowest)
         self._outline = [
             self._client.scene.add_line_segments(
                 f"{ROOT}/outline", corners[_EDGES].astype(np.float32), palette.SELECTED,

@@ -18,7 +18,15 @@ from app.viewer import palette
 from app.viewer.joint_marks import JointMarks
 from app.viewer.moving_parts import MovingParts
 from app.viewer.overlays import Overlays
-from app.viewer.stage import LIGHT_ROOT, SCENE_ROOT, aim, fitting_distance, seen_from, set_stage
+from app.viewer.stage import (
+    LIGHT_ROOT,
+    SCENE_ROOT,
+    aim,
+    fitting_distance,
+    may_be_a_room,
+    seen_from,
+    set_stage,
+)
 from app.viewer.tints import Tints
 from model.geometry.display import spacing
 from model.segmentation.prompts import Click
@@ -116,7 +124,9 @@ class SceneView:
         asset, camera = self._asset, self._client.camera
         low, high = asset.bounds
         center = (low + high) / 2
-        direction = seen_from(asset.front)
+        # Into a room one looks from above: its walls are in the way.
+        above = 1.2 if may_be_a_room(asset.bounds) else 0.45
+        direction = seen_from(asset.front, above=above)
         distance = 1.08 * fitting_distance(camera, asset.diagonal)
         aim(self._client, center + distance * direction, center, least_near=1e-4)
 

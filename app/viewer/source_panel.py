@@ -35,6 +35,7 @@ class SourcePanel:
                 "Cut this part out as an object",
                 color="gray",
                 hint="It becomes an entry of the queue and keeps its place in this scan",
+                visible=app.bench.desk is None,
             )
         with gui.add_folder("Source", expand_by_default=False):
             self._source = gui.add_markdown("")
@@ -64,6 +65,8 @@ class SourcePanel:
     def cut_out(self) -> None:
         """Make the chosen part an object of its own and open it."""
         app = self._app
+        if app.bench.desk is not None:
+            raise CommandError("in a scene, go back and press “Pick an object out of it”")
         if not app.part:
             raise CommandError("choose the part to cut out; part 0 is the rest of the scan")
 
@@ -113,6 +116,8 @@ def _room_note(obj: OpenObject) -> str:
         lines.append(f"Left out: {plain(doc.left_out.what)}, {doc.left_out.count:,} elements.")
     if doc.crops:
         lines.append("Cut out: " + ", ".join(plain(c.name) for c in doc.crops) + ".")
+    if obj.bench.desk is not None:
+        return "\n\n".join(lines)
     return "\n\n".join(lines) or (
         "For a scan of several things: leave out the floor and the walls, click or box one thing, "
         "and cut it out."

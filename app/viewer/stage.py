@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
+from model.segmentation.nodes import ROOM_METRES
+
 FIELD_OF_VIEW = 0.7
 SCENE_ROOT = "/world"
 """Node above all that belongs to a scene around the object."""
@@ -26,6 +28,11 @@ def _backdrop() -> npt.NDArray[np.uint8]:
     t = np.linspace(0.0, 1.0, 128)[:, None, None]
     top, bottom = np.array([222.0, 228.0, 236.0]), np.array([243.0, 244.0, 246.0])
     return np.repeat(top + t * (bottom - top), 4, axis=1).astype(np.uint8)
+
+
+def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
+    """Whether (2, 3) bounds in metres are a room's: a row of cabinets is not as deep."""
+    return bool(np.ptp(bounds[:, :2], axis=0).min() > ROOM_METRES)
 
 
 def seen_from(front: npt.ArrayLike, aside: float = 0.5, above: float = 0.45) -> Any:

@@ -270,8 +270,8 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     )
     gate.answer("look")
     wait(lambda: mine, "it is told")
-    assert mine == ["small, door 1: Runs 131 mm into link_0 at 104°. Y again accepts it as it is, "
-                    "Enter shows it."]  # fmt: skip
+    assert mine == ["small, door 1: Runs 131 mm into link_0 at 104°. Choose it again: Y accepts it "
+                    "as it is, Enter shows it."]  # fmt: skip
     assert shown("small") == "held" and statuses(desk)["small"] == "predicted"
     refusal = desk.accepting.refusal(small)
     assert refusal is not None and refusal.wants_a_look
@@ -415,12 +415,15 @@ def test_the_end_of_the_review_is_told() -> None:
     left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
     assert order(left) == ["0", "1", "2"]
     assert count_text(left, 1, 0.8) == (
-        "**1** of 1 predicted objects: at least 80 % sure. 2 want clicks: Enter."
+        "**1** of 1 predicted objects: at least 80 % sure. 2 want clicks (✎ in the list)."
+    )
+    assert count_text(left, 1, 0.8, coming=1).endswith(
+        "1 still to be predicted. 1 wants clicks (✎ in the list)."
     )
     held = [replace(left[0], mark="held"), replace(left[0], id="9", mark="judging")]
     assert order(held) == ["0"]
     assert count_text(held, 0, 0.8) == (
-        "1 is being judged. 1 held back by the gate: Enter shows where."
+        "1 is being judged. 1 held back by the gate (⚠ in the list)."
     )
     decided = rows("rejected", "accepted", "accepted")
     assert order(decided) == []
