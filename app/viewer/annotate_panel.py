@@ -344,7 +344,7 @@ class AnnotatePanel:
         else:
             text = (
                 "Tint wrong? **Tab** shows other masks; or click what is missing, Shift+click what "
-                "is too much. Unclaimed surface is the base."
+                "is too much."
             )
         put(self._hint, "content", text)
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 _SHEET = (
-    "display:grid;grid-template-columns:max-content 1fr;gap:0.1em 1.2em;"
-    "font-size:0.85em;line-height:1.55"
+    "display:grid;grid-template-columns:max-content 1fr;gap:0.05em 1.2em;"
+    "font-size:0.82em;line-height:1.32"
 )
 
 

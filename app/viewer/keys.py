@@ -36,6 +36,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Enter, Backspace", "scene: into the object, and back"),
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
     ("Ctrl+K", "all commands by name"),
+    ("Drag, right drag, wheel", "turn, shift, zoom the view"),
     ("W A S D Q E, arrows", "move the camera"),
 )
 """Each fits a line of the sheet, and all of them a small screen."""

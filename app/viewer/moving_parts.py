@@ -51,7 +51,7 @@ class MovingParts:
                     payload.part,
                     payload.vertices,
                     payload.faces,
-                    OPACITY * 0.6,
+                    OPACITY * 0.8,
                 )
             return frame
         assert payload.points is not None and payload.colors is not None

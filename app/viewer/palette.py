@@ -143,6 +143,8 @@ def albedo(color: Rgb) -> Rgb:
 SCENE_ALBEDO: Final[dict[str, Rgb]] = {s: albedo(color) for s, color in SCENE_COLORS.items()}
 """The same for surfaces."""
 SCENE_GHOST: Final[Rgb] = (120, 130, 145)
+SCAN_GHOST: Final[Rgb] = (186, 192, 201)
+"""Of points, which nothing shows through."""
 SCENE_WORDS: Final[dict[str, str]] = {
     "predicted": "predicted",
     "held": HELD,

@@ -118,16 +118,25 @@ class Redraw:
         desk = self._app.bench.desk
         name = (None if desk is None else self._app.in_scene.inside) or obj.record.name
         lines = [f"**{plain(name)}** · {palette.STATE_WORDS[doc.review.state]}"]
-        if asset is not None:
+        jobs = dict(obj.busy)  # they end while this is drawn
+        shown = [w for w in _BUSY if w in jobs]
+        stoppable = {"predict", "save", "room"} & set(jobs)
+        fraction, busy = 0.0, ""
+        if shown:
+            fraction, message = jobs[shown[0]]
+            percent = "" if stoppable or not fraction else f"{100 * fraction:.0f} % "
+            busy = f"*{_BUSY[shown[0]]}… {percent}{plain(message)}".rstrip() + "*"
+        if busy:  # in the place of the size: each click would move the whole panel otherwise
+            lines.append(busy)
+        elif asset is not None:
             kind = {"face": "faces", "point": "points"}[asset.element_kind]
             size = (asset.bounds[1] - asset.bounds[0]) * 1000
             lines.append(
                 f"{asset.element_count:,} {kind} · {size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm"
             )
         review = doc.review
-        if (
-            review.state == "rejected" and self._app.stage != "Review"
-        ):  # whoever mends it wants to know what to mend
+        if review.state == "rejected" and self._app.stage != "Review":
+            # Whoever mends it wants to know what to mend.
             said = plain((review.reason or "").replace("_", " "))
             said += f": “{plain(review.comment, 300)}”" if review.comment else ""
             lines.append(f"⚠ Rejected by {plain(review.by)}: {said}".rstrip(": "))
@@ -135,17 +144,10 @@ class Redraw:
             lines.append(f"⚠ {plain(obj.problem, 400)}")
         if doc.prediction_stale:
             lines.append("⚠ The parts changed since the prediction: predict again (P)")
-        busy = dict(obj.busy)  # jobs end while this is drawn
-        shown = [w for w in _BUSY if w in busy]
-        fraction = 0.0
-        if shown:
-            fraction, message = busy[shown[0]]
-            lines.append(f"*{_BUSY[shown[0]]}… {plain(message)}".rstrip() + "*")
         put(self._app.status, "content", "\n\n".join(lines))
         put(self._app.again_button, "visible", obj.problem is not None)
-        put(self._app.progress, "visible", bool(shown))
+        put(self._app.progress, "visible", bool(stoppable))
         put(self._app.progress, "value", round(100 * fraction, 1))
-        stoppable = {"predict", "save", "room"} & set(busy)
         put(self._app.cancel_button, "visible", bool(stoppable))
 
     def _draw_scene(self, obj: OpenObject) -> None:

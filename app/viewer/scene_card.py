@@ -102,6 +102,8 @@ class SceneCard:
         self._draw_status()
         moving = scene.motion.playing
         put(self._play, "label", "Stop (Space)" if moving else "Play all joints (Shift+Space)")
+        joints = any(w.document.tree is not None for w in desk.wanted())
+        put(self._play, "color", "blue" if joints else "gray")
         put(self._play, "icon", viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
         self._draw_chosen(scene.selected)
         ready = scene.sure(self.above)

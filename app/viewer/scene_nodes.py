@@ -308,7 +308,7 @@ class Scans(Node):
 
     def _toned(self, wanted: Any) -> npt.NDArray[np.uint8]:
         if wanted == "ghost":
-            return np.asarray(palette.SCENE_GHOST, np.uint8)
+            return np.asarray(palette.SCAN_GHOST, np.uint8)
         if wanted == "own":
             return self._colors
         color = palette.SCENE_COLORS[wanted] if isinstance(wanted, str) else wanted
