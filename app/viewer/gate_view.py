@@ -108,7 +108,9 @@ class GateView:
             wanted, self._wanted = self._wanted, None
             if wanted == obj.record.id:
                 self._app.act(self.show_worst)
-        put(self._headline, "content", headline(obj, doc, report))
+        line = headline(obj, doc, report)
+        put(self._headline, "content", line)
+        put(self._headline, "visible", bool(line))
         if self._shown is not None and self._shown[0] is not report:
             # Other joints, another answer: what was shown is no longer so.
             self._shown = None

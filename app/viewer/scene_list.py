@@ -138,7 +138,7 @@ class SceneList:
 
 def page_buttons(page: int, count: int) -> tuple[str, str, str]:
     """Where the list is, and the arrows that lead on from there; ``page`` counts from 0."""
-    return ("◀" if page > 0 else "·", f"{page + 1} of {count}", "▶" if page + 1 < count else "· ")
+    return ("◀" if page > 0 else "·", f"{page + 1}/{count}", "▶" if page + 1 < count else "· ")
 
 
 def legend(counts: Counter[Any], own: bool) -> str:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from app.display_tasks import PartPayload
 from app.judging import JointCheck
 from app.viewer.joint_marks import AxisMark, JointMarks
+from app.viewer.motion import Motion
+from app.viewer.moving_parts import MovingParts
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 
@@ -79,3 +83,50 @@ def test_contacts_show_in_their_pose_alone(drawn: tuple[Notes, JointMarks]) -> N
     np.testing.assert_allclose(ball.position, (0.0, -0.3, -0.1), atol=1e-9)
     marks.show_contacts([], None)
     assert "/contact/0" not in client.nodes
+
+
+def test_handles_go_with_what_the_joint_hangs_on_and_give_the_axis_at_rest() -> None:
+    client = Notes()
+    handles = SimpleNamespace(on_update=lambda callback: callback, remove=lambda: None)
+
+    def add(name: str, **properties: Any) -> Any:
+        vars(handles).update(properties)
+        return handles
+
+    client.add_transform_controls = add  # type: ignore[attr-defined]
+    client.atomic = nullcontext  # type: ignore[attr-defined]
+    changed: list[Joint] = []
+    app = SimpleNamespace(
+        object=SimpleNamespace(
+            document=SimpleNamespace(tree=TREE), asset=SimpleNamespace(diagonal=1.0)
+        ),
+        joint=UPPER,
+        client=client,
+        scene=SimpleNamespace(parts=JointMarks(client), marks=JointMarks(client)),  # type: ignore[arg-type]
+        set_joint=changed.append,
+    )
+    motion = Motion(app)  # type: ignore[arg-type]
+    motion.gizmo_on = True
+    motion.q = {"lower": math.pi / 2}
+    motion.draw_gizmo()
+    np.testing.assert_allclose(handles.position, (0, -0.5, 0.1), atol=1e-9)
+    motion.set_q("lower", 0.0)
+    np.testing.assert_allclose(handles.position, UPPER.origin, atol=1e-9)
+    motion.set_q("lower", math.pi / 2)
+    handles.position = (0, -0.6, 0.1)  # a person pulls them on, by as far as the arm is long then
+    motion.take_gizmo()
+    np.testing.assert_allclose(changed[0].origin, (0, 0, 0.7), atol=1e-9)
+    np.testing.assert_allclose(changed[0].axis, UPPER.axis, atol=1e-9)
+
+
+def test_a_click_meets_the_part_where_it_is_now() -> None:
+    flat = np.array([(-0.1, -0.1, 0.6), (0.1, -0.1, 0.6), (0, 0.1, 0.6)], np.float32)
+    faces = np.array([(0, 1, 2)], np.int32)
+    parts = MovingParts(Notes())  # type: ignore[arg-type]
+    parts._payloads = [PartPayload(2, None, None, None, flat, faces)]
+    down = ((0, 0, 5), (0, 0, -1))
+    assert parts.pick(*down, frozenset()) == 2
+    assert parts.pick(*down, frozenset({2})) is None
+    parts._poses = TREE.pose({"lower": math.pi / 2})
+    assert parts.pick(*down, frozenset()) is None
+    assert parts.pick((0, -5, 0.1), (0, 1, 0), frozenset()) == 2

@@ -428,8 +428,8 @@ def test_the_end_of_the_review_is_told() -> None:
     decided = rows("rejected", "accepted", "accepted")
     assert order(decided) == []
     assert count_text(decided, 0, 0.8) == "3 of 3 decided; 1 rejected."
-    assert page_buttons(0, 24) == ("·", "1 of 24", "▶")
-    assert page_buttons(23, 24)[:2] == ("◀", "24 of 24") and "▶" not in page_buttons(23, 24)
+    assert page_buttons(0, 24) == ("·", "1/24", "▶")
+    assert page_buttons(23, 24)[:2] == ("◀", "24/24") and "▶" not in page_buttons(23, 24)
 
 
 def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> None:
