@@ -306,8 +306,9 @@ class AnnotatePanel:
             return
         self._drawn = now
         put(self._predict, "visible", not app.picking_out)
-        put(self._predict, "color", "gray" if doc.segmentation is None else "blue")
         self._draw_hint(obj, doc)
+        ready = doc.segmentation is not None
+        put(self._predict, "color", "blue" if ready and not self._room.visible else "gray")
         self._draw_parts(doc, shares)
         self._draw_names(doc)
         self._draw_prompts(doc)
@@ -318,6 +319,7 @@ class AnnotatePanel:
         whole = room and doc.left_out is None and not doc.prompts
         odd = self._unit.draw(obj)
         put(self._room, "label", LEAVE_OUT if whole else "Cut this part out as an object")
+        put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")
         put(self._room, "visible", room and odd is None)
         if self._app.picking_out:
             text = (

@@ -117,7 +117,8 @@ class Redraw:
         doc, asset = obj.document, obj.asset
         desk = self._app.bench.desk
         name = (None if desk is None else self._app.in_scene.inside) or obj.record.name
-        lines = [f"**{plain(name)}** · {palette.STATE_WORDS[doc.review.state]}"]
+        stands = "can't be read" if obj.problem else palette.STATE_WORDS[doc.review.state]
+        lines = [f"**{plain(name)}** · {stands}"]
         jobs = dict(obj.busy)  # they end while this is drawn
         shown = [w for w in _BUSY if w in jobs]
         stoppable = {"predict", "save", "room"} & set(jobs)
