@@ -9,8 +9,7 @@ from model.arti4urdf import vocabulary as v
 from model.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
 from model.geometric.motion_scores import motion_scores
 from model.geometric.motion_words import CATEGORY_MOTIONS
-from model.geometric.roles import CATEGORY_BONUS
-from model.geometric.vocabulary import mechanism_of
+from model.geometric.roles import CATEGORY_BONUS, named_mechanism
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +26,7 @@ def geometric_prior(structure: Structure) -> Array:
     for i, context in enumerate(structure.contexts):
         if i not in known:
             continue
-        said, _ = mechanism_of(scene.shapes[i].name, scene.category)
+        said = named_mechanism(context)
         if said is not None:
             mechanisms = np.full(len(MECHANISMS), (1 - NAMED) / len(MECHANISMS))
             fixed = NAMED if said == "fixed" else FLOOR

@@ -25,9 +25,8 @@ def guess_mechanisms(
     for i, shape in enumerate(assembly.scene.shapes):
         if i == assembly.root:
             continue
-        said, _ = mechanism_of(shape.name, assembly.scene.category)
+        said = named_mechanism(PartContext(assembly, i))
         if said is not None:
-            said = _by_geometry(PartContext(assembly, i), said)
             mechanisms[i], reasons[i], sureness[i] = said, f"named {shape.name!r}", 0.95
         else:
             unnamed[i] = look(PartContext(assembly, i))
@@ -65,11 +64,27 @@ MOTION_WORDS: dict[Mechanism, str] = {
 }
 
 
-def _by_geometry(part: PartContext, said: Mechanism) -> Mechanism:
-    """Where a word leaves two ways to move, the shape decides."""
+def named_mechanism(part: PartContext) -> Mechanism | None:
+    """What a part's name says; where a word leaves two ways to move, the shape decides."""
+    said, _ = mechanism_of(part.shape.name, part.scene.category)
     turns = any(w in TURN_PREFIX for w in part.words)
     if said == "hinge" and not turns and passes_sibling(part):
         return "slide_along"  # sashes and doors that pass each other
     if said == "screw" and part.category == "dispenser" and part.shape.roundest is None:
         return "press"  # a pump, not a cap
+    if said == "toggle" and not turns and part.category != "switch" and _flat_round(part):
+        return "press"  # it has no side to rock to
     return said
+
+
+def _flat_round(part: PartContext) -> bool:
+    """Whether it is a flat disc that lies on its parent."""
+    disc = part.shape.roundest
+    if disc is None or disc.half > disc.radius:
+        return False
+    along = (part.shape.points - disc.center) @ disc.axis
+    faces = [part.distance[side * along > 0.5 * disc.half] for side in (-1, 1)]
+    if not all(len(f) for f in faces):
+        return False
+    # Of a wheel that stands on it both faces are equally far away.
+    return abs(float(np.median(faces[0]) - np.median(faces[1]))) > 0.5 * disc.half
