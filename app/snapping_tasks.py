@@ -24,6 +24,7 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
         to: "axis Long", "axis Middle", "axis Short", "Box edge", "Contact", "Centre" or
             "free range" (limits up to the first collision).
     """
+    from model.kinematics.barrels import on_barrels
     from model.kinematics.snapping import (
         axis_along_box,
         box_of,
@@ -46,8 +47,14 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
         return replace(joint, origin=tuple(float(v) for v in box_of(points).center))
     if joint.parent not in parts:
         raise CommandError(f"{joint.parent} has no part to touch; it is a helper link")
+    both = (parts[child], parts[joint.parent])
+    found = on_barrels(joint, *both)
+    if found is not None:
+        return found
     reach = 0.01 * float(np.linalg.norm(np.ptp(points, axis=0)))
-    return origin_on_contact(joint, points, _surface_points(parts[joint.parent]), reach)
+    moved = origin_on_contact(joint, points, _surface_points(parts[joint.parent]), reach)
+    # A contact tells the axis less exactly than barrels that the joint's own is parallel to.
+    return on_barrels(replace(moved, axis=joint.axis), *both) or on_barrels(moved, *both) or moved
 
 
 def _surface_points(part: Part) -> npt.NDArray[np.float64]:

@@ -39,6 +39,9 @@ CATEGORY_OPENING: dict[tuple[str, str], float] = {
 NOTED: dict[str, str] = {"temple": "folding arm"}
 """What notes call a mechanism, where its own name is a narrow word."""
 
+IN_PLANE = "folds in the arms' plane"
+"""How the note of a folding arm goes on, where it stays beside its neighbours as it turns."""
+
 FOLDED_TOTAL = 3.0
 """Whole range (rad) assumed for a panel that was scanned open, from closed to far open."""
 
@@ -82,6 +85,8 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     )
     if closing + opening > 4.4 and many:
         return replace(best, lower=-closing, upper=opening)
+    if IN_PLANE in best.note and min(closing, opening) > best.upper:
+        return best  # arms that pass each other stop nowhere: as far as they usually go
     key = (context.category, "flap")
     total = (
         CATEGORY_OPENING.get(key, FOLDED_TOTAL) if best.note.startswith("flap") else FOLDED_TOTAL

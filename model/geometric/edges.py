@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from model.geometric.arms import SLENDER, arm_plane
 from model.geometric.context import PartContext
-from model.geometric.edge_limits import CATEGORY_OPENING, NOTED, OPENING
+from model.geometric.edge_limits import CATEGORY_OPENING, IN_PLANE, NOTED, OPENING
 from model.geometric.hypothesis import UP, Hypothesis, snapped, unit
 from model.geometric.scene import TOUCHING
+from model.kinematics.barrels import barrel_line
 
 Array = npt.NDArray[np.float64]
 
@@ -26,6 +28,7 @@ class EdgeWeights:
         handle: a handle sits opposite. sibling: another panel lies beyond the edge.
         back: the edge is away from the object's front.
         wall: beyond the edge the parent rises above the panel (a toilet's tank).
+        barrels: several small cylinders lie along the edge, which also look like a handle there.
     """
 
     upright: float = 0.0
@@ -39,6 +42,7 @@ class EdgeWeights:
     sibling: float = 2.0
     back: float = 0.0
     wall: float = 0.0
+    barrels: float = 5.0
 
 
 WEIGHTS: dict[str, EdgeWeights] = {
@@ -88,6 +92,12 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
                 why.append("only this edge touches")
             open_ = not closed and held > 0.3
             origin = _edge_origin(context, normal, across, side, out_normal, open_, local)
+            barrels = _barrels(context, axis, origin, across, normal)
+            if barrels is not None:
+                origin = barrels[0]
+                if barrels[1] > 1:
+                    score += weights.barrels
+                    why.append("hinge barrels")
             found.append(
                 _with_limits(
                     context, mechanism, axis, origin, out_normal, open_, score, ", ".join(why)
@@ -97,14 +107,22 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
 
 
 def _arm_hypotheses(context: PartContext) -> list[Hypothesis]:
-    """A round arm folds within the plane that it spans with the arm before or after it."""
+    """An arm folds within the plane of its chain, or that it spans with the part before or after
+    it."""
     shape, assembly = context.shape, context.assembly
-    if shape.thinness < 0.6 or shape.slenderness > 0.4:
+    if shape.slenderness > SLENDER:
         return []
     long = shape.box.axes[:, shape.order[2]]
     end = context.contact_center
-    neighbours = [j for j, above in enumerate(assembly.parent) if above == context.part]
+    note = f"{NOTED['temple']}: {IN_PLANE}"
     found = []
+    plane = arm_plane(assembly, context.part)
+    if plane is not None:
+        score = 6.5 + 2.0 * plane.sureness
+        found.append(Hypothesis("revolute", plane.normal, end, -1.2, 1.2, score, note))
+    if shape.thinness < 0.6:
+        return found
+    neighbours = [j for j, above in enumerate(assembly.parent) if above == context.part]
     for j in [*neighbours, context.parent]:
         other = context.scene.shapes[j]
         along = other.center - (end if j == context.parent else shape.center)
@@ -112,7 +130,6 @@ def _arm_hypotheses(context: PartContext) -> list[Hypothesis]:
         if np.linalg.norm(normal) < 0.25:
             continue
         axis = snapped(unit(normal), _frame_axes(context), 0.15)
-        note = f"{NOTED['temple']}: folds in the arms' plane"
         score = 6.0 + 0.5 * (1 - abs(float(axis[2]))) - (1.0 if j == context.parent else 0.0)
         found.append(Hypothesis("revolute", axis, end, -1.2, 1.2, score, note))
     return found
@@ -307,6 +324,25 @@ def _edge_origin(
             at[normal] = spot[normal]
             at[across] = 0.5 * (at[across] + spot[across])
     return box.center + box.axes @ at
+
+
+def _barrels(
+    context: PartContext, axis: Array, origin: Array, across: int, normal: int
+) -> tuple[Array, int] | None:
+    """Where the hinge's barrels have their middle, near an edge, and how many there are."""
+    frame, shape = context.scene.frame, context.shape
+    width = 2 * float(shape.box.half[across])
+    panel = shape.panel
+    thick = panel.high - panel.low if panel.normal == normal else 2 * float(shape.box.half[normal])
+    parts = (context.scene.parts[context.part], context.scene.parts[context.parent])
+    line = barrel_line(
+        parts,
+        frame.direction_in_object(axis),
+        frame.point_in_object(origin),
+        frame.diagonal * max(1.5 * min(thick, 0.2 * width), 0.04 * width),
+        frame.diagonal * max(0.75 * min(thick, 0.2 * width), 0.025 * width),
+    )
+    return None if line is None else (frame.to_working(line.point[None])[0], line.count)
 
 
 def _with_limits(

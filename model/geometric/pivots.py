@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.geometric.arms import arm_plane
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
 from model.geometric.outline import roundness
@@ -235,11 +236,14 @@ def tilt_hypotheses(context: PartContext) -> list[Hypothesis]:
     shape = context.shape
     found = []
     origin = context.contact_center
-    for k in range(3):
-        axis = shape.box.axes[:, k]
-        if abs(axis[2]) > 0.5:
-            continue
-        score = float(shape.box.half[k] / max(float(shape.box.half.max()), 1e-9))
+    level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= 0.5]
+    longest = max(float(shape.box.half.max()), 1e-9)
+    choices = [(shape.box.axes[:, k], float(shape.box.half[k]) / longest) for k in level]
+    plane = arm_plane(context.assembly, context.part)
+    if plane is not None and abs(float(plane.normal[2])) < 0.5:
+        # The head of a lamp nods as its arms do.
+        choices.append((plane.normal, 1.2 + 1.5 * plane.sureness))
+    for axis, score in choices:
         down = -free_range(
             context.scene,
             context.part,

@@ -568,6 +568,35 @@ def lamp() -> Thing:
     )
 
 
+def plate_lamp() -> Thing:
+    """Arms of flat strips side by side, each pinned to the one before."""
+    foot, elbow = np.array((0, 0, 0.1)), np.array((0.14, 0, 0.34))
+    wrist = np.array((-0.04, 0, 0.62))
+
+    def strip(a, b, y) -> trimesh.Trimesh:
+        length = float(np.linalg.norm(b - a))
+        lean = np.degrees(np.arctan2(b[0] - a[0], b[2] - a[2]))
+        plate = box((*((a + b) / 2)[:2] + (0, y), (a + b)[2] / 2), (0.03, 0.006, length + 0.03))
+        return join(turned(plate, Y, (a + b) / 2, lean), rod(a + (0, y - 0.006, 0), Y, 0.01, 0.018))
+
+    foot_plate = join(rod((0, 0, 0.01), Z, 0.12, 0.02), box((0, 0, 0.06), (0.03, 0.006, 0.1)))
+    head = join(rod(wrist + (-0.03, 0.024, -0.03), Z, 0.05, 0.06), rod(wrist, Y, 0.008, 0.05))
+    return Thing(
+        "Lamp",
+        {
+            "base": ("lamp_base", foot_plate),
+            "lower": ("arm", strip(foot, elbow, 0.008)),
+            "upper": ("arm", strip(elbow, wrist, 0.016)),
+            "head": ("head", head),
+        },
+        {
+            "lower": Truth("revolute", Y, tuple(foot)),
+            "upper": Truth("revolute", Y, tuple(elbow), "lower"),
+            "head": Truth("revolute", Y, tuple(wrist), "upper"),
+        },
+    )
+
+
 def lidded_box() -> Thing:
     body = turned(carcass((0, 0, 0), (0.2, 0.4, 0.3)), Y, (0, 0, 0), 90)
     body.apply_translation((0, 0, 0.1))
@@ -720,6 +749,7 @@ THINGS: dict[str, Callable[[], Thing]] = {
         folding_knife,
         closed_knife,
         lamp,
+        plate_lamp,
         lidded_box,
         sliding_door,
         office_chair,

@@ -198,6 +198,34 @@ def test_shut_doors_side_by_side_hang_on_the_body_and_start_at_zero(
             assert joint.origin[0] == pytest.approx(side, abs=0.02)
 
 
+@pytest.mark.parametrize("hung", ["door", "body"])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_door_turns_about_its_barrels(side: float, hung: str) -> None:
+    """They lie before the front, at one edge; nothing else tells the edges apart."""
+    place = np.array((side * 0.295, -0.026, 0.0))
+    knuckles = [
+        trimesh.creation.cylinder(0.006, 0.06, sections=16).apply_translation(place + (0, 0, z))
+        for z in (0.12, 0.68)
+    ]
+    barrels = trimesh.util.concatenate(knuckles)
+    parts = []
+    for part in (
+        board("link_0", (-0.3, 0, 0), (0.3, 0.4, 0.8), "body"),
+        board("link_1", (-0.298, -0.02, 0.002), (0.298, -0.001, 0.798), "door"),
+    ):
+        assert part.mesh is not None
+        mesh = trimesh.Trimesh(part.mesh.vertices, part.mesh.faces, process=False)
+        if part.name == hung:
+            mesh = trimesh.util.concatenate([mesh, barrels])
+        found = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+        parts.append(Part(part.link, found, name=part.name))
+    tree = PREDICTOR.predict(SegmentedObject("door", tuple(parts))).tree
+    assert tree is not None
+    joint = tree.joint_of["link_1"]
+    assert abs(joint.axis[2]) > 0.999
+    np.testing.assert_allclose(joint.origin[:2], place[:2], atol=0.001)
+
+
 def test_the_far_leaf_of_a_folding_door_hangs_on_the_near_one() -> None:
     parts = (
         board("link_0", (-0.1, -0.1, 0), (0, 0.1, 2.2), "frame"),

@@ -1,0 +1,40 @@
+"""Snapping a joint to what its part shows."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import trimesh
+
+from app import snapping_tasks
+from model.geometry.mesh import Mesh
+from model.kinematics.articulated_object import Part
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+
+
+def part(link: str, *meshes: trimesh.Trimesh) -> Part:
+    whole = trimesh.util.concatenate(list(meshes))
+    return Part(link, Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32)))
+
+
+@pytest.mark.parametrize("guess", [(0.01, -0.005), (0.1, -0.01)])
+def test_contact_lands_in_the_middle_of_the_barrels(
+    guess: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of a guess that is a hand's width beside the door's edge."""
+    knuckles = [
+        trimesh.creation.cylinder(0.006, 0.06, sections=12).apply_translation((0.003, -0.026, z))
+        for z in (0.1, 0.7)
+    ]
+    panel = trimesh.creation.box((0.5, 0.02, 0.8)).apply_translation((0.25, -0.011, 0.4))
+    wall = trimesh.creation.box((0.02, 0.4, 0.8)).apply_translation((0.01, 0.2, 0.4))
+    parts = (part("link_0", wall), part("link_1", panel, *knuckles))
+    monkeypatch.setattr(snapping_tasks, "parts_of", lambda _: parts)
+    joint = Joint("j", "revolute", "link_0", "link_1", (0, 0, 1), (*guess, 0.4), 0.0, 1.5)
+    tree = KinematicTree(("link_0", "link_1"), (joint,))
+    snapped = snapping_tasks.snap_joint(cast(Any, None), tree, "link_1", "Contact")
+    assert snapped.origin[:2] == pytest.approx((0.003, -0.026), abs=1e-6)
+    assert snapped.axis == joint.axis
