@@ -17,6 +17,10 @@ from model.kinematics.barrels import barrel_line
 Array = npt.NDArray[np.float64]
 
 
+AJAR = np.deg2rad((1.5, 2.5))
+"""From how far on (rad) a shut panel may be one that stands ajar, and from where it is one."""
+
+
 @dataclass(frozen=True)
 class EdgeWeights:
     """How much each cue counts for one mechanism.
@@ -28,6 +32,7 @@ class EdgeWeights:
         handle: a handle sits opposite. sibling: another panel lies beyond the edge.
         back: the edge is away from the object's front.
         wall: beyond the edge the parent rises above the panel (a toilet's tank).
+        ajar: of a door that stands open by a few degrees this edge is the nearer one.
         barrels: several small cylinders lie along the edge, which also look like a handle there.
     """
 
@@ -42,6 +47,7 @@ class EdgeWeights:
     sibling: float = 2.0
     back: float = 0.0
     wall: float = 0.0
+    ajar: float = 2.0
     barrels: float = 5.0
 
 
@@ -90,6 +96,10 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
             score += weights.contact * held
             if held > 0.3:
                 why.append("only this edge touches")
+            ajar = _ajar(out_normal, direction, axis) if closed else 0.0
+            score += weights.ajar * ajar
+            if ajar > 0.5:
+                why.append("ajar")
             open_ = not closed and held > 0.3
             origin = _edge_origin(context, normal, across, side, out_normal, open_, local)
             barrels = _barrels(context, axis, origin, across, normal)
@@ -324,6 +334,24 @@ def _edge_origin(
             at[normal] = spot[normal]
             at[across] = 0.5 * (at[across] + spot[across])
     return box.center + box.axes @ at
+
+
+def _ajar(outward: Array, direction: Array, axis: Array) -> float:
+    """-1..1: how much a panel looks as if it were turned a little about this edge: 1 where it
+    stands out of the object's own directions and away from the edge, -1 where it can't be.
+
+    Args:
+        outward: the panel's normal. direction: from its middle to the edge. axis: along the edge.
+    """
+    shut = np.round(outward)
+    turn = np.cross(shut, outward)
+    angle = np.arcsin(np.clip(np.linalg.norm(turn), 0.0, 1.0))
+    if np.linalg.norm(shut) != 1 or angle < AJAR[0]:
+        return 0.0
+    sure = float(np.clip((angle - AJAR[0]) / (AJAR[1] - AJAR[0]), 0, 1))
+    along = abs(float(unit(turn) @ axis)) > 0.7
+    nearer = float(direction @ shut) < 0
+    return sure if along and nearer else -sure
 
 
 def _barrels(

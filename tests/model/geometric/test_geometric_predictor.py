@@ -226,6 +226,46 @@ def test_a_door_turns_about_its_barrels(side: float, hung: str) -> None:
     np.testing.assert_allclose(joint.origin[:2], place[:2], atol=0.001)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("turned", ["upright", "level"])
+def test_a_door_that_stands_ajar_turns_about_its_nearer_edge(side: float, turned: str) -> None:
+    """Four degrees, and nothing else tells the edges apart."""
+    half = np.array((0.298, 0.01, 0.298))
+    axis = np.array((0, 0, 1.0) if turned == "upright" else (1.0, 0, 0))
+    hinge = np.array(
+        (side * half[0], -0.001, 0.3) if axis[2] else (0, -0.001, 0.3 + side * half[2])
+    )
+    sense = side if axis[2] else -side
+    panel = trimesh.creation.box(2 * half).apply_translation((0, -0.011, 0.3))
+    panel.apply_transform(
+        trimesh.transformations.rotation_matrix(sense * np.deg2rad(4), axis, hinge)
+    )
+    # Open to its front, as a cupboard is.
+    body = trimesh.util.concatenate(
+        [
+            trimesh.creation.box((0.6, 0.02, 0.6)).apply_translation((0, 0.4, 0.3)),
+            *(
+                trimesh.creation.box((0.02, 0.4, 0.6)).apply_translation((x, 0.2, 0.3))
+                for x in (-0.29, 0.29)
+            ),
+            *(
+                trimesh.creation.box((0.56, 0.4, 0.02)).apply_translation((0, 0.2, z))
+                for z in (0.01, 0.59)
+            ),
+        ]
+    )
+    parts = tuple(
+        Part(link, Mesh(np.asarray(m.vertices), np.asarray(m.faces, np.int32)), name=name)
+        for link, m, name in (("link_0", body, "body"), ("link_1", panel, "door"))
+    )
+    tree = PREDICTOR.predict(SegmentedObject("cupboard", parts)).tree
+    assert tree is not None
+    joint = tree.joint_of["link_1"]
+    assert abs(joint.axis @ axis) > 0.999
+    off = np.subtract(joint.origin, hinge)
+    assert np.linalg.norm(off - axis * (off @ axis)) < 0.03
+
+
 def test_the_far_leaf_of_a_folding_door_hangs_on_the_near_one() -> None:
     parts = (
         board("link_0", (-0.1, -0.1, 0), (0, 0.1, 2.2), "frame"),
