@@ -15,12 +15,17 @@ if TYPE_CHECKING:
     from model.training.full_loop import Sources
 
 
+CONFIDENCE = "confidence"
+"""Preset that fits no network but the predictors' confidence."""
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add = parser.add_argument
     add("--preset", default="nano", metavar="NAME",
         help="configuration: nano (default), or of the paper-size model qwen3-0.6b, qwen3-1.7b, "
-             "qwen3-4b, paper (Qwen3-8B), qwen3 (any size)")  # fmt: skip
+             "qwen3-4b, paper (Qwen3-8B), qwen3 (any size); confidence fits how sure the "
+             "predictors may be")  # fmt: skip
     add(
         "--out",
         type=Path,
@@ -88,7 +93,40 @@ def run(args: argparse.Namespace) -> int:
             f"model; with --preset {args.preset} leave them out, or choose one of "
             f"{', '.join(full_presets())}"
         )
+    if args.preset == CONFIDENCE:
+        return _fit_confidence(args)
     return _train_small(args)
+
+
+def _fit_confidence(args: argparse.Namespace) -> int:
+    from model.errors import ConfigurationError
+    from model.evaluation.table import progress_bar
+    from model.training.confidence import PREDICTORS, fit_confidence
+
+    if args.data or args.steps is not None or not math.isinf(args.minutes):
+        raise ConfigurationError(
+            f"--preset {CONFIDENCE} fits to made objects alone; leave out --data, --steps and "
+            "--minutes"
+        )
+    with progress_bar() as report:
+        found = fit_confidence(
+            args.out,
+            args.weights,
+            samples=args.samples,
+            seed=args.seed,
+            jobs=args.jobs or os.cpu_count() or 1,
+            progress=report,
+        )
+    for name in PREDICTORS:
+        told = found["record"][name]
+        print(
+            f"{name}: {told['joints']} joints; of {told['tested']} left out of a trial fit "
+            f"{told['right']:.0%} right, "
+            f"calibration error {told['calibration_error']:.3f}, Brier {told['brier']:.3f}"
+        )
+    if args.weights is not None:
+        print(f"confidence: {args.weights}")
+    return 0
 
 
 def _train_small(args: argparse.Namespace) -> int:

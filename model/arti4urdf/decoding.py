@@ -32,6 +32,7 @@ class Made:
         kind, part: what was asked. word, pointed: the answer, -1 for the other of the two.
         probability: of the answer (of all that mean the same). words: (SIZE,) of every word.
         parts: (P,) of every part.
+        plain: (SIZE,) log-odds of every word by the network alone, -inf where it isn't allowed.
     """
 
     kind: str
@@ -41,6 +42,7 @@ class Made:
     probability: float
     words: Array
     parts: Array
+    plain: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +143,10 @@ def decode(
             ]
         )
         values = logits.double().cpu().numpy()
+        plain = np.where(asked.words, np.nan_to_num(values[: v.SIZE], nan=-1e9), -np.inf)
         if prior is not None and asked.kind in ("type", "slot", "lower"):
             values[: v.SIZE] += prior[asked.part]
-        pending = [_make(tape, asked, values, rng)]
+        pending = [_make(tape, asked, values, plain, rng)]
     tape.feeds += pending
     total = float(sum(np.log(max(m.probability, 1e-12)) for m in tape.made))
     return Answer(
@@ -165,7 +168,9 @@ def _only(asked: Choice) -> tuple[int, int] | None:
     return int(np.argmax(asked.words)), -1
 
 
-def _make(tape: _Tape, asked: Choice, logits: Array, rng: np.random.Generator | None) -> Feed:
+def _make(
+    tape: _Tape, asked: Choice, logits: Array, plain: Array, rng: np.random.Generator | None
+) -> Feed:
     """Make one choice and record it."""
     allowed = np.concatenate([asked.words, asked.parts])
     logits = np.where(allowed, np.nan_to_num(logits, nan=-1e9), -np.inf)
@@ -187,5 +192,5 @@ def _make(tape: _Tape, asked: Choice, logits: Array, rng: np.random.Generator | 
     pick = int(np.argmax(score)) if rng is None else int(rng.choice(len(score), p=probability))
     word, part = (pick, -1) if pick < v.SIZE else (-1, pick - v.SIZE)
     value = float(np.clip(score[pick], 0, 1)) if asked.kind == "slot" else float(probability[pick])
-    tape.made.append(Made(asked.kind, asked.part, word, part, value, words, parts))
+    tape.made.append(Made(asked.kind, asked.part, word, part, value, words, parts, plain))
     return tape.grammar.take(word, part)

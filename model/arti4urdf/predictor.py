@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,11 +12,13 @@ import numpy.typing as npt
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.answer import joints_of_decision, write_answer
 from model.arti4urdf.decoding import Answer, decode, same_motion
+from model.arti4urdf.evidence import evidence_of
 from model.arti4urdf.geometric_prior import geometric_prior
 from model.arti4urdf.grammar import Lock
 from model.arti4urdf.motion_check import checked
 from model.arti4urdf.network import ArtiModel, Prompt
 from model.arti4urdf.structure import Structure, read_structure, structure_arrays
+from model.confidence import Evidence, doubt, weighing_of
 from model.geometric.predictor import assemble
 from model.kinematics.articulated_object import Prediction, SegmentedObject
 from model.kinematics.joint import Joint
@@ -36,16 +37,12 @@ class HybridSettings:
         weight: of geometry's opinion on joint types and candidates, in a product of experts.
         swept: log-odds added in favour of the candidate's own limits, from rules and motion sweep.
         motion: exponent of the share of its range that a candidate moves freely.
-        calibration: slope and offset of a confidence's log-odds. A product of experts is surer than
-            it is right; fitted to the reliability curves of PartNet-Mobility, with and without
-            names together (:mod:`model.evaluation.calibration`).
     """
 
     tree: float = 0.999
     weight: float = 5.0
     swept: float = 10.0
     motion: float = 1.0
-    calibration: tuple[float, float] = (0.8, -1.3)
 
 
 class Arti4UrdfPredictor:
@@ -79,18 +76,38 @@ class Arti4UrdfPredictor:
         progress: Progress = no_progress,
     ) -> Prediction:
         """See :class:`model.predictor.Predictor`."""
+        return self.explained(segmented, locked=locked, seed=seed, progress=progress)[0]
+
+    def explained(
+        self,
+        segmented: SegmentedObject,
+        *,
+        locked: tuple[Joint, ...] = (),
+        seed: int = 0,
+        progress: Progress = no_progress,
+        structure: Structure | None = None,
+    ) -> tuple[Prediction, dict[str, Evidence]]:
+        """The prediction, and by child link what its confidences are made of.
+
+        Args:
+            structure: of ``segmented`` and ``seed``, where it was read already.
+        """
         start = time.perf_counter()
         progress(0.0, "finding candidates")
-        structure = read_structure(
-            segmented, seed, progress=lambda fraction, message: progress(0.6 * fraction, message)
-        )
+        if structure is None:
+            structure = read_structure(
+                segmented,
+                seed,
+                progress=lambda fraction, message: progress(0.6 * fraction, message),
+            )
         progress(0.6, "reading shapes")
         prompt = make_prompt(structure, segmented, seed)
         links = [s.link for s in structure.scene.shapes]
         locks, problems = _locks(locked, links)
+        rules, same = geometric_prior(structure), same_motion(prompt)
         prior = None
         if self.hybrid is not None:
-            prior = self.hybrid.weight * geometric_prior(structure)
+            prior = self.hybrid.weight * rules
             prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
         answer = decode(self.model, prompt, locked=locks, prior=prior)
         progress(0.8, "writing the tree")
@@ -99,10 +116,12 @@ class Arti4UrdfPredictor:
             settled = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
             answer = decode(self.model, prompt, locked=settled | locks, prior=prior)
         if self.hybrid is not None and self.hybrid.motion:
-            answer = checked(answer, structure, same_motion(prompt), self.hybrid.motion)
+            answer = checked(answer, structure, same, self.hybrid.motion)
         joints: list[Joint] = []
         helpers: list[str] = []
         sure: dict[str, float] = {}
+        known: dict[str, Evidence] = {}
+        weighing = weighing_of(self.name)
         notes: dict[str, str] = {}
         kept = {j.child for j in locked}
         parents = [d.parent for d in answer.decisions]
@@ -114,16 +133,18 @@ class Arti4UrdfPredictor:
             built = joints_of_decision(structure, i, answer.decisions[i], hung)
             joints += built
             helpers += [j.child for j in built[:-1]]
-            sure[link] = joint_confidence(answer, i)
-            if self.hybrid is not None:
-                sure[link] = calibrated(sure[link], *self.hybrid.calibration)
-            notes[link] = _note(structure, answer, i)
+            above = parent_confidence(answer, i)
+            known[link] = evidence_of(structure, answer, i, rules, same, above)
+            sure[link] = (
+                joint_confidence(answer, i) if weighing is None else weighing.of(known[link])
+            )
+            notes[link] = "; ".join(filter(None, (_note(structure, answer, i), doubt(known[link]))))
         tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
         sure.update({j.child: 1.0 for j in locked})
         notes.update({j.child: "settled by the person" for j in locked})
         text = write_answer(tree, segmented) if tree is not None else ""
         progress(1.0, "done")
-        return Prediction(
+        made = Prediction(
             tree,
             (*problems, *trouble),
             sure,
@@ -133,6 +154,7 @@ class Arti4UrdfPredictor:
             text,
             notes,
         )
+        return made, known
 
     def _doubts_tree(self, answer: Answer, structure: Structure) -> bool:
         """Whether the network is unsure of a parent where geometry names another."""
@@ -195,26 +217,17 @@ def joint_confidence(answer: Answer, part: int) -> float:
     return round(float(out), 4)
 
 
-def calibrated(probability: float, slope: float, offset: float) -> float:
-    """``probability`` with its log-odds scaled and shifted, 0..1 (Platt, 1999)."""
-    kept = min(max(probability, 1e-6), 1 - 1e-6)
-    odds = slope * math.log(kept / (1 - kept)) + offset
-    return round(1 / (1 + math.exp(-odds)), 4)
-
-
 def _note(structure: Structure, answer: Answer, part: int) -> str:
     decision = answer.decisions[part]
     kind = v.TYPES[decision.type]
-    asked = answer.choices(part, "type")
-    said = f"{kind} (the type {100 * asked[0].probability:.0f} % sure)" if asked else kind
     if decision.slot < 0:
-        return said
+        return kind
     offered = (
         structure.slots[part][decision.slot] if decision.slot < len(structure.slots[part]) else None
     )
     where = offered.note if offered is not None else "no candidate fitted: axis and line in numbers"
     limits = "" if decision.lower >= 0 else "; range by the motion sweep"
-    return f"{said}; {where}{limits if kind != 'continuous' else ''}"
+    return f"{kind}; {where}{limits if kind != 'continuous' else ''}"
 
 
 def load_arti4urdf(

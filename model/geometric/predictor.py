@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from model.confidence import Evidence, doubt, log_odds, weighing_of
 from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
+from model.geometric.evidence import part_evidence
 from model.geometric.hypothesis import Hypothesis, confidence
 from model.geometric.mechanisms import find_front, propose
 from model.geometric.roles import guess_mechanisms
@@ -39,6 +41,17 @@ class GeometricPredictor:
         progress: Progress = no_progress,
     ) -> Prediction:
         """See :class:`model.predictor.Predictor`."""
+        return self.explained(segmented, locked=locked, seed=seed, progress=progress)[0]
+
+    def explained(
+        self,
+        segmented: SegmentedObject,
+        *,
+        locked: tuple[Joint, ...] = (),
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> tuple[Prediction, dict[str, Evidence]]:
+        """The prediction, and by child link what its confidences are made of."""
         start = time.perf_counter()
         progress(0.0, "sampling surfaces")
         scene = make_scene(segmented, seed)
@@ -52,6 +65,8 @@ class GeometricPredictor:
         links = [s.link for s in scene.shapes]
         helpers: list[str] = []
         sure: dict[str, float] = {}
+        known: dict[str, Evidence] = {}
+        weighing = weighing_of(self.name)
         notes: dict[str, str] = {}
         moving = [i for i in range(len(scene)) if i != root]
         for step, i in enumerate(moving):
@@ -63,14 +78,21 @@ class GeometricPredictor:
             built = joints_of(scene, links, i, parent[i], from_zero(context, found[0]))
             joints += built
             helpers += [j.child for j in built[:-1]]
-            sure[links[i]] = round(sureness[i] * confidence(_distinct(found)), 4)
-            notes[links[i]] = f"{reasons[i]}; {found[0].note}"
+            share = confidence(_distinct(found))
+            odds = {"type rules": log_odds(sureness[i]), "slot rules": log_odds(share)}
+            known[links[i]] = odds | part_evidence(context, mechanisms[i])
+            if weighing is None:
+                sure[links[i]] = round(sureness[i] * share, 4)
+            else:
+                sure[links[i]] = weighing.of(known[links[i]])
+            said = (reasons[i], found[0].note, doubt(known[links[i]]))
+            notes[links[i]] = "; ".join(filter(None, said))
             problems += _problems(context)
         tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
         sure.update({j.child: 1.0 for j in locked})
         notes.update({j.child: "settled by the person" for j in locked})
         progress(1.0, "done")
-        return Prediction(
+        made = Prediction(
             tree,
             tuple(problems + trouble),
             sure,
@@ -79,6 +101,7 @@ class GeometricPredictor:
             time.perf_counter() - start,
             notes=notes,
         )
+        return made, known
 
 
 def _tree(scene: Scene, locked: tuple[Joint, ...]) -> tuple[int, list[int], list[str]]:

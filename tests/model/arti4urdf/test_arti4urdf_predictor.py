@@ -11,10 +11,10 @@ from model.arti4urdf.network import ArtiModel
 from model.arti4urdf.predictor import (
     Arti4UrdfPredictor,
     HybridSettings,
-    calibrated,
     make_prompt,
 )
 from model.arti4urdf.structure import read_structure
+from model.confidence import weighing_of
 from model.datasets.procedural.generate import make
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import Part, SegmentedObject
@@ -91,9 +91,14 @@ def test_odd_objects_get_an_answer(tiny_model: ArtiModel, what: str) -> None:
         assert len(found.tree.links) >= len(segmented.parts)
 
 
-def test_confidence_is_calibrated_in_order() -> None:
-    surer = [calibrated(p, 0.8, -1.3) for p in (0.0, 0.5, 0.84, 0.995, 1.0)]
-    assert surer == sorted(surer) and surer[0] >= 0 and 0.99 < surer[-1] <= 1
-    # What the product of experts calls 0.84 was right four times in ten (reliability curve).
-    assert 0.35 < surer[2] < 0.55
-    assert calibrated(0.3, 1.0, 0.0) == 0.3
+@pytest.mark.parametrize("hybrid", [None, HybridSettings()])
+def test_what_a_confidence_is_made_of(tiny_model: ArtiModel, hybrid: HybridSettings | None) -> None:
+    predictor = Arti4UrdfPredictor(tiny_model, hybrid=hybrid)
+    segmented = _parts("StorageFurniture", 1)
+    found, known = predictor.explained(segmented)
+    assert set(known) == set(found.confidence) == set(found.notes)
+    weighing = weighing_of("arti4urdf")
+    assert weighing is not None
+    for link, evidence in known.items():
+        assert set(weighing.names) <= set(evidence)
+        assert found.confidence[link] == weighing.of(evidence)

@@ -196,3 +196,46 @@ def test_the_schedule_rises_and_falls() -> None:
 def test_held_out_families_are_not_trained_on() -> None:
     assert not set(HELD_OUT) & set(training_families())
     assert len(training_families()) >= 40
+
+
+def test_confidence_is_fitted_to_what_became_of_the_joints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that was stopped goes on; what is written can be read."""
+    from model.confidence import weighing_of
+    from model.training import confidence
+
+    def made(predictors: tuple[str, ...], object_id: str) -> list[confidence.JointRow]:
+        assert object_id not in asked
+        asked.append(object_id)
+        rng = np.random.default_rng(int(object_id.rsplit("_", 1)[1]))
+        odds = rng.normal(1.0, 2.0, 4)
+        right = rng.random(4) < 1 / (1 + np.exp(-odds))
+        return [
+            confidence.JointRow(name, object_id, {"score": float(3 * x)}, bool(r))
+            for name in predictors
+            for x, r in zip(odds, right, strict=True)
+        ]
+
+    asked: list[str] = []
+    monkeypatch.setattr(confidence, "joint_rows", made)
+    with pytest.raises(ConfigurationError, match="too few"):
+        confidence.fit_confidence(tmp_path / "run", None, samples=10)
+    weights = tmp_path / "weights"
+    found = confidence.fit_confidence(tmp_path / "run", weights, samples=400)
+    assert len(asked) == 400
+    told = found["record"]["hybrid"]
+    assert told["calibration_error"] < 0.1 and told["brier"] < told["brier_of_the_mean"]
+    weighing_of.cache_clear()
+    weighing = weighing_of("geometric", weights / "confidence.json")
+    assert weighing is not None
+    assert weighing.of({"score": 3.0}) == pytest.approx(1 / (1 + np.exp(-1.0)), abs=0.06)
+    weighing_of.cache_clear()
+
+
+def test_rows_of_a_made_object() -> None:
+    from model.training.confidence import joint_rows
+
+    rows = joint_rows(("geometric",), "Lamp_5_0")
+    assert rows and all(r.predictor == "geometric" and r.object_id == "Lamp_5_0" for r in rows)
+    assert len({tuple(r.evidence) for r in rows}) == 1
