@@ -19,6 +19,8 @@ Array = npt.NDArray[np.float64]
 
 AJAR = np.deg2rad((1.5, 2.5))
 """From how far on (rad) a shut panel may be one that stands ajar, and from where it is one."""
+FLUSH, FLUSH_SHARE = np.deg2rad(1.2), 0.02
+"""A share of the parent's surface that faces as the panel does, to within so much, is its frame."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
             score += weights.contact * held
             if held > 0.3:
                 why.append("only this edge touches")
-            ajar = _ajar(out_normal, direction, axis) if closed else 0.0
+            ajar = _ajar(context, out_normal, direction, axis) if closed else 0.0
             score += weights.ajar * ajar
             if ajar > 0.5:
                 why.append("ajar")
@@ -336,7 +338,7 @@ def _edge_origin(
     return box.center + box.axes @ at
 
 
-def _ajar(outward: Array, direction: Array, axis: Array) -> float:
+def _ajar(context: PartContext, outward: Array, direction: Array, axis: Array) -> float:
     """-1..1: how much a panel looks as if it were turned a little about this edge: 1 where it
     stands out of the object's own directions and away from the edge, -1 where it can't be.
 
@@ -348,10 +350,14 @@ def _ajar(outward: Array, direction: Array, axis: Array) -> float:
     angle = np.arcsin(np.clip(np.linalg.norm(turn), 0.0, 1.0))
     if np.linalg.norm(shut) != 1 or angle < AJAR[0]:
         return 0.0
+    # One that lies along a face of its parent is shut, however the two of them stand.
+    along = np.abs(context.base.normals @ outward) > np.cos(FLUSH)
+    if along.mean() > FLUSH_SHARE:
+        return 0.0
     sure = float(np.clip((angle - AJAR[0]) / (AJAR[1] - AJAR[0]), 0, 1))
-    along = abs(float(unit(turn) @ axis)) > 0.7
+    about = abs(float(unit(turn) @ axis)) > 0.7
     nearer = float(direction @ shut) < 0
-    return sure if along and nearer else -sure
+    return sure if about and nearer else -sure
 
 
 def _barrels(
