@@ -40,8 +40,8 @@ _ANSWERS = 16
 _TEMPERATURE = 2.0
 _APART = 0.1
 """Two parts share at most this of the smaller one,"""
-_ON_IT, _SMALLER = 0.9, 0.35
-"""or nearly all of the smaller one lies on the other, three times as large as all on it."""
+_ON_IT, _SMALLER = 0.9, 0.25
+"""or nearly all of the smaller one lies on the other, four times as large as all on it."""
 _ALIKE, _AS_GOOD = 0.7, 0.5
 """IoU of masks that stand for one part, and how much less worth the most usual of them may have."""
 
