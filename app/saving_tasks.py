@@ -6,8 +6,10 @@ accepting adds the record and moves it in place.
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -37,8 +39,11 @@ def prepare_asset(
     from model.exporters.reload import reload_check
 
     target = _draft_name(source, tree)
-    if target.exists():
+    try:
+        os.utime(target)  # it is the newest again: the next ones don't push it out
         return target
+    except FileNotFoundError:
+        pass
     progress(0.02, "Cutting out the parts")
     asset = asset_of(source.folder)
     obj = articulated_object(source, tree)
@@ -78,6 +83,9 @@ def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
 
 def _drop_drafts(folder: Path) -> None:
     """The oldest, and what a killed process left."""
-    found = sorted(folder.iterdir(), key=lambda p: p.stat().st_mtime)
-    for old in found[:-DRAFTS_KEPT]:
+    found: list[tuple[float, Path]] = []
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):  # one that was accepted just now has moved
+            found.append((path.stat().st_mtime, path))
+    for _, old in sorted(found)[:-DRAFTS_KEPT]:
         shutil.rmtree(old, ignore_errors=True)

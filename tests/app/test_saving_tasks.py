@@ -94,3 +94,16 @@ def test_a_kill_while_preparing_leaves_no_half_draft(source, tmp_path: Path, ste
     assert len(drafts(source)) == 1 and drafts(source)[0].startswith(".")
     folder = accepted(source, TREE, tmp_path / "a", {})
     assert reload_check(folder) == []
+
+
+def test_a_draft_that_is_asked_for_again_is_not_pushed_out(source):
+    first = prepare_asset(source, TREE)
+    number = first.stat().st_ino
+    for k in range(DRAFTS_KEPT + 1):
+        for draft in first.parent.iterdir():
+            at = draft.stat().st_mtime - 10
+            os.utime(draft, (at, at))
+        assert prepare_asset(source, TREE) == first  # as it is when it is accepted
+        prepare_asset(replace(source, names={1: f"door {k}"}), TREE)
+        assert first.stat().st_ino == number, "it was written anew"
+    assert len(drafts(source)) == DRAFTS_KEPT
