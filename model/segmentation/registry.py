@@ -7,6 +7,7 @@ from functools import lru_cache
 from importlib.metadata import entry_points
 
 from model.errors import ConfigurationError
+from model.plug_ins import load_plug_in
 from model.segmentation import baselines
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.protocol import Segmenter
@@ -38,12 +39,7 @@ def _table() -> dict[str, Callable[[], Segmenter]]:
 
 def _loader(entry) -> Callable[[], Segmenter]:
     def load() -> Segmenter:
-        try:
-            made = entry.load()()
-        except ImportError as error:
-            raise ConfigurationError(
-                f"the segmenter {entry.name!r} ({entry.value}) can't be loaded: {error}"
-            ) from error
+        made = load_plug_in(entry, "segmenter")
         if not isinstance(made, Segmenter):
             raise ConfigurationError(
                 f"the plug-in {entry.name!r} ({entry.value}) is no segmenter: it needs `name` "

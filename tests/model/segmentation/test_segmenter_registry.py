@@ -26,6 +26,7 @@ def plug_ins(monkeypatch):
         _Entry("default", object),
         _Entry("wrong", object),
         _Entry("broken", ImportError("no torch")),
+        _Entry("renamed", AttributeError("module 'mine' has no attribute 'Segmenter'")),
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: entries)
     registry._table.cache_clear()
@@ -48,3 +49,5 @@ def test_bad_plug_ins_are_named(plug_ins):
         registry.load_segmenter("wrong")
     with pytest.raises(ConfigurationError, match=r"broken.*no torch"):
         registry.load_segmenter("broken")
+    with pytest.raises(ConfigurationError, match=r"renamed.*no attribute"):
+        registry.load_segmenter("renamed")
