@@ -121,7 +121,7 @@ class Arti4UrdfPredictor:
         helpers: list[str] = []
         sure: dict[str, float] = {}
         known: dict[str, Evidence] = {}
-        weighing = weighing_of(self.name)
+        weighing = weighing_of("arti4urdf" if self.hybrid is None else "hybrid")
         notes: dict[str, str] = {}
         kept = {j.child for j in locked}
         parents = [d.parent for d in answer.decisions]

@@ -66,7 +66,7 @@ class GeometricPredictor:
         helpers: list[str] = []
         sure: dict[str, float] = {}
         known: dict[str, Evidence] = {}
-        weighing = weighing_of(self.name)
+        weighing = weighing_of(GeometricPredictor.name)
         notes: dict[str, str] = {}
         moving = [i for i in range(len(scene)) if i != root]
         for step, i in enumerate(moving):
