@@ -348,6 +348,8 @@ def _ajar(context: PartContext, outward: Array, direction: Array, axis: Array) -
     shut = np.round(outward)
     turn = np.cross(shut, outward)
     angle = np.arcsin(np.clip(np.linalg.norm(turn), 0.0, 1.0))
+    # One side of a noisy panel tells its direction half as well.
+    angle = angle / 2 if context.shape.scanned else angle
     if np.linalg.norm(shut) != 1 or angle < AJAR[0]:
         return 0.0
     # One that lies along a face of its parent is shut, however the two of them stand.
