@@ -305,7 +305,7 @@ def collected(
     return [r for r in rows if len(r.share)]
 
 
-def _played(play_one: Callable[[int, C], Rows], config: C, seed: int) -> Rows:
+def _played(play_one: Callable[[int, C], P], config: C, seed: int) -> P:
     return play_one(seed, config)
 
 
