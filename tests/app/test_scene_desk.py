@@ -347,7 +347,7 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     small.live.do(cmd.Reject("axis"), "rob")
     gate.answer("fine")
     wait(lambda: mine, "it is told", 60)
-    assert mine == ["small, it was rejected meanwhile by rob. Enter opens it."]
+    assert mine == ["small, it was rejected meanwhile by rob. Choose it again: Enter opens it."]
     assert statuses(desk)["small"] == "rejected"
     small.live.do(cmd.Undo(), "rob")
     desk.do(cmd.Undo(), "ann")
