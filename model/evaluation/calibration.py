@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from model.evaluation.joint_metrics import ObjectScore
 
@@ -58,18 +59,31 @@ def calibrate(scores: Iterable[ObjectScore], *, bins: int = BINS) -> Calibration
     if not pairs:
         return Calibration((), 0, math.nan, math.nan)
     sure, right = np.array(pairs).T
+    return compared(sure, right, bins=bins)
+
+
+def compared(
+    sure: npt.NDArray[np.floating],
+    right: npt.NDArray[np.floating],
+    weights: npt.NDArray[np.floating] | None = None,
+    *,
+    bins: int = BINS,
+) -> Calibration:
+    """Confidences (N,) beside what became of the joints, 1 or 0 (N,); ``weights`` (N,) tell how
+    much each counts."""
+    weights = np.ones(len(sure)) if weights is None else weights
     place = np.minimum((sure * bins).astype(int), bins - 1)
-    found = []
+    found, ece = [], 0.0
     for k in np.unique(place):
         here = place == k
+        confidence, usable = (
+            float(np.average(values[here], weights=weights[here])) for values in (sure, right)
+        )
         found.append(
             CalibrationBin(
-                float(k / bins),
-                float((k + 1) / bins),
-                int(here.sum()),
-                float(sure[here].mean()),
-                float(right[here].mean()),
+                float(k / bins), float((k + 1) / bins), int(here.sum()), confidence, usable
             )
         )
-    ece = sum(b.joints * abs(b.confidence - b.usable) for b in found) / len(pairs)
-    return Calibration(tuple(found), len(pairs), ece, float(np.mean((sure - right) ** 2)))
+        ece += float(weights[here].sum()) * abs(confidence - usable)
+    brier = float(np.average((sure - right) ** 2, weights=weights))
+    return Calibration(tuple(found), len(sure), ece / float(weights.sum()), brier)

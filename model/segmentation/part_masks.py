@@ -17,6 +17,7 @@ from model.resources import static_assets
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.mlp import Mlp, load_mlp
+from model.segmentation.solver import PartSolver
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
@@ -41,7 +42,7 @@ _TEMPERATURE = 2.0
 _APART = 0.1
 """Two parts share at most this of the smaller one,"""
 _ON_IT, _SMALLER = 0.9, 0.25
-"""or nearly all of the smaller one lies on the other, four times as large as all on it."""
+"""or nearly all of the smaller one lies on the other, which is four times as large as all on it."""
 _ALIKE, _AS_GOOD = 0.7, 0.5
 """IoU of masks that stand for one part, and how much less worth the most usual of them may have."""
 
@@ -58,6 +59,23 @@ class Spoken:
     masks: Bool
     features: Float
     common: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What asked cells speak of.
+
+    Attributes:
+        masks: (M, C) each once.
+        by, of: (R,) the asked cell and the mask of each answer, the cells in order and the
+            likeliest first. features: (R, F). scores: (R,).
+    """
+
+    masks: Bool
+    by: npt.NDArray[np.int64]
+    of: npt.NDArray[np.int64]
+    features: Float
+    scores: Float
 
 
 @lru_cache(maxsize=1)
@@ -80,31 +98,46 @@ def spoken_of(solver: ObjectSolver, asked: npt.NDArray[np.integer]) -> Spoken:
         solver: with lines on fronts, see :func:`.scorers.solver_of`.
         asked: (A,) cells.
     """
+    said = answers_of(solver, asked, _ANSWERS)
+    summed = np.zeros((len(said.masks), len(MOVING_FEATURE_NAMES)), np.float32)
+    np.add.at(summed, said.of, said.features)
+    speaks = np.zeros((len(asked), len(said.masks)), bool)
+    score = np.zeros(speaks.shape, np.float32)
+    speaks[said.by, said.of], score[said.by, said.of] = True, said.scores
+    common, overlap = overlaps(said.masks, solver.cells.size)
+    meant = _meant(speaks, score, said.masks[:, asked].T, overlap)
+    features = np.concatenate([summed / speaks.sum(0)[:, None], meant], 1)
+    return Spoken(said.masks, features, common)
+
+
+def answers_of(
+    solver: PartSolver, asked: npt.NDArray[np.integer], most: int, *, of_a_part: bool = True
+) -> Answers:
+    """What first clicks on some cells (A,) may mean, the ``most`` likeliest of each; ``of_a_part``
+    as in :meth:`.PartSolver.answer`.
+    """
     number: dict[bytes, int] = {}
     masks: list[Bool] = []
     by, of, described, scores = [], [], [], []
     for row, cell in enumerate(asked.tolist()):
-        answer = solver.first_answer(cell)
-        best = np.argsort(-answer.scores, kind="stable")[:_ANSWERS]
+        answer = solver.first_answer(cell, of_a_part=of_a_part)
+        best = np.argsort(-answer.scores, kind="stable")[:most]
         for mask in answer.candidates.masks[best]:
             key = np.packbits(mask).tobytes()
             if key not in number:
                 number[key] = len(masks)
                 masks.append(mask)
-            by.append(row)
             of.append(number[key])
+        by += [row] * len(best)
         described.append(answer.features[best])
         scores.append(answer.scores[best])
-    every = np.stack(masks)
-    speaks = np.zeros((len(asked), len(masks)), bool)
-    score = np.zeros(speaks.shape, np.float32)
-    speaks[by, of], score[by, of] = True, np.concatenate(scores)
-    summed = np.zeros((len(masks), len(MOVING_FEATURE_NAMES)), np.float32)
-    np.add.at(summed, of, np.concatenate(described))
-    count = speaks.sum(0)[:, None]
-    common, overlap = overlaps(every, solver.cells.size)
-    meant = _meant(speaks, score, every[:, asked].T, overlap)
-    return Spoken(every, np.concatenate([summed / count, meant], 1), common)
+    return Answers(
+        np.stack(masks),
+        np.array(by),
+        np.array(of),
+        np.concatenate(described),
+        np.concatenate(scores),
+    )
 
 
 def _meant(speaks: Bool, score: Float, within: Bool, overlap: Float) -> Float:
@@ -134,6 +167,23 @@ def _meant(speaks: Bool, score: Float, within: Bool, overlap: Float) -> Float:
         ],
         axis=1,
     ).astype(np.float32)
+
+
+def beside(common: Float, chosen: int, smaller: float) -> tuple[Bool, Bool]:
+    """(M,) masks that may be parts beside a chosen one, and those of them that it lies on.
+
+    Args:
+        common: (M, M) how much every two masks have in common.
+        smaller: share of the other that what lies on it may have.
+    """
+    area, shared = np.diagonal(common), common[chosen]
+    own = area[chosen]
+    apart = shared < _APART * np.minimum(own, area)
+    on_it = (shared > _ON_IT * area) & (area < smaller * own)
+    under_it = (shared > _ON_IT * own) & (own < smaller * area)
+    fits = apart | on_it | under_it
+    fits[chosen] = False
+    return fits, under_it
 
 
 def parts_apart(worth: Float, common: Float, least: float) -> list[int]:

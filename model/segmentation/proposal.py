@@ -10,7 +10,13 @@ from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import first_elements
-from model.segmentation.part_masks import parts_apart, shipped_part_scorer, spoken_of
+from model.segmentation.part_masks import (
+    answers_of,
+    beside,
+    parts_apart,
+    shipped_part_scorer,
+    spoken_of,
+)
 from model.segmentation.prompts import BASE, PartSegmentation
 from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 
@@ -85,24 +91,12 @@ def _agreed(session: DefaultSession, asked: npt.NDArray[np.int64]) -> list[Bool]
 
 def _answers(session: DefaultSession, asked: npt.NDArray[np.int64]) -> tuple[Bool, Float]:
     """(M, C) the likeliest masks of all asked cells, and (A, M) how likely each is for a cell."""
-    number: dict[bytes, int] = {}
-    masks: list[Bool] = []
-    said: list[tuple[int, int, float]] = []
-    for row, cell in enumerate(asked.tolist()):
-        answer = session.solver.first_answer(cell, of_a_part=False)
-        best = np.argsort(-answer.scores, kind="stable")[:_ANSWERS]
-        power = np.exp((answer.scores[best] - answer.scores[best[0]]) / _TEMPERATURE)
-        for index, share in zip(best, power / power.sum(), strict=True):
-            mask = answer.candidates.masks[index]
-            key = np.packbits(mask).tobytes()
-            if key not in number:
-                number[key] = len(masks)
-                masks.append(mask)
-            said.append((row, number[key], float(share)))
-    likely = np.zeros((len(asked), len(masks)), np.float32)
-    for row, mask_number, share in said:
-        likely[row, mask_number] = share
-    return np.stack(masks), likely
+    said = answers_of(session.solver, asked, _ANSWERS, of_a_part=False)
+    likely = np.zeros((len(asked), len(said.masks)), np.float32)
+    first = np.flatnonzero(np.diff(said.by, prepend=-1))
+    power = np.exp((said.scores - said.scores[first][said.by]) / _TEMPERATURE)
+    likely[said.by, said.of] = power / np.add.reduceat(power, first)[said.by]
+    return said.masks, likely
 
 
 def _tiling(agreed: Float, common: Float) -> list[int]:
@@ -114,7 +108,6 @@ def _tiling(agreed: Float, common: Float) -> list[int]:
     """
     inside = agreed > 0
     quality = agreed.sum(0) / np.maximum(inside.sum(0), 1)
-    area = np.diagonal(common)
     free = quality > _LEAST
     now = np.zeros(len(agreed))
     chosen: list[int] = []
@@ -127,12 +120,7 @@ def _tiling(agreed: Float, common: Float) -> list[int]:
             break
         chosen.append(best)
         now = np.where(inside[:, best], agreed[:, best], now)
-        shared, own = common[best], area[best]
-        apart = shared < 0.1 * np.minimum(own, area)
-        on_it = (shared > 0.9 * area) & (area < _SMALLER * own)
-        under_it = (shared > 0.9 * own) & (own < _SMALLER * area)
-        free &= apart | on_it | under_it
-        free[best] = False
+        free &= beside(common, best, _SMALLER)[0]
     return chosen
 
 

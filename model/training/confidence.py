@@ -20,6 +20,7 @@ from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
 from model.datasets.procedural.generate import family_names, make
 from model.datasets.protocol import GroundTruth
 from model.errors import ArtiworldError, ConfigurationError
+from model.evaluation.calibration import compared
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import robust_map
 from model.progress import Progress, no_progress
@@ -131,18 +132,13 @@ def reliability(rows: Sequence[JointRow], weighing: Weighing) -> dict[str, Any]:
     sure = np.array([weighing.of(r.evidence) for r in rows])
     right = np.array([float(r.right) for r in rows])
     weights = _row_weights(rows)
-    place = np.minimum((sure * 10).astype(int), 9)
-    error = 0.0
-    for k in np.unique(place):
-        here = place == k
-        gap = np.average(sure[here] - right[here], weights=weights[here])
-        error += abs(float(gap)) * weights[here].sum()
+    found = compared(sure, right, weights)
     base = np.average(right, weights=weights)
     return {
         "tested": len(rows),
         "right": round(float(base), 4),
-        "calibration_error": round(error / float(weights.sum()), 4),
-        "brier": round(float(np.average((sure - right) ** 2, weights=weights)), 4),
+        "calibration_error": round(found.ece, 4),
+        "brier": round(found.brier, 4),
         "brier_of_the_mean": round(float(base * (1 - base)), 4),
     }
 

@@ -115,11 +115,13 @@ def joined_rows(parts: list[Rows]) -> Rows:
     )
 
 
-def overlaps(encoding: Encoding, ranked: Ranked, truth: npt.NDArray[np.bool_]) -> Float:
-    """(H,) IoU of each hypothesis with the true nodes."""
+def overlaps(
+    encoding: Encoding, found: npt.NDArray[np.bool_], truth: npt.NDArray[np.bool_]
+) -> Float:
+    """(H,) IoU of masks (H, C) with the true nodes (N,)."""
     cells = encoding.cells
     own = np.bincount(cells.of_node, truth, len(cells))
-    masks = ranked.candidates.masks.astype(np.float32)
+    masks = found.astype(np.float32)
     common = masks @ own.astype(np.float32)
     return common / np.maximum(masks @ cells.size.astype(np.float32) + own.sum() - common, 1)
 
@@ -213,7 +215,7 @@ def play(
         answers = []
         for start in starts:
             ranked = solver.answer(PartState(), int(of_node[start]), True, None, of_a_part=False)
-            first_log.add(ranked, overlaps(encoding, ranked, truth), truth.mean())
+            first_log.add(ranked, overlaps(encoding, ranked.candidates.masks, truth), truth.mean())
             answers.append(ranked)
         # Half of the sessions begin on the deepest point.
         begin = int(rng.integers(0, 2)) * int(rng.integers(1, len(starts)))
@@ -238,7 +240,7 @@ def _session(
     state, cell, positive = PartState(), int(of_node[start]), True
     for step in range(clicks):
         if step:
-            log.add(ranked, overlaps(encoding, ranked, truth), truth.mean())
+            log.add(ranked, overlaps(encoding, ranked.candidates.masks, truth), truth.mean())
         mask = ranked.best
         if rng.random() < explore:
             near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 2]

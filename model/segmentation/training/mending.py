@@ -112,7 +112,7 @@ def _session(
             blocked = blocked.copy()
             blocked[cell] = False
         ranked = solver.answer(state, cell, positive, blocked)
-        log.add(ranked, overlaps(encoding, ranked, true), float(true.mean()))
+        log.add(ranked, overlaps(encoding, ranked.candidates.masks, true), float(true.mean()))
 
 
 def train_mending(config: MendingTraining, folder: Path) -> dict[str, float]:

@@ -227,7 +227,7 @@ def play(seed: int, config: MovingTraining) -> Rows:
         truth = seen.labels == part
         for click in clicks:
             ranked = solver.answer(click.state, click.cell, True, click.blocked)
-            log.add(ranked, overlaps(encoding, ranked, truth), float(truth.mean()))
+            log.add(ranked, overlaps(encoding, ranked.candidates.masks, truth), float(truth.mean()))
     return log.rows()
 
 

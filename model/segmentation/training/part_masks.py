@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import ObjectSolver
-from model.segmentation.encoding import Encoding
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.part_masks import (
     PART_FEATURE_NAMES,
@@ -24,6 +23,7 @@ from model.segmentation.part_masks import (
 )
 from model.segmentation.proposal import WORTH, spread
 from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.training import clicks
 from model.segmentation.training.fit import averaged, fit_mlp
 from model.segmentation.training.moving import MovingTraining, Seeds, collected, seen_object
 
@@ -92,20 +92,12 @@ def play_masks(seed: int, config: PartMaskTraining) -> MaskRows:
     asked = np.sort(rng.choice(cells, min(config.asked, len(cells)), replace=False))
     spoken = spoken_of(solver, asked)
     parts = np.unique(seen.labels[seen.labels >= 0])
-    overlap = _overlap(spoken.masks, seen.labels, parts[parts != seen.base], encoding)
+    moving = [seen.labels == part for part in parts[parts != seen.base].tolist()]
+    overlap = np.zeros((len(spoken.masks), len(moving)), np.float32)
+    for k, truth in enumerate(moving):
+        overlap[:, k] = clicks.overlaps(encoding, spoken.masks, truth)
     packed = np.packbits(spoken.masks, axis=1)
     return MaskRows(packed, spoken.features, overlap, encoding.cells.size.astype(np.float32))
-
-
-def _overlap(
-    masks: Bool, labels: npt.NDArray[np.int16], parts: npt.NDArray[np.int16], encoding: Encoding
-) -> Float:
-    """(M, P) IoU of masks (M, C) with the true parts, by nodes."""
-    cells = encoding.cells
-    held = [np.bincount(cells.of_node, labels == part, len(cells)) for part in parts.tolist()]
-    true = np.stack(held, 1) if held else np.zeros((len(cells), 0))
-    common, size = masks @ true, masks @ cells.size
-    return (common / (size[:, None] + true.sum(0) - common)).astype(np.float32)
 
 
 def _fit(rows: list[MaskRows], config: PartMaskTraining) -> Mlp:
