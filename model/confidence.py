@@ -113,19 +113,17 @@ def fit(
 
 
 @lru_cache(maxsize=8)
-def weighing_of(predictor: str, path: Path = SHIPPED) -> Weighing | None:
-    """That of a predictor; None for one that has none.
+def weighing_of(predictor: str, path: Path = SHIPPED) -> Weighing:
+    """That of a predictor of ours.
 
     Raises:
-        InputFileError: where the file is absent or damaged.
+        InputFileError: where the file is absent or damaged, or holds none for it.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         if data["format"] != FORMAT:
             raise InputFileError(path, f"has format {data['format']}, this reads {FORMAT}")
-        found = data["predictors"].get(predictor)
-        if found is None:
-            return None
+        found = data["predictors"][predictor]
         lists = {k: tuple(found[k]) for k in ("names", "mean", "scale", "weights")}
         return Weighing(**lists, bias=float(found["bias"]))
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -135,9 +135,7 @@ class Arti4UrdfPredictor:
             helpers += [j.child for j in built[:-1]]
             above = parent_confidence(answer, i)
             known[link] = evidence_of(structure, answer, i, rules, same, above)
-            sure[link] = (
-                joint_confidence(answer, i) if weighing is None else weighing.of(known[link])
-            )
+            sure[link] = weighing.of(known[link])
             notes[link] = "; ".join(filter(None, (_note(structure, answer, i), doubt(known[link]))))
         tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
         sure.update({j.child: 1.0 for j in locked})
@@ -205,16 +203,6 @@ def parent_confidence(answer: Answer, part: int) -> float:
             if m.pointed == part:
                 found = min(found, mass)
     return found
-
-
-def joint_confidence(answer: Answer, part: int) -> float:
-    """Product of the probabilities of what was decided about one part, 0..1."""
-    out = parent_confidence(answer, part)
-    for kind in ("type", "slot", "lower"):
-        for m in answer.choices(part, kind):
-            # Neighbouring levels share a limit's probability; its own share says little.
-            out *= m.probability if kind != "lower" else m.probability**0.5
-    return round(float(out), 4)
 
 
 def _note(structure: Structure, answer: Answer, part: int) -> str:

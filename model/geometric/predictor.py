@@ -81,10 +81,7 @@ class GeometricPredictor:
             share = confidence(_distinct(found))
             odds = {"type rules": log_odds(sureness[i]), "slot rules": log_odds(share)}
             known[links[i]] = odds | part_evidence(context, mechanisms[i])
-            if weighing is None:
-                sure[links[i]] = round(sureness[i] * share, 4)
-            else:
-                sure[links[i]] = weighing.of(known[links[i]])
+            sure[links[i]] = weighing.of(known[links[i]])
             said = (reasons[i], found[0].note, doubt(known[links[i]]))
             notes[links[i]] = "; ".join(filter(None, said))
             problems += _problems(context)

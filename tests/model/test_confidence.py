@@ -31,14 +31,14 @@ def test_the_fit_finds_how_often_it_is_right() -> None:
 @pytest.mark.parametrize("predictor", BUILT_IN)
 def test_every_predictor_of_ours_has_one(predictor: str) -> None:
     weighing = weighing_of(predictor)
-    assert weighing is not None
     # What the rules say less surely is never more often right.
     low, high = ({"slot rules": v, "type rules": v} for v in (-2.0, 4.0))
     assert weighing.of(low) < weighing.of(high)
 
 
 def test_others_have_none() -> None:
-    assert weighing_of("someone else's") is None
+    with pytest.raises(InputFileError, match=r"someone else"):
+        weighing_of("someone else's")
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:

@@ -98,7 +98,6 @@ def test_what_a_confidence_is_made_of(tiny_model: ArtiModel, hybrid: HybridSetti
     found, known = predictor.explained(segmented)
     assert set(known) == set(found.confidence) == set(found.notes)
     weighing = weighing_of("arti4urdf" if hybrid is None else "hybrid")
-    assert weighing is not None
     for link, evidence in known.items():
         assert set(weighing.names) <= set(evidence)
         assert found.confidence[link] == weighing.of(evidence)

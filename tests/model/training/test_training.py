@@ -228,7 +228,6 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
     assert told["calibration_error"] < 0.1 and told["brier"] < told["brier_of_the_mean"]
     weighing_of.cache_clear()
     weighing = weighing_of("geometric", weights / "confidence.json")
-    assert weighing is not None
     assert weighing.of({"score": 3.0}) == pytest.approx(1 / (1 + np.exp(-1.0)), abs=0.06)
     weighing_of.cache_clear()
 
