@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from model.errors import CommandError
 from model.gate.report import GateReport, JointVerdict, Mend
+from model.gate.words import called
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
@@ -195,9 +196,8 @@ class Judging:
 
 def joint_title(document: Document, verdict: JointVerdict) -> str:
     """What people call the part that a joint moves, else the joint's name."""
-    number = verdict.child.removeprefix("link_")
-    name = document.part_names.get(int(number)) if number.isdigit() else None
-    return f"{name} {number}" if name and name != verdict.child else verdict.joint
+    part = next((p for p in document.parts if p.link == verdict.child), None)
+    return verdict.joint if part is None else called(part.link, part.name, root=False)
 
 
 def checks_of(report: GateReport) -> list[JointCheck]:

@@ -59,7 +59,7 @@ class ReportRow:
         confidence: of its least sure joint, or of the finder.
         said: what a person said of it: articulable or not; None where nobody said anything.
         tree, sure: its joints and their confidence by child link.
-        names: link → what the part is.
+        names: link → what people call it.
         by, at, reason: who decided last, when, and why it was rejected.
         notes: what a person must know.
         source: its parts, to draw it.

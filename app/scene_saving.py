@@ -18,6 +18,7 @@ from app.part_tasks import PartSource, articulated_object
 from app.scene_report import ReportRow, write_report
 from app.scene_tasks import OpenedScene, SceneItem
 from model.errors import ArtiworldError, CommandError
+from model.gate.words import called
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
 from model.scenes.jobs import (
@@ -192,7 +193,7 @@ class Saving:
             item, row.status, row.confidence, desk.document.articulable.get(item.obj.id),
             None if doc is None else doc.tree,
             {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
-            {} if doc is None else {p.link: f"{p.name} {p.id}" for p in doc.parts if p.name},
+            {} if doc is None else {p.link: called(p.link, p.name, root=False) for p in doc.parts},
             "" if doc is None else doc.review.by, "" if doc is None else doc.review.at,
             "" if doc is None else (doc.review.reason or "").replace("_", " "),
             tuple(n for n in notes if n), source, None if work is None else work.id,

@@ -311,7 +311,7 @@ class AnnotatePanel:
         put(self._predict, "color", "blue" if ready and not self._room.visible else "gray")
         self._draw_parts(doc, shares)
         self._draw_names(doc)
-        self._draw_prompts(doc)
+        self._draw_prompts(doc, "face" if obj.asset is None else obj.asset.element_kind)
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
@@ -363,7 +363,9 @@ class AnnotatePanel:
                 button.on_click(lambda _, part=part: app.act(lambda: self._part_clicked(part)))
                 self._buttons[part] = button
             button = self._buttons[part]
-            name = _part_name(doc, part) or ("base" if part == 0 else "part")
+            name = _part_name(doc, part)
+            if name in (None, f"link_{part}"):  # as read from a folder of parts: no name at all
+                name = "part" if part else "base"
             share = f" · {_percent(shares[part])}" if part in shares else ""
             mark = "▸ " if part == app.part else ""
             hidden = " (hidden)" if part in app.hidden else ""
@@ -380,9 +382,9 @@ class AnnotatePanel:
             if picking:
                 put(text, "visible", False)
 
-    def _draw_prompts(self, doc: Document) -> None:
+    def _draw_prompts(self, doc: Document, elements: str) -> None:
         app = self._app
-        entries = prompt_entries(doc.prompts)
+        entries = prompt_entries(doc.prompts, elements)
         mine = [entry for entry in entries if entry.part == app.part]
         note = f"{len(mine)} on this part, {len(entries)} in all. Click one to remove it."
         put(self._prompt_note, "content", note if doc.prompts else "None yet.")

@@ -17,6 +17,7 @@ from app.open_object import OpenObject
 from app.viewer.annotate_panel import AnnotatePanel
 from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
+from app.viewer.joint_text import in_words
 from app.viewer.joints_panel import JointsPanel
 from app.viewer.keys import add_keys
 from app.viewer.light import PLAIN, LightSwitch
@@ -203,6 +204,8 @@ class ClientApp:
     def notify(self, title: str, body: str, color: Any = "blue") -> None:
         """A note in the corner."""
         if not self._threads.closed:
+            obj = self.object  # another thread may close it
+            body = body if obj is None else in_words(obj.document, body)
             seconds = 10.0 if color == "red" else 5.0
             self.client.add_notification(title, body[:400], auto_close_seconds=seconds, color=color)
 

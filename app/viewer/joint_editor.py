@@ -11,7 +11,7 @@ import viser
 
 from app import snapping_tasks
 from app.open_object import OpenObject
-from app.viewer.joint_text import joint_note, shown, titled
+from app.viewer.joint_text import joint_note, part_title, shown
 from app.viewer.widgets import differs, put
 from model.errors import CommandError
 from model.kinematics.joint import JOINT_TYPES, Joint
@@ -65,7 +65,7 @@ class JointEditor:
         app.on_update(self._child, self._child_chosen)
         self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
         self._on_edit(self._type, lambda: self.set_type(self._type.value))
-        self._on_edit(self._parent, lambda: self._change(parent=_link(self._parent.value)))
+        self._on_edit(self._parent, lambda: self._change(parent=self._link(self._parent.value)))
         self._on_edit(self._axis, lambda: self._change(axis=tuple(self._axis.value)))
         self._on_edit(
             self._origin, lambda: self._change(origin=tuple(v / 1000 for v in self._origin.value))
@@ -100,7 +100,15 @@ class JointEditor:
         return joint
 
     def _child_chosen(self) -> None:
-        self._app.choose_joint(_link(self._child.value))
+        self._app.choose_joint(self._link(self._child.value))
+
+    def _link(self, title: str) -> str:
+        """The link that people call so."""
+        doc = self._app.need_object().document
+        for link in () if doc.tree is None else doc.tree.links:
+            if part_title(doc, link) == title:
+                return link
+        raise CommandError(f"nothing is called {title} any more: choose again")
 
     def _change(self, **changes: Any) -> None:
         joint = self._need_joint()
@@ -182,18 +190,19 @@ class JointEditor:
     def draw(self, obj: OpenObject, tree: KinematicTree) -> None:
         """Bring it up to date."""
         doc = obj.document
-        titles = tuple(titled(doc, j.child) for j in tree.joints) or ("—",)
+        titles = tuple(part_title(doc, j.child) for j in tree.joints) or ("—",)
         put(self._child, "options", titles)
         joint = self._app.joint
         if joint is None:
             put(self._note, "content", "No joint.")
             return
-        put(self._child, "value", titled(doc, joint.child))
+        put(self._child, "value", part_title(doc, joint.child))
         put(self._name, "value", joint.name)
         put(self._type, "value", joint.type)
         below = tree.descendants(joint.child)
-        put(self._parent, "options", tuple(titled(doc, k) for k in tree.links if k not in below))
-        put(self._parent, "value", titled(doc, joint.parent))
+        above = tuple(part_title(doc, k) for k in tree.links if k not in below)
+        put(self._parent, "options", above)
+        put(self._parent, "value", part_title(doc, joint.parent))
         _put_vector(self._axis, joint.axis, 5e-4)
         _put_vector(self._origin, tuple(v * 1000 for v in joint.origin), 0.05)
         unit = "°" if joint.rotates else "mm"
@@ -218,10 +227,6 @@ class JointEditor:
         put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
         put(self._note, "content", joint_note(joint, doc, obj.checks))
-
-
-def _link(title: str) -> str:
-    return title.split(" · ", maxsplit=1)[0]
 
 
 def _differs(a: Any, b: Any) -> bool:

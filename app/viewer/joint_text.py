@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import math
+import re
 
 from app.judging import JointCheck
 from app.viewer.text import plain
+from model.gate.words import BASE, called
 from model.kinematics.joint import Joint, value_text
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
-BASE = "base"
+_LINK = re.compile(r"(?<![\w/])link_\d+(?!\.?\w)")
+"""A link in a sentence; neither a file's name nor a part of a longer one."""
 
 
 def part_title(doc: Document, link: str) -> str:
-    """What people call a link: its part's name, else the link's own, of the root "base"."""
-    digits = link.removeprefix("link_")
-    for part in doc.parts:
-        if str(part.id) == digits and part.name and part.name != link:
-            return f"{part.name} {part.id}"
-    return BASE if doc.tree is not None and link == doc.tree.root else link
+    """What people call a link, the same on every screen; see :func:`model.gate.words.called`."""
+    name = next((p.name for p in doc.parts if p.link == link), None)
+    return called(link, name, root=doc.tree is None or link == doc.tree.root)
+
+
+def in_words(doc: Document, text: str) -> str:
+    """A sentence in which links are called what people call them."""
+    return _LINK.sub(lambda found: part_title(doc, found[0]), text)
 
 
 def moved_part(tree: KinematicTree, link: str) -> str:
@@ -31,12 +36,6 @@ def moved_part(tree: KinematicTree, link: str) -> str:
             break
         (link,) = below
     return link
-
-
-def titled(doc: Document, link: str) -> str:
-    """The link with what people call it."""
-    title = part_title(doc, link)
-    return link if title == link else f"{link} · {title}"
 
 
 def shown(joint: Joint, q: float) -> float:
@@ -105,7 +104,7 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCheck]) -> str:
     lines = []
     if doc.prediction is not None:
         note = doc.prediction.notes.get(joint.child)
-        said = f"*{plain(note, 300)}*" if note else ""
+        said = f"*{plain(in_words(doc, note), 300)}*" if note else ""
         if joint != doc.prediction.joint(joint.child):
             said = "Edited; the grey arrow is the prediction" + (f": {said}" if said else ".")
         lines += [said] if said else []

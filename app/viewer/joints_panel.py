@@ -131,7 +131,9 @@ class JointsPanel:
         put(self._category, "visible", uncategorised)
         put(self._category, "value", NONE)
         self._quick.show(bool(unnamed))
-        what = f"**What is {unnamed[0].link}?**" if unnamed else "**What is the object?**"
+        what = "**What is the object?**"
+        if unnamed:
+            what = f"**What is {part_title(doc, unnamed[0].link)}?**"
         why = "Joints come right more often if that is known."
         if _settled(doc):
             why = "It is kept for the next prediction (P)."

@@ -6,6 +6,7 @@ import io
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +15,16 @@ import viser
 from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
-from app.viewer.joint_text import moved_part, part_title, range_text, sure_text
+from app.viewer.joint_text import in_words, moved_part, part_title, range_text, sure_text
+from app.viewer.prompt_list import tool_label
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
 from sessions import commands as cmd
+from sessions.describe import describe
 from sessions.document import Document
+from sessions.tool_commands import ApplyTool
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -157,11 +161,23 @@ class ReviewPanel:
 
     def _draw_history(self) -> None:
         app = self._app
-        entries = app.bench.store.history(app.need_object().record.id)[-HISTORY_SHOWN:]
+        obj = app.need_object()
+        entries = app.bench.store.history(obj.record.id)[-HISTORY_SHOWN:]
         lines = [
-            f"- {plain(e.at[11:19])} {plain(e.who, 24)}: {plain(e.kind)}" for e in reversed(entries)
+            f"- {plain(e.at[11:19])} {plain(e.who, 24)}: "
+            f"{plain(what_happened(obj.document, e.command), 80)}"
+            for e in reversed(entries)
         ]
         put(self._history, "content", "\n".join(lines) or "Nothing yet.")
+
+
+def what_happened(doc: Document, command: cmd.Command) -> str:
+    """One line of the history, in the words of the screens."""
+    if isinstance(command, cmd.SetJoint):
+        return f"change the joint of {part_title(doc, command.joint.child)}"
+    if isinstance(command, ApplyTool):
+        command = replace(command, tool=tool_label(command.tool).lower())
+    return in_words(doc, describe(command))
 
 
 def summary(doc: Document) -> str:
@@ -189,7 +205,8 @@ def summary(doc: Document) -> str:
             f"| {range_text(joint)} | {sure_text(doc, joint.child) or sure_text(doc, part)} |"
         )
     lines.append("\n".join(rows))
-    problems = [] if doc.prediction is None else [plain(p, 300) for p in doc.prediction.problems]
+    found = () if doc.prediction is None else doc.prediction.problems
+    problems = [plain(in_words(doc, p), 300) for p in found]
     if doc.prediction_stale:
         problems.append("the parts changed since the prediction")
     if problems:

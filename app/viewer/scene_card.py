@@ -13,6 +13,7 @@ from app.scene_desk import SceneDesk
 from app.scene_rows import Row, Work, decided_text
 from app.viewer import palette
 from app.viewer.joint_rows import JointRows
+from app.viewer.joint_text import in_words
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
@@ -210,7 +211,7 @@ def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) 
         if expected:
             out.append(f"Expected to move: {plain(', '.join(expected))}")
         if work.reason:
-            out.append(f"⚠ Left for you: {plain(work.reason, 300)}")
+            out.append(f"⚠ Left for you: {plain(in_words(doc, work.reason), 300)}")
         elif not work.prepared:
             out.append("Not predicted yet.")
         return out

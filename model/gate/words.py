@@ -5,14 +5,29 @@ from __future__ import annotations
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, value_text
 
+BASE = "base"
+
+
+def called(link: str, name: str | None, *, root: bool) -> str:
+    """A link in people's words: "door 2", without a name "part 2"; other links by their own name.
+
+    Args:
+        name: of its part, or None.
+        root: whether nothing moves it; unnamed it is the "base", unless it is another part than 0.
+    """
+    number = link.removeprefix("link_") if link.startswith("link_") else ""
+    named = bool(name) and name != link
+    if not number.isdigit():
+        return BASE if root and not named else link
+    if named:
+        return BASE if (name, number) == (BASE, "0") else f"{name} {number}"
+    return BASE if root and number == "0" else f"part {number}"
+
 
 def title(obj: ArticulatedObject, link: str) -> str:
-    """A link in people's words: "door 2"; else its own name, of the root "base"."""
+    """A link in people's words; see :func:`called`."""
     name = next((p.name for p in obj.parts if p.link == link), None)
-    digits = link.removeprefix("link_")
-    if not name or name == link or not digits.isdigit():
-        return "base" if link == obj.tree.root and name in (None, "", link) else link
-    return f"{name} {digits}"
+    return called(link, name, root=link == obj.tree.root)
 
 
 def length(metres: float) -> str:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from app.viewer.joint_text import joint_note, range_text, tree_text
+from app.judging import joint_title
+from app.viewer.joint_text import in_words, joint_note, part_title, range_text, tree_text
 from model.errors import KinematicsError
-from model.gate.words import interval
-from model.kinematics.articulated_object import Prediction
+from model.gate.report import JointVerdict
+from model.gate.words import interval, title
+from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction
 from model.kinematics.joint import Joint, value_text
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document, PartInfo
 
 DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))
+POINTS = PointCloud(np.zeros((1, 3), np.float32))
 TREE = KinematicTree(("link_0", "link_1"), (DOOR,))
 
 
@@ -62,3 +67,22 @@ def test_the_root_is_the_base() -> None:
     assert tree_text(TREE, document(), []).splitlines()[0] == "- **base**"
     read = replace(document(), parts=(PartInfo(0, "link_0"), PartInfo(1, "door")))
     assert tree_text(TREE, read, []).splitlines()[0] == "- **base**"
+
+
+def test_a_part_is_called_the_same_everywhere() -> None:
+    knob = Joint("j2", "continuous", "link_1", "link_2", (0, 0, 1))
+    tree = KinematicTree(("link_0", "link_1", "link_2"), (DOOR, knob))
+    doc = Document(
+        parts=(PartInfo(0, "base"), PartInfo(1, "door"), PartInfo(2)),
+        tree=tree,
+        prediction=Prediction(tree, notes={"link_2": "turns beside link_1, as joint_link_2"}),
+    )
+    assert [part_title(doc, link) for link in tree.links] == ["base", "door 1", "part 2"]
+    assert joint_note(knob, doc, []) == "*turns beside door 1, as joint&#95;link&#95;2*"
+    assert in_words(doc, "link_2 isn't in parts/link_2.ply") == "part 2 isn't in parts/link_2.ply"
+    verdict = JointVerdict("j2", "link_2", ())
+    assert joint_title(doc, verdict) == "part 2"
+    assert joint_title(doc, replace(verdict, child="helper_2")) == "j2"
+    parts = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in doc.parts)
+    obj = ArticulatedObject("cupboard", parts, tree)
+    assert [title(obj, link) for link in tree.links] == ["base", "door 1", "part 2"]

@@ -99,7 +99,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     report = judged(obj)
     assert report.verdict == "broken"
     assert report.of("door").worst.other == "link_0"
-    with pytest.raises(CommandError, match=r"door is broken: .* say why it is right"):
+    with pytest.raises(CommandError, match=r"part 1 is broken: .* say why it is right"):
         accept(obj, "", "tester", NOW)
     assert obj.document.review.state == "predicted"
     assert [c.joint for c in obj.checks] == ["door"]

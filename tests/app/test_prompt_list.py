@@ -1,8 +1,14 @@
 from __future__ import annotations
 
+from app.tool_tasks import NEXT_MASK, TOOLS
+from app.viewer.annotate_panel import TOOL_ROWS
 from app.viewer.prompt_list import prompt_entries
+from app.viewer.review_panel import what_happened
+from model.kinematics.joint import Joint
 from model.segmentation.prompts import Click
-from sessions.document import RegionRef
+from sessions.commands import ResetJoint, SetJoint
+from sessions.document import Document, PartInfo, RegionRef
+from sessions.tool_commands import ApplyTool, ToolRegion
 
 REF = "a" * 64
 
@@ -23,5 +29,23 @@ def test_masks_of_another_part_or_without_a_click_stand_alone():
     prompts = (mask(2, True), Click((0, 0, 0), 1), mask(2, True), RegionRef(1, REF, True, 1234))
     found = [(e.part, e.index, e.count, e.label) for e in prompt_entries(prompts)[::2]]
     assert found == [(2, 0, 1, "other mask"), (2, 2, 1, "other mask")]
-    assert prompt_entries(prompts)[3].label == "+  box: 1,234 elements"
+    assert prompt_entries(prompts)[3].label == "+  Box · 1,234 faces"
     assert prompt_entries((mask(1, False), mask(1, True)))[0].count == 2
+
+
+def test_what_tools_did_is_called_as_on_their_buttons():
+    buttons = {option for _, options, _ in TOOL_ROWS for option in options}
+    for tool in {*TOOLS, "lasso", "brush"} - {NEXT_MASK}:
+        (entry,) = prompt_entries((RegionRef(1, REF, False, 1, tool),), "point")
+        sign, label = entry.label.split("  ")
+        word, count = label.split(" · ")
+        assert word in buttons and (sign, count) == ("−", "1 point")
+
+
+def test_the_history_speaks_as_the_screens_do():
+    doc = Document(parts=(PartInfo(0), PartInfo(1, "door"), PartInfo(2)))
+    joint = Joint("joint_link_2", "continuous", "link_0", "link_2", (0, 0, 1))
+    proposed = ApplyTool("propose", tuple(ToolRegion(p, REF) for p in (1, 2)))
+    assert what_happened(doc, proposed) == "all parts, 2 parts"
+    assert what_happened(doc, SetJoint(joint)) == "change the joint of part 2"
+    assert what_happened(doc, ResetJoint("link_1")) == "reset the joint of door 1"

@@ -76,7 +76,7 @@ def check_marks_leave(tab: Tab, contact: Any) -> None:
     wait_until(lambda: not tab.app.motion.q, "back at rest")
     assert tab.app.client.scene.get_handle_by_name("/moment") is None
     wait_until(lambda: not contact.visible, "no contact at rest")
-    joint_button(tab, r"link_1.*: broken").click()
+    joint_button(tab, r"part 1.*: broken").click()
     tab.wait_node("/moment")
     tab.step("Joints")
     assert tab.app.client.scene.get_handle_by_name("/moment") is None
@@ -96,7 +96,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     assert report.verdict == "broken"
 
     # A click on the joint poses the object at the worst moment and marks the contact.
-    joint_button(tab, r"link_1.*: broken").click()
+    joint_button(tab, r"part 1.*: broken").click()
     worst = report.of("door").worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.wait_node("/moment")
