@@ -15,6 +15,7 @@ from app.open_object import OpenObject
 from app.part_tasks import PartSource
 from app.review_order import ReviewOrder
 from app.watched import Listener
+from model.errors import CommandError
 from model.kinematics.tree import KinematicTree
 from sessions.live import SessionHub
 from sessions.store import ObjectRecord, Store
@@ -31,6 +32,7 @@ class Workbench:
 
     Attributes:
         broken: objects whose file couldn't be read when somebody last wanted to see them.
+        taken_off: objects that were taken off the queue in this run, the last one last.
     """
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
@@ -51,6 +53,7 @@ class Workbench:
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
         self.broken: frozenset[int] = frozenset()
+        self.taken_off: tuple[int, ...] = ()
         self.add_paths(paths)
 
     def add_paths(self, paths: list[Path]) -> list[int]:
@@ -60,8 +63,37 @@ class Workbench:
         with self._lock:
             self._ids = list(dict.fromkeys([*self._ids, *ids]))
             self._records.update({r.id: r for r in records})
+            self.taken_off = tuple(i for i in self.taken_off if i not in ids)
         self._tell_queue()
         return ids
+
+    def take_off(self, object_id: int) -> None:
+        """Take what can't be read off the queue; its file and all that was decided stay.
+
+        Raises:
+            CommandError: where it can be read.
+        """
+        with self._lock:
+            if object_id not in self.broken:
+                raise CommandError("only what can't be read is taken off the list")
+            self._ids = [i for i in self._ids if i != object_id]
+            self.taken_off = (*(i for i in self.taken_off if i != object_id), object_id)
+        self._tell_queue()
+
+    def put_back(self) -> int:
+        """Put what was taken off the queue last back to its end; its id.
+
+        Raises:
+            CommandError: where nothing was taken off.
+        """
+        with self._lock:
+            if not self.taken_off:
+                raise CommandError("nothing was taken off the list")
+            *left, object_id = self.taken_off
+            self.taken_off = tuple(left)
+            self._ids = [*self._ids, object_id]
+        self._tell_queue()
+        return object_id
 
     def add_upload(self, name: str, content: bytes) -> int:
         """Keep a file that a browser sent, or what a zip holds; the first object's id.

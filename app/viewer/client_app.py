@@ -108,6 +108,11 @@ class ClientApp:
             "Try again", icon=viser.Icon.REFRESH, color="gray", visible=False
         )
         self.again_button.on_click(lambda _: self.act(lambda: self.need_object().try_again()))
+        self.off_button = gui.add_button(
+            "Take it off the list", icon=viser.Icon.X, color="gray", visible=False,
+            hint="The file stays, and so does what was decided about it",
+        )  # fmt: skip
+        self.off_button.on_click(lambda _: self.act(self.take_off))
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self.cancel_button = gui.add_button(
             "Cancel", icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
@@ -274,9 +279,23 @@ class ClientApp:
             return
         ids = [r.id for r in self.bench.records()]
         if self.object is not None and ids:
+            current = self.object.record.id
             if by > 0:
-                self.skipped.add(self.object.record.id)
-            self.open(ids[(ids.index(self.object.record.id) + by) % len(ids)])
+                self.skipped.add(current)
+            if current in ids:
+                self.open(ids[(ids.index(current) + by) % len(ids)])
+            else:  # another tab took it off the list
+                self.open(ids[0 if by > 0 else -1])
+
+    def take_off(self) -> None:
+        """Take what can't be read off the list, and go on with the next object."""
+        ids, current = [r.id for r in self.bench.records()], self.need_object().record.id
+        self.bench.take_off(current)
+        left = [i for i in ids if i != current]
+        if left:
+            self.open(left[ids.index(current) % len(left)] if current in ids else left[0])
+        else:
+            self.close_object()
 
     def do(self, command: cmd.Command) -> None:
         """Carry out one decision."""

@@ -47,6 +47,9 @@ class QueuePanel:
             self._filter = gui.add_dropdown("Show", options, initial_value=ALL)
             self._search = gui.add_text("Find", "", hint="Part of an object's name")
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
+            self._back = gui.add_button(
+                "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
+            )
             self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
             self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
             self._upload = gui.add_upload_button(
@@ -68,6 +71,7 @@ class QueuePanel:
         self._next.on_click(
             lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
         )
+        self._back.on_click(lambda _: app.act(lambda: app.open(app.bench.put_back())))
         app.on_update(self._name, self._renamed)
         self._upload.on_upload(lambda e: self._uploaded(e.target.value))
 
@@ -121,6 +125,7 @@ class QueuePanel:
             len(chosen),
             self._first,
             tuple(r.state for r in records),
+            app.bench.taken_off,
         )
         if now == self._shown:
             return
@@ -133,6 +138,11 @@ class QueuePanel:
         self._summary.content = f"**{done} of {len(records)}** accepted"
         self._bar.value = round(100 * done / max(len(records), 1), 1)
         self._ids = [r.id for r in page]
+        off = app.bench.taken_off
+        put(self._back, "visible", bool(off))
+        if off:
+            name = app.bench.store.object(off[-1]).name
+            put(self._back, "label", f"Put {clipped(name, NAME_LENGTH - 6)} back")
         put(self._pages, "visible", len(chosen) > PAGE)
         put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
         for k, button in enumerate(self._buttons):

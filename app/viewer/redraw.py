@@ -54,7 +54,7 @@ class Redraw:
         else:
             app.in_scene.draw()
             put(app.in_scene.folder, "visible", app.object is None)
-            put(app.object_folder, "visible", app.object is not None)
+        put(app.object_folder, "visible", app.object is not None)
         broken = app.object is not None and app.object.problem is not None
         for stage, folder in app.folders.items():
             # There is nothing to click on where the file can't be opened.
@@ -147,6 +147,7 @@ class Redraw:
             lines.append("⚠ The parts changed since the prediction: predict again (P)")
         put(self._app.status, "content", "\n\n".join(lines))
         put(self._app.again_button, "visible", obj.problem is not None)
+        put(self._app.off_button, "visible", obj.problem is not None and desk is None)
         put(self._app.progress, "visible", bool(stoppable))
         put(self._app.progress, "value", round(100 * fraction, 1))
         put(self._app.cancel_button, "visible", bool(stoppable))

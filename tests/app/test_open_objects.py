@@ -16,6 +16,7 @@ from app import display_tasks, workbench
 from app.config import ServeConfig
 from app.open_object import OpenObject
 from app.workbench import Workbench
+from model.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store
@@ -69,6 +70,30 @@ def test_a_file_that_changed_is_tried_again(bench_of, tmp_path: Path) -> None:
     bench.object(number)
     wait(lambda: obj.asset, "it opens")
     assert obj.problem is None and not bench.broken
+
+
+def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(bench_of, tmp_path: Path) -> None:
+    bench = bench_of()
+    (tmp_path / "good.ply").write_bytes(GOOD.export(file_type="ply"))
+    (good,) = bench.add_paths([tmp_path / "good.ply"])
+    bad = bench.add_upload("bad.ply", b"ply\nformat ascii 1.0\n")
+    path = bench.store.object(bad).path
+    with pytest.raises(CommandError, match="only what can't be read"):
+        bench.take_off(good)
+    obj = bench.object(bad)
+    wait(lambda: obj.problem, "the problem")
+    obj.do(cmd.SetCategory("Box"), "tester")
+    before = [r.id for r in bench.records()]
+    bench.take_off(bad)
+    assert [r.id for r in bench.records()] == [i for i in before if i != bad]
+    assert path.is_file() and bench.store.load(bad).present.category == "Box"
+    assert bench.put_back() == bad and not bench.taken_off
+    assert sorted(r.id for r in bench.records()) == sorted(before)
+    bench.take_off(bad)
+    assert bench.add_upload("bad.ply", path.read_bytes()) == bad  # so it is back as well
+    assert bench.records()[-1].id == bad and not bench.taken_off
+    with pytest.raises(CommandError, match="nothing was taken off"):
+        bench.put_back()
 
 
 def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
