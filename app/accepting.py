@@ -50,6 +50,7 @@ def accept(
         LookFirstError: where the gate doubts something that the person wasn't shown.
     """
     if "save" in obj.jobs:
+        obj.tell("Accepting", "It is being saved already", "gray")
         return
     state = obj.state
     doc = state.present

@@ -115,6 +115,9 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     assert obj.judging.report is report
 
     accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
+    notes.clear()
+    accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
+    assert ("Accepting", "It is being saved already", "gray") in notes
     saved = wait(lambda: obj.document.saved, "it is saved")
     review = obj.document.review
     assert (review.state, review.override) == ("accepted", "the shelf is soft")

@@ -74,7 +74,7 @@ def test_a_file_that_changed_is_tried_again(bench_of, tmp_path: Path) -> None:
 
 def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(bench_of, tmp_path: Path) -> None:
     bench = bench_of()
-    (tmp_path / "good.ply").write_bytes(GOOD.export(file_type="ply"))
+    GOOD.export(tmp_path / "good.ply")
     (good,) = bench.add_paths([tmp_path / "good.ply"])
     bad = bench.add_upload("bad.ply", b"ply\nformat ascii 1.0\n")
     path = bench.store.object(bad).path
