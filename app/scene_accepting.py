@@ -118,7 +118,18 @@ class Accepting:
 
     def in_vain(self, record: DecisionRecord) -> bool:
         """Whether it was an acceptance and none of its objects was accepted by it."""
-        return all((i, record) in self._vain for i in record.objects)
+        return record.decision == "accept" and all(
+            (i, record) in self._vain or not self._carried_out(i, record) for i in record.objects
+        )
+
+    def _carried_out(self, i: int, record: DecisionRecord) -> bool:
+        """Whether the decision, maybe of an earlier server, has accepted an object, or will."""
+        if (i, record) in self._queue:
+            return True
+        entries = self._desk.bench.store.history(i)
+        return any(
+            isinstance(e.command, cmd.Accept) and e.command.decided_at == record.at for e in entries
+        )
 
     def told(self, record: DecisionRecord) -> str:
         """What was decided, in a few words."""

@@ -432,6 +432,30 @@ def test_the_end_of_the_review_is_told() -> None:
     assert page_buttons(23, 24)[:2] == ("◀", "24/24") and "▶" not in page_buttons(23, 24)
 
 
+def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:
+    """That one was left by the server before the last, and its object was changed since."""
+    desk = accepted.desk
+    first, small = desk.work("first"), desk.work("small")
+    assert first is not None and small is not None
+    accepted.close()
+    store = Store(accepted.folder / "workspace")
+    scene = store.open_object(accepted.scene, None, "home")
+    store.append(scene.id, DecideObjects("accept", (small.id,)), "ann", scene.seq)
+    store.append(small.id, cmd.SetCategory("Table"), "ann", small.live.state.seq)
+    store.close()
+    desk = accepted.open()
+    assert not desk.accepting.waiting and statuses(desk)["small"] == "predicted"
+    assert desk.undo("ann") == "accept first"
+    assert statuses(desk)["first"] == "predicted"
+    desk.do(cmd.Redo(), "ann")
+    wait(lambda: not desk.accepting.waiting and not desk.busy, "it is accepted again")
+    assert statuses(desk)["first"] == "accepted"
+    small = desk.work("small")
+    assert small is not None
+    small.live.do(cmd.Undo(), "ann")
+    accepted.settle()
+
+
 def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> None:
     desk = accepted.desk
     work = desk.work("first")
