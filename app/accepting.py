@@ -101,7 +101,7 @@ def _check_unchanged(obj: OpenObject, before: Document, source: PartSource) -> N
     Raises:
         CommandError: saying what happened meanwhile.
     """
-    now = obj.document
+    now = obj.live.refresh().present  # another server may be at work on it
     if now.segmentation is None or (now.tree, obj.source(now)) != (before.tree, source):
         raise CommandError("It was edited meanwhile: accept it again")
     if now.review != before.review:

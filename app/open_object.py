@@ -58,7 +58,7 @@ class OpenObject(Watched):
         super().__init__()
         self.segmenting = Segmenting(self)
         self.judging = Judging(self)
-        self._unsubscribe = self.live.subscribe(lambda state, command: self._state_changed())
+        self._unsubscribe = self.live.subscribe(lambda state, command: self._decided(state))
 
     # --- state
 
@@ -202,6 +202,11 @@ class OpenObject(Watched):
         return self.asset
 
     # --- jobs that the state asks for
+
+    def _decided(self, state: SessionState) -> None:
+        if not self.live.given_here(state.seq):
+            self.tell_of_others()
+        self._state_changed()
 
     def _state_changed(self) -> None:
         self.ensure_open()

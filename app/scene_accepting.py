@@ -141,21 +141,29 @@ class Accepting:
     def take_up(self) -> None:
         """What was decided and not carried out before the server ended."""
         store = self._desk.bench.store
-        for record in self._seen:
+        before, self._seen = self._seen, self._desk.document.decided
+        for record in before:
             left = [i for i in record.objects if i in self._desk.works]
             self._carry_out(record, [i for i in left if store.object(i).updated < record.at])
 
-    def follow(self) -> None:
-        """Carry out what is new, take back what is gone."""
-        before, self._seen = self._seen, self._desk.document.decided
+    def follow(self, decided: tuple[DecisionRecord, ...], *, here: bool = True) -> None:
+        """Carry out what is new, take back what is gone.
+
+        Args:
+            decided: all that is decided now.
+            here: whether it was decided in this server; else another one sees to the objects.
+        """
+        before, self._seen = self._seen, decided
         for record in before:
             if record not in self._seen:
-                self._take_back(record)
+                self._queue = [(i, r) for i, r in self._queue if r != record]
+                if here:
+                    self._take_back(record)
                 self._told = [t for t in self._told if t.record != record]
                 for i in record.objects:
                     self.refused.pop(i, None)
         for record in self._seen:
-            if record not in before:
+            if record not in before and here:
                 self._carry_out(record, list(record.objects))
         self._asked = self._done + len(self._queue)
         if self._running is not None and self._running not in self._queue:
@@ -198,7 +206,6 @@ class Accepting:
                 self._settle(told, work.id)
 
     def _take_back(self, record: DecisionRecord) -> None:
-        self._queue = [(i, r) for i, r in self._queue if r != record]
         state = {"accept": "accepted", "reject": "rejected"}[record.decision]
         for i in record.objects:
             work = self._desk.works.get(i)
@@ -248,7 +255,7 @@ class Accepting:
         job = desk.bench.prediction.submit(judge_joints, source, doc.tree, priority=6)
 
         def keep(report: GateReport) -> None:
-            if not _as_it_was(doc, work.document):
+            if not _as_it_was(doc, work.live.refresh().present):
                 return  # edited or decided on meanwhile: it is looked at again
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
@@ -288,7 +295,7 @@ class Accepting:
         job = desk.bench.draft_asset(source, doc.tree, _silent)
 
         def keep(draft: Path) -> None:
-            if not _as_it_was(doc, work.document):
+            if not _as_it_was(doc, work.live.refresh().present):
                 return  # edited or decided on meanwhile: it is looked at again
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile

@@ -30,6 +30,7 @@ from model.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
+from sessions.state import SessionState
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
@@ -68,7 +69,7 @@ class SceneDesk(Watched):
         self.accepting = Accepting(self)
         self.saving = Saving(self)
         self.picking = Picking(self)
-        self.live.subscribe(lambda state, command: self._decided(command))
+        self.live.subscribe(self._decided)
         job = bench.geometry.submit(
             scene_tasks.read, path, folders, format, bench.config.finder, bench.config.finder_url,
             bench.workspace, on_progress=self.jobs.progress("read"), priority=9,
@@ -244,13 +245,16 @@ class SceneDesk(Watched):
                 self.works[work.id] = self._work_of[item.copy] = work
                 live.subscribe(lambda state, command: self.go_on())
 
-    def _decided(self, command: cmd.Command) -> None:
+    def _decided(self, state: SessionState, command: cmd.Command) -> None:
+        here = self.live.given_here(state.seq)
+        if not here:
+            self.tell_of_others()
         if self.scene is None:
             return
         if isinstance(command, (SetArticulable, PickOut, cmd.Undo, cmd.Redo)):
             self._arrange()
         with self._lock:
-            self.accepting.follow()
+            self.accepting.follow(state.present.decided, here=here)
         self.go_on()
 
     # --- jobs
@@ -329,7 +333,7 @@ class SceneDesk(Watched):
 
     def _record(self, work: Work, prepared: Prepared) -> None:
         """What was found out becomes commands, unless a person was first."""
-        if prepared.labels is None or work.live.state.seq:
+        if prepared.labels is None or work.live.refresh().seq:
             return
         do = work.live.do
         for part, name in prepared.names:

@@ -14,6 +14,7 @@ class Watched:
     def __init__(self) -> None:
         self._listeners: list[Listener] = []
         self._notices: list[Notice] = []
+        self._told_of_others = False
 
     @property
     def watched(self) -> bool:
@@ -41,3 +42,9 @@ class Watched:
         """Show a note in all the tabs."""
         for notice in list(self._notices):
             notice(title, body, color)
+
+    def tell_of_others(self) -> None:
+        """Say once that what changes here by itself is decided in another server."""
+        if self._listeners and not self._told_of_others:
+            self._told_of_others = True
+            self.tell("Changed elsewhere", "Another server is at work on this, too", "yellow")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -23,6 +24,9 @@ from sessions.store import ObjectRecord, Store
 if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
 
+log = logging.getLogger(__name__)
+FOLLOW_SECONDS = 2.0
+"""How often what other servers of the workspace did is taken in."""
 OPEN_KEPT = 4
 """Objects that stay open though no tab shows them, so that going back to them is quick."""
 
@@ -55,6 +59,8 @@ class Workbench:
         self.broken: frozenset[int] = frozenset()
         self.taken_off: tuple[int, ...] = ()
         self.add_paths(paths)
+        self._closed = threading.Event()
+        threading.Thread(target=self._follow_loop, name="follow", daemon=True).start()
 
     def add_paths(self, paths: list[Path]) -> list[int]:
         """Put files or folders into the queue; returns their object ids."""
@@ -148,6 +154,23 @@ class Workbench:
         if before is None or before.state != record.state:
             self._tell_queue()
 
+    def follow(self) -> None:
+        """Take in what other servers of the workspace did."""
+        last = self.store.last_commands()
+        self.hub.follow(last)
+        with self._lock:
+            stale = [i for i in self._ids if last.get(i, 0) > self._records[i].seq]
+        for object_id in stale:
+            self.queue_changed(object_id)
+
+    def _follow_loop(self) -> None:
+        while not self._closed.wait(FOLLOW_SECONDS):
+            try:
+                self.follow()
+            except Exception:  # a thread's boundary; it is tried again
+                if not self._closed.is_set():
+                    log.exception("what other servers did couldn't be read")
+
     def note_broken(self, object_id: int, broken: bool) -> None:
         """Whether an object's file couldn't be read, for the queue."""
         with self._lock:
@@ -185,6 +208,7 @@ class Workbench:
 
     def close(self) -> None:
         """End the workers."""
+        self._closed.set()
         if self.desk is not None:
             self.desk.close()
         for worker in (self.geometry, self.segmentation, self.prediction, self.saving):

@@ -7,7 +7,7 @@ import random
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from weakref import WeakValueDictionary
 
 from sessions.commands import Command, from_json, to_json
@@ -36,6 +36,7 @@ class LiveSession:
         self._next_key = 0
         self._queue: deque[tuple[int, SessionState, Command]] = deque()
         self._delivering = False
+        self._given_here: set[int] = set()
         self._chance = random.Random()
 
     @property
@@ -48,6 +49,11 @@ class LiveSession:
     def document(self) -> Document:
         """The present document."""
         return self.state.present
+
+    def given_here(self, seq: int) -> bool:
+        """Whether the command with that number was given in this process, since it was opened."""
+        with self._lock:
+            return seq in self._given_here
 
     def do(self, command: Command, who: str, *, role: Role = "reviewer") -> SessionState:
         """Apply ``command``, keep it, tell the subscribers.
@@ -114,6 +120,7 @@ class LiveSession:
                 time.sleep(self._chance.uniform(0, MAX_WAIT) * attempt / MAX_ATTEMPTS)
                 self._catch_up()
                 continue
+            self._given_here.add(after.seq)
             self._advance(after, command)
             return after
         raise AssertionError("unreachable")
@@ -164,3 +171,15 @@ class SessionHub:
             if session is None:
                 session = self._sessions[object_id] = LiveSession(self.store, object_id)
             return session
+
+    def follow(self, last: Mapping[int, int]) -> None:
+        """Take in what other processes did.
+
+        Args:
+            last: object id → number of its last command; see :meth:`Store.last_commands`.
+        """
+        with self._lock:
+            sessions = list(self._sessions.values())
+        for session in sessions:
+            if last.get(session.object_id, 0) > session.state.seq:
+                session.refresh()

@@ -109,6 +109,12 @@ class Store:
         with self._database.reading() as connection:
             return _record(self._row(connection, object_id))
 
+    def last_commands(self) -> dict[int, int]:
+        """Id of each object → number of its last command."""
+        with self._database.reading() as connection:
+            rows = connection.execute(select(objects.c.id, objects.c.seq)).all()
+        return {row.id: row.seq for row in rows}
+
     def load(self, object_id: int) -> SessionState:
         """The session's state: the last snapshot that is whole, and the commands after it."""
         with self._database.reading() as connection:

@@ -27,6 +27,7 @@ from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.resources import static_assets
 from sessions import commands as cmd
+from sessions.live import LiveSession
 from sessions.store import Store
 
 NOW = "2026-01-01T00:00:00+00:00"
@@ -201,9 +202,14 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
     obj.do(cmd.SetJoint(DOOR), "tester")
     said: list[CommandError] = []
     judged(obj)
+    store = Store(obj.bench.workspace)
+    elsewhere = LiveSession(store, obj.record.id)  # as of another server
+    busy = obj.bench.saving.submit(time.sleep, 0.5, priority=9)
+    wait(lambda: busy.state == "running", "saving is held up")
     accept(obj, "", "tester", NOW, refused=said.append)
-    obj.do(cmd.Reject("axis"), "rob")
-    wait(lambda: said, "it is told")
+    elsewhere.do(cmd.Reject("axis"), "rob")
+    store.close()
+    wait(lambda: said, "it is told", 60)
     assert "rejected meanwhile by rob" in str(said[0])
     assert obj.document.review.state == "rejected"
 

@@ -19,6 +19,7 @@ from app.workbench import Workbench
 from model.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
+from sessions.live import LiveSession
 from sessions.store import Store
 from tests.app.job_functions import killed_while_opening
 
@@ -164,3 +165,24 @@ def test_what_was_undone_before_it_was_answered_is_not_shown(bench_of, tmp_path:
     # The answer is about elements that are none any more.
     undone(cmd.SetFrame("x", 1.0))
     assert obj.labels is None and obj.asset is not None
+
+
+def test_what_another_server_did_is_seen(bench_of, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        GOOD.export(tmp_path / f"{name}.ply")
+    bench = bench_of(tmp_path / "first.ply", tmp_path / "second.ply")
+    first, second = (r.id for r in bench.records())
+    obj = settled(bench, first)
+    notes: list[tuple[str, str, str]] = []
+    obj.watch(lambda: None, lambda *note: notes.append(note))
+    obj.do(cmd.SetCategory("Box"), "ann")
+    bench.follow()
+    assert not notes
+    store = Store(tmp_path / "workspace")
+    for number in (first, second):
+        LiveSession(store, number).do(cmd.AddPart(1, "lid"), "rob")
+    store.close()
+    bench.follow()
+    assert obj.document.part_names == {1: "lid"} and obj.document.category == "Box"
+    assert [n[0] for n in notes] == ["Changed elsewhere"]
+    assert [r.parts for r in bench.records()] == [2, 2]

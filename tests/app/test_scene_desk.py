@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app import scene_accepting, scene_tasks, tasks
+from app import scene_accepting, scene_tasks, tasks, workbench
 from app.cli import make_parser
 from app.config import ServeConfig
 from app.job import Job
@@ -366,6 +366,48 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     assert "flap" in [p.name for p in saved.parts]
     desk.do(cmd.Undo(), "ann")
     small.live.do(cmd.NamePart(1, name), "rob")
+    world.settle()
+
+
+def test_what_another_server_decides_is_seen_and_left_to_it(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, small = world.desk, world.desk.work("small")
+    assert small is not None and world.bench is not None
+    monkeypatch.setattr(workbench, "FOLLOW_SECONDS", 1e6)
+    store = Store(world.folder / "workspace")
+    bench = Workbench(world.bench.config, store, [])
+    other = bench.desk = SceneDesk(bench, world.scene, (world.assets,))
+    seen: list[str] = []
+    other.watch(lambda: None, lambda *note: seen.append(note[0]))
+    wait(lambda: other.scene is not None, "the scene is read")
+    wait(lambda: not other.busy and statuses(other) == statuses(desk), "it stands there as here")
+
+    before = small.live.state.seq
+    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
+    bench.follow()
+    assert statuses(other)["small"] == "rejected" and seen == ["Changed elsewhere"]
+    assert small.live.state.seq == before + 1  # rejected once
+    assert other.undo("rob") == "reject small"
+    world.bench.follow()
+    assert statuses(desk)["small"] == statuses(other)["small"] == "predicted"
+
+    # While one server accepts, the other one neither does it as well nor is overruled.
+    gate, mine = Slow(desk, monkeypatch), list[str]()
+    desk.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
+    wait(lambda: gate.asked, "the gate is asked")
+    other.do(DecideObjects("reject", (small.id,), reason="axis"), "rob")
+    assert not other.accepting.waiting and "accept" not in other.jobs
+    gate.answer("fine")
+    wait(lambda: mine, "it is told", 60)
+    assert mine == ["small, it was rejected meanwhile by rob. Choose it again: Enter opens it."]
+    assert statuses(desk)["small"] == "rejected" and seen == ["Changed elsewhere"]
+    assert other.undo("rob") == "reject small"
+    world.bench.follow()
+    desk.do(cmd.Undo(), "ann")
+    assert statuses(desk)["small"] == "predicted"
+    bench.close()
+    store.close()
     world.settle()
 
 
