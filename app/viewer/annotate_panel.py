@@ -14,7 +14,7 @@ from app.viewer.quick_names import QuickNames
 from app.viewer.stage import may_be_a_room
 from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
-from model.segmentation.prompts import BASE
+from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document
 
@@ -294,6 +294,7 @@ class AnnotatePanel:
             doc.parts,
             doc.prompts,
             doc.category,
+            doc.review.state,
             doc.left_out,
             tuple(shares.items()),
             app.part,
@@ -318,6 +319,7 @@ class AnnotatePanel:
         room = wide and self._app.bench.desk is None and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
         odd = self._unit.draw(obj)
+        mine = [p for p in doc.prompts if p.part == self._app.part]
         put(self._room, "label", LEAVE_OUT if whole else "Cut this part out as an object")
         put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")
         put(self._room, "visible", room and odd is None)
@@ -328,6 +330,8 @@ class AnnotatePanel:
             )
         elif odd is not None:
             text = f"**{odd}**"
+        elif doc.review.state == "accepted":
+            text = "**Accepted.** To change it, reopen it in the Review step."
         elif whole:
             text = (
                 "**A room?** Leave out the floor and the walls first. "
@@ -338,11 +342,14 @@ class AnnotatePanel:
                 "**Click or box (Alt+drag) one thing** and cut it out as an object. "
                 "Shift+click says *not this*; **Tab** shows other masks."
             )
-        elif not doc.prompts:
+        elif not mine and (self._app.part or not doc.prompts):
             text = (
                 "**Click a part that moves** (a door, a drawer, a knob). "
                 "Press **2**, **3**, … for the next part; Shift+click says *not this*."
             )
+        elif not any(isinstance(p, Click) for p in mine):
+            text = "Tint wrong? Click what is missing, Shift+click what is too much."
+            text += " **Delete** takes the part away." if self._app.part else ""
         else:
             text = (
                 "Tint wrong? **Tab** shows other masks; or click what is missing, Shift+click what "

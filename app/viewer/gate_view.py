@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.open_object import OpenObject
 from app.viewer import palette
-from app.viewer.joint_text import part_title
+from app.viewer.joint_text import in_words, part_title
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
@@ -160,7 +160,8 @@ def headline(obj: OpenObject, doc: Document, report: GateReport | None) -> str:
         if obj.judging.problem:
             return f"⚠ **The joints couldn't be judged:** {plain(obj.judging.problem, 200)}"
         fraction, message = obj.busy.get("check", (0.0, ""))
-        return f"*Judging the joints… {100 * fraction:.0f} % {plain(message)}".rstrip() + "*"
+        message = plain(in_words(doc, message))
+        return f"*Judging the joints… {100 * fraction:.0f} % {message}".rstrip() + "*"
     counts = {v: len(report.with_verdict(v)) for v in ("broken", "look", "fine")}
     parts = [f"{SIGNS[v]} {n} {WORDS[v]}" for v, n in counts.items() if n]  # type: ignore[index]
     line = f"**Gate: {' · '.join(parts) or 'no joint moves'}**"

@@ -96,6 +96,7 @@ class JointsPanel:
             checks,
             app.motion.gizmo_on,
             doc.category,
+            doc.review.state,
         )
         if now == self._drawn:
             return
@@ -120,7 +121,7 @@ class JointsPanel:
 
     def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
         """Parts without a name, the chosen joint's first, and whether there is no category."""
-        if doc.tree is None or doc.prediction is None:
+        if doc.tree is None or doc.prediction is None or doc.review.state == "accepted":
             return [], False
         found = [p for p in doc.parts if p.name is None and p.link in doc.tree.joint_of]
         return sorted(found, key=lambda p: p.link != self._app.child), doc.category is None

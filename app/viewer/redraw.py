@@ -9,6 +9,7 @@ import numpy as np
 from app.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.joint_marks import AxisMark, axis_length
+from app.viewer.joint_text import in_words
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.kinematics.joint import Joint
@@ -126,7 +127,8 @@ class Redraw:
         if shown:
             fraction, message = jobs[shown[0]]
             percent = "" if stoppable or not fraction else f"{100 * fraction:.0f} % "
-            busy = f"*{_BUSY[shown[0]]}… {percent}{plain(message)}".rstrip() + "*"
+            message = plain(in_words(doc, message))
+            busy = f"*{_BUSY[shown[0]]}… {percent}{message}".rstrip() + "*"
         if busy:  # in the place of the size: each click would move the whole panel otherwise
             lines.append(busy)
         elif asset is not None:

@@ -93,6 +93,7 @@ def physics_of(
     collision: Collision = {}
     if settings.collision is not None:
         collision = collision_of(obj, settings.collision, store=store, progress=progress)
+    progress(1.0, "weighing the parts")
     inertials = inertials_of(obj, material_of=lambda part: table.of(part, obj.category))
     return Physics(
         inertials, collision, _dynamics(obj.tree, inertials, settings),

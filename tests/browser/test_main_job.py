@@ -55,6 +55,7 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     for key, place in (("2", "drawer"), ("3", "base")):
         tab.key(key)
         wait_until(lambda key=key: tab.app.part == int(key), "the key chooses the part")
+        tab.page.get_by_text("Click a part that moves", exact=False).wait_for()
         tab.prompt(points[place])
     predict(tab)
     before = tab.document.prediction
