@@ -5,22 +5,43 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from model.errors import ConfigurationError
+from model.errors import ArtiworldError, ConfigurationError
 
 
-def load_plug_in(point: EntryPoint, kind: str) -> Any:
+def load_plug_in(point: EntryPoint, kind: str, port: type | None = None, needs: str = "") -> Any:
     """What the callable of an entry point gives.
 
     Args:
         point: names a callable without arguments.
         kind: what a plug-in of its group is, as errors call it.
+        port: the protocol that it has to fit; None leaves that to the caller.
+        needs: the members of ``port``, as errors name them.
 
     Raises:
-        ConfigurationError: where its module can't be imported or hasn't got the callable.
+        ConfigurationError: where its module can't be imported, hasn't got the callable, or its
+            call fails or gives something that doesn't fit.
     """
     try:
-        return point.load()()
-    except (ImportError, AttributeError) as error:
+        made = point.load()()
+    except ArtiworldError:  # it says itself what it lacks
+        raise
+    except Exception as error:  # somebody else's plug-in may fail in any way
+        told = isinstance(error, ImportError | AttributeError)
+        why = str(error) if told else f"{type(error).__name__}: {error}"
         raise ConfigurationError(
-            f"the {kind} {point.name!r} can't be loaded: {error}; mend or remove its package"
+            f"the {kind} {point.name!r} can't be loaded: {why}; mend or remove its package"
         ) from error
+    if port is not None:
+        _check_fits(made, point, kind, port, needs)
+    return made
+
+
+def _check_fits(made: Any, point: EntryPoint, kind: str, port: type, needs: str) -> None:
+    # A class has all its methods, but they can't be called on it.
+    if isinstance(made, port) and not isinstance(made, type):
+        return
+    gave = f"the class {made.__name__}" if isinstance(made, type) else f"a {type(made).__name__}"
+    raise ConfigurationError(
+        f"the plug-in {point.name!r} ({point.value}) gives {gave}, which is no {kind}: "
+        f"it needs {needs}; mend or remove its package"
+    )

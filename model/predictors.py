@@ -11,6 +11,8 @@ from model.errors import ConfigurationError
 from model.remote import is_backend
 
 if TYPE_CHECKING:  # the command line asks for names alone
+    from importlib.metadata import EntryPoint
+
     from model.predictor import Predictor
 
 ENTRY_POINTS = "artiworld.predictors"
@@ -49,13 +51,18 @@ BUILT_IN: dict[str, Callable[[], Predictor]] = {
 def _table() -> dict[str, Callable[[], Predictor]]:
     from importlib.metadata import entry_points  # the command line wants the default's name alone
 
-    from model.plug_ins import load_plug_in
-
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.
-        table.setdefault(point.name, lambda point=point: load_plug_in(point, "predictor"))
+        table.setdefault(point.name, lambda point=point: _plug_in(point))
     return table
+
+
+def _plug_in(point: EntryPoint) -> Predictor:
+    from model.plug_ins import load_plug_in
+    from model.predictor import Predictor
+
+    return load_plug_in(point, "predictor", Predictor, "name and predict")
 
 
 def predictor_names() -> tuple[str, ...]:
@@ -71,7 +78,7 @@ def load_predictor(name: str = DEFAULT) -> Predictor:
 
     Raises:
         ConfigurationError: where there is none, naming those that are there, or where a plug-in
-            can't be loaded.
+            can't be loaded or is no predictor.
     """
     check_predictor(name)
     if is_backend(name):

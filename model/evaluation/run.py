@@ -201,7 +201,8 @@ def _cannot_load(name: str) -> str:
     try:
         load_predictor(name)
     except (ArtiworldError, ImportError) as error:
-        return f"the predictor {name!r} can't be loaded: {error}"
+        named = repr(name) in str(error)
+        return str(error) if named else f"the predictor {name!r} can't be loaded: {error}"
     return ""
 
 

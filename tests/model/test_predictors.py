@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib.metadata
+from pathlib import Path
 
 import pytest
 
+from app.cli import main
 from model import predictors
 from model.errors import ConfigurationError
+from model.geometric.predictor import GeometricPredictor
 from model.predictor import Predictor
 
 
@@ -23,21 +26,49 @@ def test_an_unknown_name_lists_those_that_are_there() -> None:
         predictors.load_predictor("telepathic")
 
 
+class _Point:
+    """An entry point that gives ``made``, or raises it."""
+
+    def __init__(self, name: str, made: object) -> None:
+        self.name, self.value, self._made = name, f"theirs:{name}", made
+
+    def load(self):
+        if isinstance(self._made, ImportError):
+            raise self._made
+        return self._call
+
+    def _call(self):
+        if isinstance(self._made, Exception):
+            raise self._made
+        return self._made
+
+
 def test_plug_ins_load_and_cannot_replace_built_ins(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Point:
-        def __init__(self, name: str) -> None:
-            self.name = name
-
-        def load(self):
-            return lambda: f"plug-in {self.name}"
-
-    class Broken(Point):
-        def load(self):
-            raise ImportError("no module named 'theirs'")
-
-    points = [Point("mine"), Point("geometric"), Broken("broken")]
+    mine = GeometricPredictor()
+    points = [_Point("mine", mine), _Point("geometric", "theirs")]
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: points)
-    assert predictors.load_predictor("mine") == "plug-in mine"
+    assert predictors.load_predictor("mine") is mine
     assert isinstance(predictors.load_predictor("geometric"), Predictor)
-    with pytest.raises(ConfigurationError, match="'broken' can't be loaded: no module"):
-        predictors.load_predictor("broken")
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (ImportError("no module named 'theirs'"), "predictor 'bad' can't be loaded: no module"),
+        (TypeError("needs a folder"), "predictor 'bad' can't be loaded: TypeError: needs a folder"),
+        (ConfigurationError("set THEIR_KEY"), "^set THEIR_KEY$"),
+        ("words", r"'bad' \(theirs:bad\) gives a str, .* no predictor: it needs name and predict"),
+        (None, "gives a NoneType, which is no predictor"),
+        (GeometricPredictor, "gives the class GeometricPredictor, which is no predictor"),
+    ],
+)
+def test_bad_plug_ins_are_named(
+    made: object, told: str, monkeypatch: pytest.MonkeyPatch, capsys, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [_Point("bad", made)])
+    with pytest.raises(ConfigurationError, match=told):
+        predictors.load_predictor("bad")
+    (tmp_path / "parts").mkdir()
+    words = ["predict", str(tmp_path / "parts"), "--out", str(tmp_path / "out")]
+    assert main([*words, "--predictor", "bad"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
