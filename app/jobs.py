@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 from app.job import Job, JobFailed
 from app.worker import pack, receive, send, unpack
 from model.errors import ArtiworldError
+from model.threads import with_threads
 
 T = TypeVar("T")
 
@@ -322,7 +323,7 @@ class _Child:
             [sys.executable, "-P", "-c", code],
             pass_fds=[descriptor],
             stdin=subprocess.DEVNULL,
-            env=_limited_threads(worker._threads),
+            env=with_threads(os.environ, worker._threads),
         )
         theirs.close()
         send(self.connection, "setup", 0, pack(worker._setup))
@@ -332,11 +333,6 @@ class _Child:
         self.connection.close()
         self.process.kill()
         self.process.wait()
-
-
-def _limited_threads(threads: int) -> dict[str, str]:
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-    return {**{name: str(threads) for name in names}, **os.environ}
 
 
 def _nothing() -> None:

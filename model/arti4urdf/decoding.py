@@ -6,6 +6,9 @@ share their probability, so that a hinge is not outvoted because three mechanism
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +19,7 @@ from model.arti4urdf import vocabulary as v
 from model.arti4urdf.grammar import Choice, Decision, Feed, Grammar, Lock
 from model.arti4urdf.network import ArtiModel, Prompt, feeds_to_tensors
 from model.arti4urdf.structure import CANDIDATE_SCALARS, SLOTS
+from model.threads import chosen_by_person
 
 Array = npt.NDArray[np.float64]
 
@@ -91,7 +95,26 @@ def same_motion(prompt: Prompt) -> npt.NDArray[np.bool_]:
     return (along & off & kind & both) | np.eye(SLOTS, dtype=bool)
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """torch on one thread, unless the environment says how many.
+
+    The small network's steps are so short that several threads wait for each other longer than
+    they work: a hundred times as long where other programs want the processors, too.
+    """
+    before = torch.get_num_threads()
+    if before == 1 or chosen_by_person(os.environ):
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 @torch.inference_mode()
+@one_thread()
 def decode(
     model: ArtiModel,
     prompt: Prompt,

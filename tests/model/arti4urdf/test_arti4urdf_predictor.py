@@ -5,9 +5,12 @@ import pytest
 
 pytest.importorskip("torch", reason="torch is not installed")
 
+import torch
+
+from model.arti4urdf import decoding
 from model.arti4urdf.answer import parse_answer
 from model.arti4urdf.decoding import decode
-from model.arti4urdf.network import ArtiModel
+from model.arti4urdf.network import ArtiModel, feeds_to_tensors
 from model.arti4urdf.predictor import (
     Arti4UrdfPredictor,
     HybridSettings,
@@ -19,6 +22,7 @@ from model.datasets.procedural.generate import make
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.joint import Joint
+from model.threads import BY_DEFAULT, NAMES, with_threads
 
 
 def _parts(family: str, index: int = 0) -> SegmentedObject:
@@ -43,6 +47,38 @@ def test_random_weights_still_write_a_tree(
 def test_the_same_parts_give_the_same_answer(tiny_model: ArtiModel) -> None:
     predictor, segmented = Arti4UrdfPredictor(tiny_model), _parts("Oven")
     assert predictor.predict(segmented).raw_text == predictor.predict(segmented).raw_text
+
+
+@pytest.mark.parametrize(
+    ("environment", "threads"),
+    [
+        ({}, 1),
+        ({"OMP_NUM_THREADS": "3"}, 3),
+        (with_threads({}, 3), 1),
+        (with_threads({"MKL_NUM_THREADS": "3"}, 2), 3),
+    ],
+)
+def test_the_network_computes_on_one_thread_unless_the_person_says_otherwise(
+    environment: dict[str, str],
+    threads: int,
+    tiny_model: ArtiModel,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in (*NAMES, BY_DEFAULT):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    seen = []
+    monkeypatch.setattr(decoding, "feeds_to_tensors", lambda *how: seen.append(
+        torch.get_num_threads()) or feeds_to_tensors(*how))  # fmt: skip
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        Arti4UrdfPredictor(tiny_model).predict(_parts("Oven"))
+        assert set(seen) == {threads}
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_forced_spans_change_nothing_but_the_number_of_passes(tiny_model: ArtiModel) -> None:
