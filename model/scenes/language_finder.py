@@ -102,7 +102,7 @@ class ChatEngine(Protocol):
         ...
 
     def close(self) -> None:
-        """Give back what it holds; it may be asked again."""
+        """Give back what it holds, a question under way included; it may be asked again."""
         ...
 
 
@@ -213,6 +213,7 @@ class LanguageFinder:
                     future.result()
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
+                self.engine.close()  # the block waits for the question under way
                 raise
         return found
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
+import signal
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 from model.errors import ArtiworldError, ConfigurationError
@@ -29,11 +31,8 @@ class QwenEngine:
 
     def ask(self, system: str, user: str) -> Answer:
         """See :class:`~model.scenes.language_finder.ChatEngine`."""
-        if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, mp_context=context)
         try:
-            text, problem = self._pool.submit(_decide, self._folder, system, user).result()
+            text, problem = self._submitted(system, user).result()
         except BrokenProcessPool as error:
             self.close()
             raise FinderUnavailableError(
@@ -43,11 +42,26 @@ class QwenEngine:
             raise ConfigurationError(problem)
         return Answer(text)
 
+    def _submitted(self, system: str, user: str) -> Future[tuple[str, str | None]]:
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(1, mp_context=context)
+        # Ctrl+C is not for the model's process, which starts here: whoever hears it closes this.
+        resource_tracker.ensure_running()  # on its start it lets interrupts through again
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return self._pool.submit(_decide, self._folder, system, user)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
     def close(self) -> None:
         """See :class:`~model.scenes.language_finder.ChatEngine`."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = None
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            # Between two tokens it could listen, but one look at a long prompt takes long, too.
+            for process in list((pool._processes or {}).values()):
+                process.kill()
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _decide(folder: Path, system: str, user: str) -> tuple[str, str | None]:

@@ -13,6 +13,8 @@ import pytest
 
 from model.datasets.registry import DatasetOptions, open_dataset
 from model.exporters.urdf import UrdfExporter
+from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3
+from tests.model.scenes import scenes_made
 
 
 def in_group(group: int) -> list[int]:
@@ -65,3 +67,40 @@ def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path:
     finally:
         if in_group(run.pid):
             os.killpg(run.pid, signal.SIGKILL)
+
+
+def test_an_interrupt_does_not_wait_for_a_language_model(tmp_path: Path) -> None:
+    """It goes to the command alone, as from a supervisor; the model's process never answers."""
+    pytest.importorskip("transformers", reason="transformers is not installed")
+    model = write_tiny_qwen3(tmp_path / "qwen3")
+    scene = scenes_made.write_scene(tmp_path / "layout.json", scenes_made.mesatask())
+    run = subprocess.Popen(
+        [sys.executable, "-m", "app.cli", "scene", "inspect", str(scene), "--finder",
+         f"qwen3:{model}", "--finder-cache", str(tmp_path / "cache")],
+        start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        end = time.monotonic() + 120
+        while not (writing := [p for p in in_group(run.pid) if b"spawn_main" in command_of(p)]):
+            assert run.poll() is None and time.monotonic() < end, "it never asked"
+            time.sleep(0.01)
+        os.kill(writing[0], signal.SIGSTOP)
+        os.kill(run.pid, signal.SIGINT)
+        _, told = run.communicate(timeout=20)
+        assert run.returncode == 130
+        assert "Traceback" not in told
+        end = time.monotonic() + 5
+        while left := in_group(run.pid):
+            assert time.monotonic() < end, left
+            time.sleep(0.05)
+    finally:
+        if in_group(run.pid):
+            os.killpg(run.pid, signal.SIGKILL)
+
+
+def command_of(process: int) -> bytes:
+    """The words that a process was started with; none where it is gone."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
