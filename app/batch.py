@@ -36,6 +36,8 @@ def find_assets(paths: Sequence[Path]) -> list[Path]:
             found = _in_folder(path)
             if not found and path.is_dir():
                 found = [a for child in sorted(path.iterdir()) for a in _in_folder(child)]
+        if not found and not path.exists():
+            raise InputFileError(path, "no such file or folder", "check the path")
         if not found:
             raise InputFileError(
                 path, "is no URDF and holds no object.urdf", "give assets or folders of assets"

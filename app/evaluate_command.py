@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.options import add_json
+from app.options import add_json, count
 from model.errors import ConfigurationError
 from model.predictors import DEFAULT
 
@@ -56,7 +56,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--timeout", type=float, default=120.0, metavar="SECONDS",
         help="an object that takes longer counts as failed (default: 120)")  # fmt: skip
     add("--limit", type=int, help="at most this many objects")
-    add("--seed", type=int, default=0, help="of predictors, splits and made objects (default: 0)")
+    add("--seed", type=count, default=0, help="of predictors, splits and made objects (default: 0)")
     add("--out", type=Path, metavar="DIR", help="folder for the reports; a stopped run goes on")
     add("--pictures", type=int, default=10, metavar="N",
         help="worst objects to draw in the page of --out (default: 10)")  # fmt: skip
@@ -79,7 +79,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Carry it out."""
     from app import printing
+    from app.headless import check_output
 
+    if args.out is not None:
+        check_output(args.out)
     with printing.session(args.json) as show, _progress(args.json) as progress:
         answer, table = _chosen(args)(args, progress)
     return _show(show, answer, table)

@@ -233,7 +233,14 @@ def check_output(out: Path, *inputs: Path) -> None:
     Raises:
         ConfigurationError: with what to do.
     """
-    if out.exists() and not out.is_dir():
+    try:
+        taken = out.exists() and not out.is_dir()
+    except (OSError, ValueError) as error:  # too long, or nothing that a file can be called
+        why = getattr(error, "strerror", None) or error
+        raise ConfigurationError(
+            f"--out {str(out)[:80]}… can't be a folder ({why}); give another name"
+        ) from error
+    if taken:
         raise ConfigurationError(f"--out {out} is a file; give a folder")
     for source in inputs:
         if os.path.realpath(out) == os.path.realpath(source):  # where links lead in a circle, too

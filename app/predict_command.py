@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from app.backend_command import add_client_options, chosen_predictor
-from app.options import add_json, add_reading
+from app.options import add_json, add_reading, count
 from model.predictors import DEFAULT
 
 
@@ -20,7 +20,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--category", metavar="NAME", help="what the object is, such as cabinet")
     add("--collision", action="store_true",
         help="make collision shapes too, which takes seconds to a minute")  # fmt: skip
-    add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
+    add("--seed", type=count, default=0, help="the only source of randomness (default: 0)")
     add_reading(parser)
     add_json(parser)
 

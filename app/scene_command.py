@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from app.options import add_json
+from app.options import add_json, count
 from model.predictors import DEFAULT
 
 
@@ -35,7 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--jobs", type=_jobs, default=os.cpu_count() or 1, metavar="N",
         help="processes (default: as many as processors)")  # fmt: skip
     add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts joints")
-    add("--seed", type=int, default=0, help="the only source of randomness (default: 0)")
+    add("--seed", type=count, default=0, help="the only source of randomness (default: 0)")
     add("--formats", type=_formats, default=(), metavar="NAME,NAME",
         help="write the scene as sdf and usd too, besides MJCF")  # fmt: skip
     add("--clicks", type=_clicks, action="append", default=[], metavar="ID=FILE",

@@ -16,7 +16,7 @@ import numpy as np
 from model.datasets.protocol import Dataset, GroundTruth
 from model.datasets.registry import DatasetOptions, open_dataset
 from model.datasets.splits import select
-from model.errors import ArtiworldError, ConfigurationError
+from model.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_costs
 from model.evaluation.corruption import Corruption, corrupt
 from model.evaluation.executability import execute, require_simulator
@@ -360,7 +360,12 @@ def _open_log(config: EvaluationConfig, results: dict[str, ObjectResult]) -> IO[
     if config.out is None:
         return None
     out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputFileError(
+            out, f"can't be written ({error.strerror or error})", "give a folder of your own"
+        ) from error
     kept = {**_finished(config, open_dataset(config.data).ids()), **results}
     lines = [json.dumps({"settings": config.key()})]
     lines += [json.dumps(_to_json(r)) for r in kept.values()]

@@ -263,7 +263,7 @@ def _sums(original: Asset) -> dict[str, Any]:
 
 def _write_json(path: Path, data: Any) -> None:
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_bytes((text + "\n").encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
 
 
 def _sha256(path: Path) -> str:

@@ -28,7 +28,7 @@ _LOG = logging.getLogger(__name__)
 MAX_BYTES = 64 * 2**20
 """No honest URDF is larger; its meshes lie beside it."""
 LARGEST = 1e6
-"""Metres of a size or an offset; with more, numbers are damaged and sums of them overflow."""
+"""Metres of a size, an offset or a limit; with more, numbers are damaged and sums overflow."""
 _MOVING: dict[str, JointType] = {
     "revolute": "revolute",
     "continuous": "continuous",
@@ -278,6 +278,11 @@ class _Reader:
             return None, None
         lower = self._number(limit, "lower", 0.0, where)
         upper = self._number(limit, "upper", 0.0, where)
+        if max(abs(lower), abs(upper)) > LARGEST:
+            if type_ == "revolute":  # people write 1e10 for infinite
+                self.notes.append(f"{where}: limits {lower:g}..{upper:g}; it became continuous")
+                return None, None
+            self.problems.append(f"{where}: a limit can be {LARGEST:g} m at most")
         if lower > upper:
             self.notes.append(f"{where}: limits {lower:g}..{upper:g} were swapped")
             lower, upper = upper, lower

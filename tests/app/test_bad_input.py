@@ -250,3 +250,30 @@ def test_an_unwritable_output_is_named_before_any_work(tmp_path, capfd):
     cupboard()[0].export(folder / "link_0.obj")
     assert main(["predict", str(folder), "--out", str(blocked / "under")]) == 2
     assert "--out" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("out", ["file", "file/under", "n" * 300])
+@pytest.mark.parametrize("command", ["predict", "export", "evaluate"])
+def test_an_output_that_can_be_no_folder_is_the_users_mistake(
+    command: str, out: str, tmp_path: Path, capfd
+) -> None:
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "box.urdf").write_text('<robot name="r"><link name="a"/></robot>')
+    words = {
+        "predict": [str(tmp_path)],
+        "export": [str(tmp_path / "box.urdf"), "--format", "urdf"],
+        "evaluate": ["--data", "procedural", "--family", "Box", "--predictor", "geometric"],
+    }[command]
+    assert main([command, *words, "--out", str(tmp_path / out)]) == 2
+    told = capfd.readouterr().err
+    assert "--out" in told and told.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "box.urdf"}
+
+
+def test_a_seed_below_zero_and_a_path_of_nothing_are_told(tmp_path, capfd):
+    assert main(["predict", str(tmp_path), "--out", str(tmp_path / "out"), "--seed", "-5"]) == 2
+    assert "whole number" in capfd.readouterr().err
+    nowhere = str(tmp_path / "nowhere.urdf")
+    for words in (["export", nowhere, "--format", "urdf", "--out", "x"], ["check", nowhere]):
+        assert main(words) == 2
+        assert f"{nowhere}: no such file or folder" in capfd.readouterr().err

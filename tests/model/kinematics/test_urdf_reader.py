@@ -96,19 +96,26 @@ def test_long_axes_are_normalised_and_noted(write):
 def test_what_is_not_supported_is_noted(write):
     path = write(
         robot(
-            links("a", "b", "c", "d", "e")
+            links("a", "b", "c", "d", "e", "h")
             + joint("p", "a", "b", "planar")
             + joint("f", "a", "c", "floating")
             + joint("i", "a", "d", "revolute", '<limit lower="-inf" upper="inf"/>')
             + joint("w", "a", "e", "revolute", '<limit lower="1" upper="-2"/>')
+            + joint("e", "a", "h", "revolute", '<limit lower="-1e300" upper="1e300"/>')
         )
     )
     model = read_urdf_model(path)
     types = {j.name: j.type for j in model.tree.joints}
-    assert types == {"p": "fixed", "f": "fixed", "i": "continuous", "w": "revolute"}
+    assert types == {
+        "p": "fixed",
+        "f": "fixed",
+        "i": "continuous",
+        "w": "revolute",
+        "e": "continuous",
+    }
     swapped = model.tree.by_name["w"]
     assert (swapped.lower, swapped.upper) == (-2, 1)
-    assert [n.split("'")[1] for n in model.notes] == ["p", "f", "i", "w"]
+    assert [n.split("'")[1] for n in model.notes] == ["p", "f", "i", "w", "e"]
 
 
 def test_helpers_are_renamed_so_that_they_never_look_like_parts(write):
@@ -212,6 +219,10 @@ BAD = {
     "huge offset": (
         robot(links("a", "b") + joint("j", "a", "b", inner='<origin xyz="1e300 0 0"/>')),
         ["joint 'j'", "away"],
+    ),
+    "huge limit": (
+        robot(links("a", "b") + joint("j", "a", "b", "prismatic", '<limit upper="1e300"/>')),
+        ["joint 'j'", "limit", "1e+06 m"],
     ),
     "negative size": (robot(links("a", geometry='<sphere radius="-1"/>')), ["link 'a'", "above 0"]),
     "entities": (
