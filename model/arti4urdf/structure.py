@@ -8,6 +8,7 @@ All lengths are in the working frame of :mod:`model.geometric.scene` (diagonal 1
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -216,9 +217,11 @@ def _slots(context: PartContext) -> list[Hypothesis | None]:
 
 
 def _sound(h: Hypothesis, center: Array) -> bool:
-    off = float(np.linalg.norm(np.cross(h.axis, h.origin - center)))
-    numbers = (off, h.lower, h.upper, h.score)
-    return bool(np.isfinite(numbers).all()) and off < FARTHEST
+    # In plain numbers: numpy takes ten times as long for three of them.
+    a, b, c = (float(v) for v in h.axis)
+    x, y, z = (float(v) for v in h.origin - center)
+    off = math.hypot(b * z - c * y, c * x - a * z, a * y - b * x)
+    return all(map(math.isfinite, (off, h.lower, h.upper, h.score))) and off < FARTHEST
 
 
 def structure_arrays(structure: Structure, rng: np.random.Generator) -> StructureArrays:

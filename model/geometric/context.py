@@ -49,6 +49,8 @@ class PartContext:
 
     assembly: Assembly
     part: int
+    barrels: dict[bytes, tuple[Array, int] | None] = field(default_factory=dict)
+    """By axis and place of an edge: its mechanisms share what is found there."""
 
     @property
     def scene(self) -> Scene:

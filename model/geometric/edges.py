@@ -366,6 +366,15 @@ def _barrels(
     context: PartContext, axis: Array, origin: Array, across: int, normal: int
 ) -> tuple[Array, int] | None:
     """Where the hinge's barrels have their middle, near an edge, and how many there are."""
+    key = axis.tobytes() + origin.tobytes() + bytes((across, normal))
+    if key not in context.barrels:
+        context.barrels[key] = _barrels_at(context, axis, origin, across, normal)
+    return context.barrels[key]
+
+
+def _barrels_at(
+    context: PartContext, axis: Array, origin: Array, across: int, normal: int
+) -> tuple[Array, int] | None:
     frame, shape = context.scene.frame, context.shape
     width = 2 * float(shape.box.half[across])
     panel = shape.panel

@@ -69,6 +69,7 @@ class Scene:
     parts: tuple[Part, ...]
     _trees: dict[int, KDTree] = field(default_factory=dict)
     _distances: dict[tuple[int, int], Array] = field(default_factory=dict)
+    _covers: dict[tuple[int, bytes, tuple[int, ...], bytes], float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.shapes)
@@ -156,6 +157,15 @@ class Scene:
 
         1: it can't leave that way; 0: nothing is in front of it.
         """
+        # Every mechanism asks anew about the same few sides.
+        key = (i, direction.tobytes(), others, b"" if axes is None else axes.tobytes())
+        if key not in self._covers:
+            self._covers[key] = self._cover(i, direction, others, axes)
+        return self._covers[key]
+
+    def _cover(
+        self, i: int, direction: Array, others: tuple[int, ...], axes: Array | None
+    ) -> float:
         e = np.eye(3) if axes is None else axes
         k = int(np.argmax(np.abs(e.T @ direction)))
         sign = np.sign(e[:, k] @ direction)
