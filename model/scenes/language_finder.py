@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import Lock
@@ -58,6 +58,8 @@ SCHEMA: dict[str, Any] = {
 MOST_PARTS, LONGEST_PART, LONGEST_REASON = 24, 40, 300
 _BYTES_A_TOKEN = 3.5
 """Of JSON and English, by the usual tokenizers; an estimate."""
+_LOOKS_UP = 0.25
+"""Seconds after which whoever waits for an answer hears an interrupt."""
 _TOKENS_AN_ANSWER = 70
 
 
@@ -210,6 +212,9 @@ class LanguageFinder:
             futures = [pool.submit(ask, batch) for batch in _cut(left, size)]
             try:
                 for future in futures:
+                    # Another thread may be the one that an interrupt wakes: look up now and then.
+                    while not wait([future], timeout=_LOOKS_UP).done:
+                        pass
                     future.result()
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)

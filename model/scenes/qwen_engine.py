@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
@@ -28,6 +29,7 @@ class QwenEngine:
         self.name = f"qwen3:{self._folder}"
         self.batch = self.parallel = 1
         self._pool: ProcessPoolExecutor | None = None
+        self._starting = threading.Lock()
 
     def ask(self, system: str, user: str) -> Answer:
         """See :class:`~model.scenes.language_finder.ChatEngine`."""
@@ -43,20 +45,22 @@ class QwenEngine:
         return Answer(text)
 
     def _submitted(self, system: str, user: str) -> Future[tuple[str, str | None]]:
-        if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, mp_context=context)
         # Ctrl+C is not for the model's process, which starts here: whoever hears it closes this.
         resource_tracker.ensure_running()  # on its start it lets interrupts through again
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return self._pool.submit(_decide, self._folder, system, user)
+            with self._starting:
+                if self._pool is None:
+                    context = multiprocessing.get_context("spawn")
+                    self._pool = ProcessPoolExecutor(1, mp_context=context)
+                return self._pool.submit(_decide, self._folder, system, user)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
     def close(self) -> None:
         """See :class:`~model.scenes.language_finder.ChatEngine`."""
-        pool, self._pool = self._pool, None
+        with self._starting:  # a process that is being started is not among the pool's yet
+            pool, self._pool = self._pool, None
         if pool is not None:
             # Between two tokens it could listen, but one look at a long prompt takes long, too.
             for process in list((pool._processes or {}).values()):
