@@ -25,6 +25,7 @@ from model.segmentation.masks import (
     Candidates,
     Clicked,
     MaskDescriber,
+    MendingClick,
     joined,
 )
 from model.segmentation.mlp import Mlp
@@ -47,7 +48,13 @@ BOX_FEATURES = (
     "round_positives", "round_positives_worst", "round_negatives", "round_negatives_worst",
     "first_deepest", "near_negatives", "between_positives",
 )  # fmt: skip
-OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES)
+HISTORY_FEATURES = (
+    "change_deepest", "change_other", "past_deepest", "past_deepest_worst",
+    "past_other", "past_other_worst", "last_changed", "change_of_last",
+    "past_depth", "past_depth_worst",
+)  # fmt: skip
+"""How well a mask explains this click and those before it, each a mending of what was seen then."""
+OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES, *HISTORY_FEATURES)
 MOVING_FEATURE_NAMES = (*OBJECT_FEATURE_NAMES, *FRONT_FEATURES)
 """Of first clicks on parts that move."""
 _FROM_BOX = len(SOURCES)
@@ -77,7 +84,7 @@ most."""
 _SAY = 0.8
 """Of the scorer of parts that move; that of anything, which learned from other objects, has the
 rest."""
-_MENDING_SAY = 0.7
+_MENDING_SAY = 0.5
 """The same of later clicks."""
 BAR_LENGTH = 3.0
 """How many times as long as wide a handle is that nobody takes for a knob."""
@@ -94,6 +101,8 @@ _ROUND = 16
 """Cells next to a click that it speaks of."""
 _SHALLOW = 1e-3
 """Depth that is none, in diagonals."""
+_EARLIER = 4
+"""Clicks before the last one that are explained, the latest ones."""
 _NEAREST, _ENDS = 4, 2
 """Steps between a front and what a box may end at, and how many ends are tried to each side."""
 
@@ -241,8 +250,13 @@ class _Shells:
 
 
 class ObjectDescriber(MaskDescriber):
-    """Adds how well a mask fills its box, and where and how large that is."""
+    """Adds how well a mask fills its box, where and how large that is, and what explains clicks.
 
+    Attributes:
+        explains: whether ``HISTORY_FEATURES`` are looked at; they are 0 else.
+    """
+
+    explains = True
     names = OBJECT_FEATURE_NAMES
     among = (*MaskDescriber.among, "from_box")
 
@@ -291,6 +305,7 @@ class ObjectDescriber(MaskDescriber):
             *self._round(~masks, clicked.negative),
             self._first_deepest(words, base),
             *self._sides(m, size, clicked),
+            *self._history(words, m, clicked),
         ]
         extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
         return np.concatenate([base, extra], axis=1)
@@ -307,6 +322,59 @@ class ObjectDescriber(MaskDescriber):
         most = self._depths(words, len(base))
         ratio = np.log(np.maximum(own, _SHALLOW) / np.maximum(most, _SHALLOW))
         return np.clip(ratio, -4, 1)
+
+    def _history(self, words: npt.NDArray[np.uint64], m: Float, clicked: Clicked) -> list[Float]:
+        """(H,) columns of ``HISTORY_FEATURES``.
+
+        People click into the middle of what is most wrong. So if a mask is what they mean, every
+        click so far was deep in what was missing or too much then, and that was the larger error.
+        """
+        number, size = len(m), self._boxes.size
+        if clicked.before is None or not self.explains:
+            return [np.zeros(number, np.float32)] * len(HISTORY_FEATURES)
+        now = self._explained(
+            words, m, MendingClick(clicked.last, clicked.last_positive, clicked.before)
+        )
+        past = [self._explained(words, m, step) for step in clicked.steps[-_EARLIER:]] or [now]
+        deepest, other, depth = (np.stack([p[k] for p in past]) for k in range(3))
+        last = clicked.steps[-1].before if clicked.steps else clicked.before
+        changed = float(size @ (last ^ clicked.before)) + 1
+        own = float(size @ clicked.before) + 1
+        return [
+            now[0], now[1], deepest.mean(0), deepest.min(0), other.mean(0), other.min(0),
+            np.full(number, np.log(changed / own)), np.clip(np.log((now[3] + 1) / changed), -6, 6),
+            depth.mean(0), depth.min(0),
+        ]  # fmt: skip
+
+    def _explained(
+        self, words: npt.NDArray[np.uint64], m: Float, step: MendingClick
+    ) -> tuple[Float, Float, Float, Float]:
+        """How well each of H masks explains a click, were it what is meant.
+
+        Returns:
+            (H,) log of how deep the click lies in what it was to mend against the deepest spot of
+            that, -4..1; log of how much more that is than the other kind of error, -4..4; the depth
+            in roots of its share of the surface; nodes of both errors.
+        """
+        size, before = self._boxes.size, step.before
+        none = np.uint64(0)
+        wrong = (
+            np.where(before[:, None], none, words)
+            if step.positive
+            else np.where(before[:, None], ~words, none)
+        )
+        own, most = self._depth(wrong, len(m), step.cell), self._depths(wrong, len(m))
+        common = m @ (size * before)
+        missing, extra = m @ size - common, float(size @ before) - common
+        mended, other = (missing, extra) if step.positive else (extra, missing)
+        share = np.maximum(mended / size.sum(), 1e-9)
+        ratio = np.log(np.maximum(own, _SHALLOW) / np.maximum(most, _SHALLOW))
+        return (
+            np.clip(ratio, -4, 1),
+            np.clip(np.log((mended + 1) / (other + 1)), -4, 4),
+            own / np.sqrt(share),
+            mended + other,
+        )
 
     def _sides(self, m: Float, size: Float, clicked: Clicked) -> tuple[Float, Float]:
         """(H,) share of each mask that lies nearer to a negative click than to a positive one,
@@ -384,6 +452,10 @@ class ObjectSolver(PartSolver):
         grid = self._boxes
         planes, describe = together(
             lambda: grid.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, grid)
+        )
+        # A scorer that doesn't ask for it would only wait.
+        describe.explains = later_scorer is None or not set(HISTORY_FEATURES).isdisjoint(
+            later_scorer.names
         )
         # Faces tell the parts of a mesh better: there the network made later clicks worse.
         model = None if self._mesh else shipped_box_model()

@@ -91,7 +91,12 @@ class Closeup:
         # Factors are freed by the thread that made them.
         walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
         return ObjectSolver(
-            cells, hierarchy, walk, *shipped_scorers(), axes=self._axes, of_mesh=nodes.of_mesh
+            cells,
+            hierarchy,
+            walk,
+            *shipped_scorers(clouds=not nodes.of_mesh),
+            axes=self._axes,
+            of_mesh=nodes.of_mesh,
         )
 
     def after(

@@ -105,6 +105,20 @@ def joined(groups: list[Candidates]) -> Candidates:
     return every.take(np.sort(first))
 
 
+@dataclass(frozen=True, eq=False)
+class MendingClick:
+    """A click that was to change a mask.
+
+    Attributes:
+        cell: that was clicked. positive: whether the part should hold it.
+        before: (C,) the mask that whoever clicked saw, all False at the first click.
+    """
+
+    cell: int
+    positive: bool
+    before: Bool
+
+
 @dataclass(frozen=True)
 class Clicked:
     """The clicks that a mask must fit.
@@ -114,6 +128,7 @@ class Clicked:
         last: the cell clicked now, and on which side.
         before: (C,) the mask before this click, or None at the first.
         agreed: how many of the positive and of the negative ones changed nothing.
+        steps: the ones before this that were to change a mask, in order.
     """
 
     positive: tuple[int, ...]
@@ -122,6 +137,7 @@ class Clicked:
     last_positive: bool
     before: Bool | None = None
     agreed: tuple[int, int] = (0, 0)
+    steps: tuple[MendingClick, ...] = ()
 
 
 def _rank(values: Float) -> npt.NDArray[np.int64]:

@@ -26,12 +26,14 @@ class Mlp:
         names: of the input features, checked against the code that makes them.
         mean, scale: (D,) float32 of the training data; what never varied there is left out.
         layers: (weight (out, in), bias (out,)) float32 pairs.
+        picks: (D,) columns of what it is asked about, where those are more than its own.
     """
 
     names: tuple[str, ...]
     mean: npt.NDArray[np.float32]
     scale: npt.NDArray[np.float32]
     layers: tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
+    picks: npt.NDArray[np.int64] | None = None
 
     def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """(N,) outputs of (N, D) features."""
@@ -39,7 +41,8 @@ class Mlp:
         scale = np.where(self.scale > _CONSTANT, self.scale, np.float32(np.inf))
 
         def answer(begin: int) -> None:
-            x = (features[begin : begin + _CHUNK] - self.mean) / scale
+            x = features[begin : begin + _CHUNK]
+            x = ((x if self.picks is None else x[:, self.picks]) - self.mean) / scale
             x = np.clip(x, -8, 8)
             for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight.T + bias, 0)
@@ -68,6 +71,9 @@ def save_mlp(mlp: Mlp, path: Path, config: dict[str, object]) -> None:
 def load_mlp(path: Path, names: tuple[str, ...]) -> Mlp:
     """Read what :func:`save_mlp` wrote.
 
+    Args:
+        names: of the features that it will be asked about; it may have learned from some of them.
+
     Raises:
         InputFileError: where the file is absent, newer, or made for other features.
     """
@@ -77,10 +83,11 @@ def load_mlp(path: Path, names: tuple[str, ...]) -> Mlp:
         if int(data["format"]) != FORMAT:
             raise InputFileError(path, f"format {int(data['format'])}, this version reads {FORMAT}")
         found = tuple(str(n) for n in data["names"])
-        if found != names:
+        if not set(found) <= set(names):
             raise InputFileError(path, "made for other features", "train it again")
         layers = []
         while f"weight_{len(layers)}" in data:
             i = len(layers)
             layers.append((data[f"weight_{i}"], data[f"bias_{i}"]))
-        return Mlp(found, data["mean"], data["scale"], tuple(layers))
+        picks = None if found == names else np.array([names.index(n) for n in found])
+        return Mlp(found, data["mean"], data["scale"], tuple(layers), picks)

@@ -18,16 +18,20 @@ from model.segmentation.solver import PartSolver
 
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 PART_SCORERS = ("first_click.npz", "later_click.npz")
+CLOUD_SCORERS = ("first_click.npz", "later_click_cloud.npz")
 ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
 
 Scorers = tuple[Mlp | None, Mlp | None]
 """Of a first click, and of later ones."""
 
 
-@lru_cache(maxsize=2)
-def shipped_scorers(*, rooms: bool = False) -> Scorers:
-    """The scorers that ship, None where they are not there."""
-    return read_scorers(static_assets() / "segmentation", rooms=rooms)
+@lru_cache(maxsize=3)
+def shipped_scorers(*, rooms: bool = False, clouds: bool = False) -> Scorers:
+    """The scorers that ship for meshes, ``clouds`` or ``rooms``, None where they are not there."""
+    folder = static_assets() / "segmentation"
+    if clouds and not rooms:
+        return _read(folder, CLOUD_SCORERS, OBJECT_FEATURE_NAMES)
+    return read_scorers(folder, rooms=rooms)
 
 
 @lru_cache(maxsize=1)

@@ -15,6 +15,7 @@ from model.segmentation.masks import (
     Candidates,
     Clicked,
     MaskDescriber,
+    MendingClick,
     concatenated,
     joined,
 )
@@ -91,6 +92,7 @@ class PartState:
         least, most: nodes of the largest mask from which something was missing, and of the smallest
             one that held too much.
         agreed: how many of the clicks of each kind only said what was so already.
+        steps: the others, each with the mask that it was to change.
     """
 
     positive: tuple[int, ...] = ()
@@ -102,6 +104,7 @@ class PartState:
     least: float = 0.0
     most: float = np.inf
     agreed: tuple[int, int] = (0, 0)
+    steps: tuple[MendingClick, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +288,9 @@ class PartSolver:
         after = with_click(state, cell, positive)
         if state.mask is None or not state.mask.any():
             return self._first_answer(after, cell, blocked, of_a_part)
-        clicked = Clicked(after.positive, after.negative, cell, positive, state.mask, state.agreed)
+        clicked = Clicked(
+            after.positive, after.negative, cell, positive, state.mask, state.agreed, state.steps
+        )
         made = self._region_hypotheses(state, after, cell, positive)
         if of_a_part:
             made = joined([made, *self.part_hypotheses(state, after, cell, positive)])
@@ -317,7 +322,11 @@ class PartSolver:
             run = max(state.run, 0) + 1 if positive else min(state.run, 0) - 1
         least, most = self._bounds(state, positive)
         after = with_click(state, cell, positive)
-        return replace(after, mask=mask, stalls=stalls, run=run, least=least, most=most)
+        before = np.zeros_like(mask) if state.mask is None else state.mask
+        steps = (*state.steps, MendingClick(cell, positive, before))
+        return replace(
+            after, mask=mask, stalls=stalls, run=run, least=least, most=most, steps=steps
+        )
 
     def _bounds(self, state: PartState, positive: bool) -> tuple[float, float]:
         """``least`` and ``most`` after a click: most people mend the larger error first."""

@@ -69,7 +69,11 @@ def play_sessions(seed: int, config: MendingTraining) -> Rows:
     rng = np.random.default_rng([seed, 11])
     seen = seen_object(seed, config.objects, rng)
     log = Log(MOVING_FEATURE_NAMES)
-    solver = solver_of(seen.encoding, *shipped_scorers(), shipped_moving_scorers())
+    solver = solver_of(
+        seen.encoding,
+        *shipped_scorers(clouds=not seen.encoding.nodes.of_mesh),
+        shipped_moving_scorers(),
+    )
     if isinstance(solver, ObjectSolver):  # not taken for a room
         for part, clicks in first_clicks(seen, config.objects, rng):
             for click in clicks:

@@ -14,7 +14,7 @@ from model.geometry.sampling import sample_surface
 from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode
-from model.segmentation.masks import Candidates, Clicked
+from model.segmentation.masks import Candidates, Clicked, MendingClick
 from model.segmentation.scorers import solver_of
 from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.training.primitives import block
@@ -189,6 +189,58 @@ def test_a_first_click_in_the_middle_is_deep_in_what_it_means(drawers) -> None:
         for c in (middle, edge)
     )
     assert -0.5 < deep <= 1 and shallow < deep - 1
+
+
+def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
+    """The chest's left half is meant; a first answer took the right one along, and two clicks in
+    the middle of what was too much were needed.
+    """
+    cells, hierarchy, walk = drawers[0].cells, drawers[0].hierarchy, drawers[0].walk
+    solver = ObjectSolver(cells, hierarchy, walk, None, None)
+    at = cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    across = at[:, 0]
+    left, right, edge = (
+        int(np.where((across > low) & (across < high),
+                     np.linalg.norm(at - [x, 0.25, 0.3], axis=1), 9).argmin())
+        for x, low, high in ((0.05, 0, 0.4), (0.75, 0.4, 0.8), (0.42, 0.4, 0.8))
+    )  # fmt: skip
+    meant, all_ = across < 0.4, across < 9
+    without_edge = all_ & ~((across > 0.72) & (at[:, 2] > 0.2))
+    without_edge[right] = False
+    masks = np.stack([meant, without_edge])
+    first = MendingClick(left, True, np.zeros(len(cells), bool))
+    clicked = Clicked((left,), (right,), right, False, all_, steps=(first,))
+    deepest = feature(solver, masks, clicked, "change_deepest")
+    assert deepest[0] > -0.5 and deepest[0] >= deepest[1]
+    # The same click when only a strip beside it would have been wrong: not in its middle.
+    beside = Clicked((left,), (edge,), edge, False, all_, steps=(first,))
+    assert feature(solver, masks, beside, "change_deepest")[0] < deepest[0] - 0.5
+    # Something was missing, says a click. Of the half more was too much then; of all nothing was.
+    missing = Clicked((right, left), (), left, True, across > 0.3)
+    other = feature(solver, np.stack([meant, all_]), missing, "change_other")
+    assert -1 < other[0] < 0 and other[1] == 4
+    # What an earlier click says stays, whatever the last one is.
+    second = Clicked((left,), (right, edge), edge, False, all_ & ~(across > 0.72),
+                     steps=(first, MendingClick(right, False, all_)))  # fmt: skip
+    worst = feature(solver, masks, second, "past_deepest_worst")
+    alone = feature(solver, masks, Clicked((left,), (right, edge), edge, False,
+                                           all_ & ~(across > 0.72), steps=(first,)),
+                    "past_deepest_worst")  # fmt: skip
+    assert all(w <= a + 1e-6 for w, a in zip(worst, alone, strict=True)) and worst != alone
+
+
+def test_states_remember_the_masks_that_clicks_were_to_change(drawers) -> None:
+    encoding, labels = drawers
+    solver = solver_of(encoding, None, None)
+    a = cell_at(encoding, labels, (0.4, -0.02, 0.3))
+    b = cell_at(encoding, labels, (0.4, -0.02, 0.1))
+    state, masks = PartState(), []
+    for cell, positive in ((a, True), (b, False)):
+        found = solver.answer(state, cell, positive, None)
+        masks.append(np.zeros(len(encoding.cells), bool) if state.mask is None else state.mask)
+        state = solver.moved(state, cell, positive, found.best)
+    assert [(s.cell, s.positive) for s in state.steps] == [(a, True), (b, False)]
+    assert all(np.array_equal(s.before, m) for s, m in zip(state.steps, masks, strict=True))
 
 
 def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.segmentation.boxes import MOVING_FEATURE_NAMES
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.mlp import load_mlp
-from model.segmentation.scorers import MOVING_SCORERS
+from model.segmentation.scorers import CLOUD_SCORERS, MOVING_SCORERS
+from model.segmentation.training.clicks import ClickTraining
+from model.segmentation.training.later import LaterTraining, train_later
 from model.segmentation.training.mending import MendingTraining, play_sessions, train_mending
 from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.training.ornaments import ornamented
@@ -89,4 +91,15 @@ def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> 
     assert 0 <= scores["mending_iou"] <= scores["mending_best_possible"] <= 1
     scorer = load_mlp(tmp_path / MOVING_SCORERS[1], MOVING_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
+    assert np.isfinite(scorer(x.astype(np.float32))).all()
+
+
+def test_later_clicks_learn_from_rounds_of_all_kinds(tmp_path) -> None:
+    rounds = (("drawers", 90_000, 90_002), ("small", 70_000, 70_002))
+    clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0)
+    config = LaterTraining(rounds, clicks, held_out=2, networks=1)
+    scores = train_later(config, tmp_path)
+    assert 0 <= scores["iou"] <= scores["best_possible"] <= 1 and scores["clicks"] > 1
+    scorer = load_mlp(tmp_path / CLOUD_SCORERS[1], OBJECT_FEATURE_NAMES)
+    x = np.random.default_rng(0).normal(size=(5, len(OBJECT_FEATURE_NAMES)))
     assert np.isfinite(scorer(x.astype(np.float32))).all()

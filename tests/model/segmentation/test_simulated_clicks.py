@@ -85,6 +85,8 @@ def test_mlp_round_trip(tmp_path):
     again = load_mlp(tmp_path / "m.npz", ("a", "b", "c"))
     x = rng.normal(size=(10, 3)).astype(np.float32)
     assert np.array_equal(mlp(x), again(x))
+    wider = load_mlp(tmp_path / "m.npz", ("c", "d", "a", "b"))
+    assert np.array_equal(mlp(x), wider(x[:, [2, 2, 0, 1]])), "it takes its own features"
     with pytest.raises(InputFileError, match="other features"):
         load_mlp(tmp_path / "m.npz", ("a", "b", "d"))
     with pytest.raises(InputFileError, match="not there"):

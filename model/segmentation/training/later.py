@@ -1,0 +1,79 @@
+"""The scorer of later clicks on clouds: sessions on objects of all kinds, as the shipped scorers
+play them.
+
+It sees how well a mask explains all clicks so far, see ``HISTORY_FEATURES``. Meshes keep the scorer
+that learned from both: on them what is known of shells and faces says more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from model.segmentation.boxes import OBJECT_FEATURE_NAMES
+from model.segmentation.mlp import save_mlp
+from model.segmentation.scorers import CLOUD_SCORERS, shipped_scorers
+from model.segmentation.training.clicks import (
+    ClickTraining,
+    Round,
+    Rows,
+    chosen_overlap,
+    collect,
+    fit_scorer,
+    joined_rows,
+)
+
+Played = tuple[Round, int, int]
+"""Kind of objects, first seed, end."""
+
+
+@dataclass(frozen=True)
+class LaterTraining:
+    """What is needed to train ``later_click_cloud.npz`` again.
+
+    Attributes:
+        rounds: the objects that are clicked.
+        clicks: how they are clicked.
+        held_out: every n-th object of each round measures in a fit of its own.
+        networks: that are fitted and averaged.
+    """
+
+    rounds: tuple[Played, ...] = (
+        ("all", 60_000, 60_400),
+        ("drawers", 90_000, 90_240),
+        ("small", 70_000, 70_200),
+    )
+    clicks: ClickTraining = field(
+        default_factory=lambda: ClickTraining(first_clicks=2, mesh_share=0.0)
+    )
+    held_out: int = 6
+    networks: int = 3
+
+
+def play_round(played: Played, config: LaterTraining) -> list[Rows]:
+    """Rows of the later clicks on each object of a round, as the shipped scorers play."""
+    kind, first, end = played
+    rows = collect(range(first, end), config.clicks, kind, *shipped_scorers(clouds=True))
+    return [later for _, later in rows if len(later.share)]
+
+
+def fit_later(rounds: list[list[Rows]], config: LaterTraining, folder: Path) -> dict[str, float]:
+    """Fit, measure and write the scorer into ``folder``; returns the scores of a fit without every
+    n-th object.
+    """
+    test = [r for rows in rounds for r in rows[:: config.held_out]]
+    rest = [r for rows in rounds for i, r in enumerate(rows) if i % config.held_out]
+    model = fit_scorer(joined_rows(rest), config.networks, OBJECT_FEATURE_NAMES)
+    chosen, best = chosen_overlap(model, joined_rows(test))
+    every = joined_rows([r for rows in rounds for r in rows])
+    scores = {"iou": chosen, "best_possible": best, "clicks": float(len(every.share))}
+    whole = fit_scorer(every, config.networks, OBJECT_FEATURE_NAMES)
+    clicks = {**asdict(config.clicks), "start": None}
+    notes: dict[str, object] = {"training": {**asdict(config), "clicks": clicks}, "scores": scores}
+    save_mlp(whole, folder / CLOUD_SCORERS[1], notes)
+    return scores
+
+
+def train_later(config: LaterTraining, folder: Path) -> dict[str, float]:
+    """Play, fit, measure and write; see :func:`fit_later`."""
+    return fit_later([play_round(r, config) for r in config.rounds], config, folder)
