@@ -44,7 +44,7 @@ class LaterTraining:
         ("small", 70_000, 70_200),
     )
     clicks: ClickTraining = field(
-        default_factory=lambda: ClickTraining(first_clicks=2, mesh_share=0.0)
+        default_factory=lambda: ClickTraining(first_clicks=2, mesh_share=0.0, workers=2)
     )
     held_out: int = 6
     networks: int = 3
