@@ -305,7 +305,7 @@ class ObjectDescriber(MaskDescriber):
             *self._round(~masks, clicked.negative),
             self._first_deepest(words, base),
             *self._sides(m, size, clicked),
-            *self._history(words, m, clicked),
+            *self._history(words, m, size, clicked),
         ]
         extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
         return np.concatenate([base, extra], axis=1)
@@ -323,7 +323,9 @@ class ObjectDescriber(MaskDescriber):
         ratio = np.log(np.maximum(own, _SHALLOW) / np.maximum(most, _SHALLOW))
         return np.clip(ratio, -4, 1)
 
-    def _history(self, words: npt.NDArray[np.uint64], m: Float, clicked: Clicked) -> list[Float]:
+    def _history(
+        self, words: npt.NDArray[np.uint64], m: Float, held: Float, clicked: Clicked
+    ) -> list[Float]:
         """(H,) columns of ``HISTORY_FEATURES``.
 
         People click into the middle of what is most wrong. So if a mask is what they mean, every
@@ -332,10 +334,10 @@ class ObjectDescriber(MaskDescriber):
         number, size = len(m), self._boxes.size
         if clicked.before is None or not self.explains:
             return [np.zeros(number, np.float32)] * len(HISTORY_FEATURES)
-        now = self._explained(
-            words, m, MendingClick(clicked.last, clicked.last_positive, clicked.before)
-        )
-        past = [self._explained(words, m, step) for step in clicked.steps[-_EARLIER:]] or [now]
+        this = MendingClick(clicked.last, clicked.last_positive, clicked.before)
+        now = self._explained(words, m, held, this)
+        earlier = clicked.steps[-_EARLIER:]
+        past = [self._explained(words, m, held, step) for step in earlier] or [now]
         deepest, other, depth = (np.stack([p[k] for p in past]) for k in range(3))
         last = clicked.steps[-1].before if clicked.steps else clicked.before
         changed = float(size @ (last ^ clicked.before)) + 1
@@ -347,9 +349,12 @@ class ObjectDescriber(MaskDescriber):
         ]  # fmt: skip
 
     def _explained(
-        self, words: npt.NDArray[np.uint64], m: Float, step: MendingClick
+        self, words: npt.NDArray[np.uint64], m: Float, held: Float, step: MendingClick
     ) -> tuple[Float, Float, Float, Float]:
         """How well each of H masks explains a click, were it what is meant.
+
+        Args:
+            held: (H,) nodes in each mask.
 
         Returns:
             (H,) log of how deep the click lies in what it was to mend against the deepest spot of
@@ -365,7 +370,7 @@ class ObjectDescriber(MaskDescriber):
         )
         own, most = self._depth(wrong, len(m), step.cell), self._depths(wrong, len(m))
         common = m @ (size * before)
-        missing, extra = m @ size - common, float(size @ before) - common
+        missing, extra = held - common, float(size @ before) - common
         mended, other = (missing, extra) if step.positive else (extra, missing)
         share = np.maximum(mended / size.sum(), 1e-9)
         ratio = np.log(np.maximum(own, _SHALLOW) / np.maximum(most, _SHALLOW))

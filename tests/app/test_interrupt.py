@@ -57,13 +57,7 @@ def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path:
             time.sleep(0.01)
         time.sleep(seconds)
         os.killpg(run.pid, signal.SIGINT)
-        _, told = run.communicate(timeout=20)
-        assert run.returncode == 130
-        assert "Traceback" not in told
-        end = time.monotonic() + 5
-        while left := in_group(run.pid):
-            assert time.monotonic() < end, left
-            time.sleep(0.05)
+        ends_quietly(run)
     finally:
         if in_group(run.pid):
             os.killpg(run.pid, signal.SIGKILL)
@@ -86,16 +80,21 @@ def test_an_interrupt_does_not_wait_for_a_language_model(tmp_path: Path) -> None
             time.sleep(0.01)
         os.kill(writing[0], signal.SIGSTOP)
         os.kill(run.pid, signal.SIGINT)
-        _, told = run.communicate(timeout=20)
-        assert run.returncode == 130
-        assert "Traceback" not in told
-        end = time.monotonic() + 5
-        while left := in_group(run.pid):
-            assert time.monotonic() < end, left
-            time.sleep(0.05)
+        ends_quietly(run)
     finally:
         if in_group(run.pid):
             os.killpg(run.pid, signal.SIGKILL)
+
+
+def ends_quietly(run: subprocess.Popen[str]) -> None:
+    """With the code of an interrupt, without a traceback, and with all of its group."""
+    _, told = run.communicate(timeout=20)
+    assert run.returncode == 130
+    assert "Traceback" not in told
+    end = time.monotonic() + 5
+    while left := in_group(run.pid):
+        assert time.monotonic() < end, left
+        time.sleep(0.05)
 
 
 def command_of(process: int) -> bytes:

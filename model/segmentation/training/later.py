@@ -7,21 +7,13 @@ that learned from both: on them what is known of shells and faces says more.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from model.segmentation.boxes import OBJECT_FEATURE_NAMES
-from model.segmentation.mlp import save_mlp
 from model.segmentation.scorers import CLOUD_SCORERS, shipped_scorers
-from model.segmentation.training.clicks import (
-    ClickTraining,
-    Round,
-    Rows,
-    chosen_overlap,
-    collect,
-    fit_scorer,
-    joined_rows,
-)
+from model.segmentation.training.clicks import ClickTraining, Round, Rows, collect
+from model.segmentation.training.moving import fitted
 
 Played = tuple[Round, int, int]
 """Kind of objects, first seed, end."""
@@ -34,7 +26,7 @@ class LaterTraining:
     Attributes:
         rounds: the objects that are clicked.
         clicks: how they are clicked.
-        held_out: every n-th object of each round measures in a fit of its own.
+        held_out: every n-th object measures in a fit of its own.
         networks: that are fitted and averaged.
     """
 
@@ -57,23 +49,7 @@ def play_round(played: Played, config: LaterTraining) -> list[Rows]:
     return [later for _, later in rows if len(later.share)]
 
 
-def fit_later(rounds: list[list[Rows]], config: LaterTraining, folder: Path) -> dict[str, float]:
-    """Fit, measure and write the scorer into ``folder``; returns the scores of a fit without every
-    n-th object.
-    """
-    test = [r for rows in rounds for r in rows[:: config.held_out]]
-    rest = [r for rows in rounds for i, r in enumerate(rows) if i % config.held_out]
-    model = fit_scorer(joined_rows(rest), config.networks, OBJECT_FEATURE_NAMES)
-    chosen, best = chosen_overlap(model, joined_rows(test))
-    every = joined_rows([r for rows in rounds for r in rows])
-    scores = {"iou": chosen, "best_possible": best, "clicks": float(len(every.share))}
-    whole = fit_scorer(every, config.networks, OBJECT_FEATURE_NAMES)
-    clicks = {**asdict(config.clicks), "start": None}
-    notes: dict[str, object] = {"training": {**asdict(config), "clicks": clicks}, "scores": scores}
-    save_mlp(whole, folder / CLOUD_SCORERS[1], notes)
-    return scores
-
-
 def train_later(config: LaterTraining, folder: Path) -> dict[str, float]:
-    """Play, fit, measure and write; see :func:`fit_later`."""
-    return fit_later([play_round(r, config) for r in config.rounds], config, folder)
+    """Play, fit, measure and write the scorer into ``folder``; see :func:`.moving.fitted`."""
+    rows = [row for played in config.rounds for row in play_round(played, config)]
+    return fitted(rows, config, "later", folder / CLOUD_SCORERS[1], OBJECT_FEATURE_NAMES)

@@ -54,6 +54,7 @@ from model.segmentation.training.scans import (
 )
 
 if TYPE_CHECKING:
+    from model.segmentation.training.later import LaterTraining
     from model.segmentation.training.mending import MendingTraining
 
 Seeds = tuple[int, int, int]
@@ -310,12 +311,15 @@ def _played(play_one: Callable[[int, C], P], config: C, seed: int) -> P:
 
 
 def fitted(
-    rows: list[Rows], config: MovingTraining | MendingTraining, kind: str, path: Path
+    rows: list[Rows],
+    config: MovingTraining | MendingTraining | LaterTraining,
+    kind: str,
+    path: Path,
+    names: tuple[str, ...] = MOVING_FEATURE_NAMES,
 ) -> dict[str, float]:
     """Fit, measure and write a scorer of ``kind``; returns the scores of a fit without every n-th
     object.
     """
-    names = MOVING_FEATURE_NAMES
     test = joined_rows(rows[:: config.held_out])
     rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
     chosen, best = chosen_overlap(fit_scorer(rest, config.networks, names), test)

@@ -99,7 +99,8 @@ def test_later_clicks_learn_from_rounds_of_all_kinds(tmp_path) -> None:
     clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0)
     config = LaterTraining(rounds, clicks, held_out=2, networks=1)
     scores = train_later(config, tmp_path)
-    assert 0 <= scores["iou"] <= scores["best_possible"] <= 1 and scores["clicks"] > 1
+    assert 0 <= scores["later_iou"] <= scores["later_best_possible"] <= 1
+    assert scores["later_clicks"] > 1
     scorer = load_mlp(tmp_path / CLOUD_SCORERS[1], OBJECT_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(OBJECT_FEATURE_NAMES)))
     assert np.isfinite(scorer(x.astype(np.float32))).all()
