@@ -28,7 +28,6 @@ from model.segmentation.masks import (
     MendingClick,
     joined,
 )
-from model.segmentation.mlp import Mlp
 from model.segmentation.parallel import together
 from model.segmentation.plane_boxes import STEPS as _STEPS
 from model.segmentation.plane_boxes import PlaneBoxes, plane_boxes
@@ -40,6 +39,7 @@ from model.segmentation.solver import (
     PartSolver,
     PartState,
 )
+from model.segmentation.trees import Scorer
 from model.segmentation.walk import Walk
 
 BOX_FEATURES = (
@@ -429,8 +429,8 @@ class ObjectSolver(PartSolver):
         cells: Cells,
         hierarchy: Hierarchy,
         walk: Walk,
-        first_scorer: Mlp | None,
-        later_scorer: Mlp | None,
+        first_scorer: Scorer | None,
+        later_scorer: Scorer | None,
         shell: npt.NDArray[np.integer] | None = None,
         axes: Float | None = None,
         of_mesh: bool = False,
@@ -439,7 +439,7 @@ class ObjectSolver(PartSolver):
         where they are known; ``of_mesh``: whether the cells are of faces, with ``shell`` or not.
         """
         self.fronts: Fronts | None = None
-        self.moving_scorers: tuple[Mlp | None, Mlp | None] = (None, None)
+        self.moving_scorers: tuple[Scorer | None, Scorer | None] = (None, None)
         self._boxes = Boxes(cells, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
@@ -528,7 +528,7 @@ class ObjectSolver(PartSolver):
 
     def _with_fronts(
         self, found: Candidates, features: Float, scores: Float, clicked: Clicked,
-        scorer: Mlp | None, say: float,
+        scorer: Scorer | None, say: float,
     ) -> tuple[Float, Float]:  # fmt: skip
         """Features with what masks show on the front that was clicked, and scores in which
         ``scorer``, of parts that move, has its ``say``.

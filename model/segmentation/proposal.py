@@ -61,6 +61,8 @@ def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
             solver = solver_of(
                 session.encoding, *shipped_scorers(), shipped_moving_scorers(), lined=True
             )
+        # The part scorer learned from what this one says.
+        solver = solver.with_first(shipped_scorers()[0])
         assert isinstance(solver, ObjectSolver)
         spoken = spoken_of(solver, asked)
         rows = parts_apart(scorer(spoken.features), spoken.common, WORTH)

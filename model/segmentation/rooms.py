@@ -17,9 +17,9 @@ from model.segmentation.cells import Cells
 from model.segmentation.crop import floor_and_walls, largest_piece
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import FEATURE_NAMES, Candidates, Clicked, MaskDescriber, joined
-from model.segmentation.mlp import Mlp
 from model.segmentation.nodes import ROOM_METRES, Nodes
 from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.trees import Scorer
 from model.segmentation.walk import Walk
 
 Bool = npt.NDArray[np.bool_]
@@ -204,8 +204,8 @@ class RoomSolver(PartSolver):
         hierarchy: Hierarchy,
         walk: Walk,
         room: Room,
-        first_scorer: Mlp | None,
-        later_scorer: Mlp | None,
+        first_scorer: Scorer | None,
+        later_scorer: Scorer | None,
     ) -> None:
         describe = RoomDescriber(cells, hierarchy, room)
         super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)

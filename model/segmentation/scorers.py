@@ -12,16 +12,16 @@ from model.resources import static_assets
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES, ObjectSolver
 from model.segmentation.encoding import Encoding
 from model.segmentation.fronts import Fronts
-from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
 from model.segmentation.solver import PartSolver
+from model.segmentation.trees import Scorer, load_scorer
 
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 PART_SCORERS = ("first_click.npz", "later_click.npz")
-CLOUD_SCORERS = ("first_click.npz", "later_click_cloud.npz")
+CLOUD_SCORERS = ("first_click_cloud.npz", "later_click_cloud.npz")
 ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
 
-Scorers = tuple[Mlp | None, Mlp | None]
+Scorers = tuple[Scorer | None, Scorer | None]
 """Of a first click, and of later ones."""
 
 
@@ -50,15 +50,15 @@ def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
 def _read(folder: Path, files: tuple[str, str], names: tuple[str, ...]) -> Scorers:
     first, later = (folder / name for name in files)
     return (
-        load_mlp(first, names) if first.is_file() else None,
-        load_mlp(later, names) if later.is_file() else None,
+        load_scorer(first, names) if first.is_file() else None,
+        load_scorer(later, names) if later.is_file() else None,
     )
 
 
 def solver_of(
     encoding: Encoding,
-    first: Mlp | None,
-    later: Mlp | None,
+    first: Scorer | None,
+    later: Scorer | None,
     moving: Scorers = (None, None),
     *,
     lined: bool = False,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from copy import copy
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +21,7 @@ from model.segmentation.masks import (
     concatenated,
     joined,
 )
-from model.segmentation.mlp import Mlp
+from model.segmentation.trees import Scorer
 from model.segmentation.walk import Walk
 
 Bool = npt.NDArray[np.bool_]
@@ -150,8 +152,8 @@ class PartSolver:
         cells: Cells,
         hierarchy: Hierarchy,
         walk: Walk,
-        first_scorer: Mlp | None,
-        later_scorer: Mlp | None,
+        first_scorer: Scorer | None,
+        later_scorer: Scorer | None,
         describe: MaskDescriber | None = None,
     ) -> None:
         self.cells = cells
@@ -249,6 +251,12 @@ class PartSolver:
             of_a_part: see :meth:`answer`.
         """
         return self.answer(PartState(), cell, True, None, of_a_part=of_a_part)
+
+    def with_first(self, scorer: Scorer | None) -> Self:
+        """The same solver with another scorer of first clicks."""
+        other = copy(self)
+        other._first = scorer
+        return other
 
     def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
         """``mask`` without crumbs and pinholes that no click asked for.

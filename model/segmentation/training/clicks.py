@@ -20,15 +20,17 @@ from model.segmentation.rooms import ROOM_FEATURE_NAMES
 from model.segmentation.scorers import (
     PART_SCORERS,
     ROOM_SCORERS,
+    Scorers,
     read_scorers,
     shipped_scorers,
     solver_of,
 )
 from model.segmentation.simulate import central, deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
-from model.segmentation.training.fit import averaged, fit_ranker
+from model.segmentation.training.fit import Boosting, averaged, fit_ranker, fit_trees
 from model.segmentation.training.rooms import NOTHING, bared, scanned_room
 from model.segmentation.training.scans import DRAWERED, SMALL_PARTED, build, random_scan
+from model.segmentation.trees import Scorer, Trees
 
 Float = npt.NDArray[np.floating]
 Round = Literal["all", "small", "drawers", "rooms"]
@@ -194,7 +196,7 @@ def asked_by_size(
 
 
 def play(
-    seed: int, config: ClickTraining, kind: Round, first: Mlp | None, later: Mlp | None
+    seed: int, config: ClickTraining, kind: Round, first: Scorer | None, later: Scorer | None
 ) -> tuple[Rows, Rows]:
     """Simulated sessions on one object or room; rows of first and of later clicks."""
     rng = np.random.default_rng([seed, 3])
@@ -256,7 +258,7 @@ def _session(
 
 
 def collect(
-    seeds: range, config: ClickTraining, kind: Round, first: Mlp | None, later: Mlp | None
+    seeds: range, config: ClickTraining, kind: Round, first: Scorer | None, later: Scorer | None
 ) -> list[tuple[Rows, Rows]]:
     """Rows of each object; they do not depend on ``workers``."""
     playing = partial(play, config=config, kind=kind, first=first, later=later)
@@ -265,19 +267,28 @@ def collect(
 
 def fit_scorer(rows: Rows, networks: int = 1, names: tuple[str, ...] = OBJECT_FEATURE_NAMES) -> Mlp:
     """The mean of ``networks`` networks that rank the hypotheses of a click by IoU."""
-    told = np.maximum.reduceat(rows.overlap, _starts(rows)) - np.minimum.reduceat(
-        rows.overlap, _starts(rows)
-    )
-    # Clicks whose hypotheses are all alike teach nothing.
+    telling = _telling(rows)
+    return averaged([fit_ranker(names, *telling, seed=seed) for seed in range(networks)])
+
+
+def fit_trees_to(rows: Rows, config: Boosting, names: tuple[str, ...]) -> Trees:
+    """Trees that rank the hypotheses of a click by IoU.
+
+    Args:
+        names: of the first columns of the features; there may be more.
+    """
+    features, overlap, click, weight = _telling(rows)
+    return fit_trees(names, features[:, : len(names)], overlap, click, weight, config)
+
+
+def _telling(rows: Rows) -> tuple[Float, Float, npt.NDArray[np.int64], Float]:
+    """Features, IoU and click of the hypotheses, and the clicks' weights, but for those clicks
+    whose hypotheses are all alike: they teach nothing.
+    """
+    begin = _starts(rows)
+    told = np.maximum.reduceat(rows.overlap, begin) - np.minimum.reduceat(rows.overlap, begin)
     keep = (told > 0.01)[rows.click]
-    weight = _evened(rows.share)
-    return averaged(
-        [
-            fit_ranker(names, rows.features[keep], rows.overlap[keep], rows.click[keep],
-                       weight, seed=seed)
-            for seed in range(networks)
-        ]
-    )  # fmt: skip
+    return rows.features[keep], rows.overlap[keep], rows.click[keep], _evened(rows.share)
 
 
 def _starts(rows: Rows) -> npt.NDArray[np.int64]:
@@ -293,7 +304,7 @@ def _evened(share: Float) -> Float:
     return (weight / weight.mean()).astype(np.float32)
 
 
-def chosen_overlap(model: Mlp, rows: Rows) -> tuple[float, float]:
+def chosen_overlap(model: Scorer, rows: Rows) -> tuple[float, float]:
     """Mean IoU of the chosen hypotheses, and of the best ones that were there."""
     score = model(rows.features)
     order = np.lexsort((-score, rows.click))
@@ -333,7 +344,7 @@ def train_room_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
 
 
 def _rounds(
-    rounds: list[tuple[Round, range]], config: ClickTraining, scorers: tuple[Mlp | None, Mlp | None]
+    rounds: list[tuple[Round, range]], config: ClickTraining, scorers: Scorers
 ) -> list[tuple[Rows, Rows]]:
     """What was played in all rounds, each by what was learned from those before."""
     played: list[tuple[Rows, Rows]] = []

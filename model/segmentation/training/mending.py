@@ -8,6 +8,7 @@ well.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from model.segmentation.training.moving import (
     clicks_in,
     collected,
     first_clicks,
+    fit_moving,
     fitted,
     seen_object,
 )
@@ -122,4 +124,5 @@ def _session(
 def train_mending(config: MendingTraining, folder: Path) -> dict[str, float]:
     """Play, fit, measure and write the scorer into ``folder``; see :func:`.moving.fitted`."""
     rows = collected(play_sessions, config, config.seeds, config.workers)
-    return fitted(rows, config, "mending", folder / MOVING_SCORERS[1])
+    fit = partial(fit_moving, networks=config.networks)
+    return fitted(rows, config, "mending", folder / MOVING_SCORERS[1], fit)

@@ -23,7 +23,7 @@ from model.kinematics.articulated_object import Part, SegmentedObject
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.mlp import save_mlp
+from model.segmentation.mlp import Mlp
 from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
 from model.segmentation.seen_clicks import (
     LEAST_PIXELS,
@@ -52,9 +52,10 @@ from model.segmentation.training.scans import (
     depth_cameras,
     scan,
 )
+from model.segmentation.trees import Scorer, save_scorer
 
 if TYPE_CHECKING:
-    from model.segmentation.training.later import LaterTraining
+    from model.segmentation.training.clouds import CloudTraining
     from model.segmentation.training.mending import MendingTraining
 
 Seeds = tuple[int, int, int]
@@ -312,28 +313,33 @@ def _played(play_one: Callable[[int, C], P], config: C, seed: int) -> P:
 
 def fitted(
     rows: list[Rows],
-    config: MovingTraining | MendingTraining | LaterTraining,
+    config: MovingTraining | MendingTraining | CloudTraining,
     kind: str,
     path: Path,
-    names: tuple[str, ...] = MOVING_FEATURE_NAMES,
+    fit: Callable[[Rows], Scorer],
 ) -> dict[str, float]:
     """Fit, measure and write a scorer of ``kind``; returns the scores of a fit without every n-th
     object.
     """
     test = joined_rows(rows[:: config.held_out])
     rest = joined_rows([r for i, r in enumerate(rows) if i % config.held_out])
-    chosen, best = chosen_overlap(fit_scorer(rest, config.networks, names), test)
+    chosen, best = chosen_overlap(fit(rest), test)
     scores = {
         f"{kind}_iou": chosen,
         f"{kind}_best_possible": best,
         f"{kind}_clicks": float(sum(len(r.share) for r in rows)),
     }
-    whole = fit_scorer(joined_rows(rows), config.networks, names)
-    save_mlp(whole, path, {"training": asdict(config), "scores": scores})
+    save_scorer(fit(joined_rows(rows)), path, {"training": asdict(config), "scores": scores})
     return scores
+
+
+def fit_moving(rows: Rows, networks: int) -> Mlp:
+    """The mean of ``networks`` networks that know what a mask shows on a front."""
+    return fit_scorer(rows, networks, MOVING_FEATURE_NAMES)
 
 
 def train_moving(config: MovingTraining, folder: Path) -> dict[str, float]:
     """Play, fit, measure and write the scorer into ``folder``; see :func:`fitted`."""
     rows = collected(play, config, config.seeds, config.workers)
-    return fitted(rows, config, "moving", folder / MOVING_SCORERS[0])
+    fit = partial(fit_moving, networks=config.networks)
+    return fitted(rows, config, "moving", folder / MOVING_SCORERS[0], fit)

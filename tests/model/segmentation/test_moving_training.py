@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.mlp import load_mlp
 from model.segmentation.scorers import CLOUD_SCORERS, MOVING_SCORERS
 from model.segmentation.training.clicks import ClickTraining
-from model.segmentation.training.later import LaterTraining, train_later
+from model.segmentation.training.clouds import CloudTraining, train_clouds
+from model.segmentation.training.fit import Boosting
 from model.segmentation.training.mending import MendingTraining, play_sessions, train_mending
 from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.training.ornaments import ornamented
 from model.segmentation.training.scans import build
+from model.segmentation.trees import load_scorer
 
+FEW = Boosting(trees=8, leaves=4, least=5, forests=2)
 SMALL = MovingTraining(parts=2, clicks=2, networks=1, held_out=2, workers=1)
 
 
@@ -65,7 +67,7 @@ def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
     scores = train_moving(config, tmp_path)
     assert 0 <= scores["moving_iou"] <= scores["moving_best_possible"] <= 1
     assert scores["moving_clicks"] > 1
-    scorer = load_mlp(tmp_path / MOVING_SCORERS[0], MOVING_FEATURE_NAMES)
+    scorer = load_scorer(tmp_path / MOVING_SCORERS[0], MOVING_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
     assert np.isfinite(scorer(x.astype(np.float32))).all()
 
@@ -89,18 +91,19 @@ def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> 
     )  # fmt: skip
     scores = train_mending(config, tmp_path)
     assert 0 <= scores["mending_iou"] <= scores["mending_best_possible"] <= 1
-    scorer = load_mlp(tmp_path / MOVING_SCORERS[1], MOVING_FEATURE_NAMES)
+    scorer = load_scorer(tmp_path / MOVING_SCORERS[1], MOVING_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
     assert np.isfinite(scorer(x.astype(np.float32))).all()
 
 
-def test_later_clicks_learn_from_rounds_of_all_kinds(tmp_path) -> None:
+def test_clicks_on_clouds_learn_from_rounds_of_all_kinds(tmp_path) -> None:
     rounds = (("drawers", 90_000, 90_002), ("small", 70_000, 70_002))
     clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0)
-    config = LaterTraining(rounds, clicks, held_out=2, networks=1)
-    scores = train_later(config, tmp_path)
-    assert 0 <= scores["later_iou"] <= scores["later_best_possible"] <= 1
-    assert scores["later_clicks"] > 1
-    scorer = load_mlp(tmp_path / CLOUD_SCORERS[1], OBJECT_FEATURE_NAMES)
-    x = np.random.default_rng(0).normal(size=(5, len(OBJECT_FEATURE_NAMES)))
-    assert np.isfinite(scorer(x.astype(np.float32))).all()
+    config = CloudTraining(rounds, clicks, held_out=2, first=FEW, later=FEW)
+    scores = train_clouds(config, tmp_path)
+    for kind, file in zip(("first", "later"), CLOUD_SCORERS, strict=True):
+        assert 0 <= scores[f"{kind}_iou"] <= scores[f"{kind}_best_possible"] <= 1
+        assert scores[f"{kind}_clicks"] > 1
+        scorer = load_scorer(tmp_path / file, OBJECT_FEATURE_NAMES)
+        x = np.random.default_rng(0).normal(size=(5, len(OBJECT_FEATURE_NAMES)))
+        assert np.isfinite(scorer(x.astype(np.float32))).all()

@@ -1,0 +1,72 @@
+"""The scorers of clicks on clouds: sessions on objects of all kinds, as the shipped scorers play
+them.
+
+That of later clicks sees how well a mask explains all clicks so far, see ``HISTORY_FEATURES``.
+Meshes keep the scorers that learned from both: on them what is known of shells and faces says more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from model.segmentation.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
+from model.segmentation.scorers import CLOUD_SCORERS, shipped_scorers
+from model.segmentation.training.clicks import ClickTraining, Round, Rows, collect, fit_trees_to
+from model.segmentation.training.fit import Boosting
+from model.segmentation.training.moving import fitted
+
+Played = tuple[Round, int, int]
+"""Kind of objects, first seed, end."""
+
+FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_FEATURES)
+"""A first click has no history."""
+
+
+@dataclass(frozen=True)
+class CloudTraining:
+    """What is needed to train ``first_click_cloud.npz`` and ``later_click_cloud.npz`` again.
+
+    Attributes:
+        rounds: the objects that are clicked.
+        clicks: how they are clicked.
+        held_out: every n-th object measures in a fit of its own.
+        first, later: how the trees of both are grown.
+    """
+
+    rounds: tuple[Played, ...] = (
+        ("all", 60_000, 60_400),
+        ("drawers", 90_000, 90_240),
+        ("small", 70_000, 70_200),
+    )
+    clicks: ClickTraining = field(
+        default_factory=lambda: ClickTraining(first_clicks=2, mesh_share=0.0, workers=2)
+    )
+    held_out: int = 6
+    first: Boosting = field(default_factory=Boosting)
+    later: Boosting = field(
+        default_factory=lambda: Boosting(trees=800, leaves=31, forests=1, scale=4.0)
+    )
+
+
+def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
+    """Rows of the first and of the later clicks on each object, as the shipped scorers play."""
+    played = [
+        rows
+        for kind, first, end in config.rounds
+        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers(clouds=True))
+    ]
+    first, later = ([pair[k] for pair in played if len(pair[k].share)] for k in (0, 1))
+    return first, later
+
+
+def train_clouds(config: CloudTraining, folder: Path) -> dict[str, float]:
+    """Play, fit, measure and write the scorers into ``folder``; see :func:`.moving.fitted`."""
+    first, later = play_rounds(config)
+    at_first = partial(fit_trees_to, config=config.first, names=FIRST_FEATURE_NAMES)
+    after = partial(fit_trees_to, config=config.later, names=OBJECT_FEATURE_NAMES)
+    return {
+        **fitted(first, config, "first", folder / CLOUD_SCORERS[0], at_first),
+        **fitted(later, config, "later", folder / CLOUD_SCORERS[1], after),
+    }
