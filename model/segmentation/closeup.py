@@ -94,7 +94,7 @@ class Closeup:
             cells,
             hierarchy,
             walk,
-            *shipped_scorers(clouds=not nodes.of_mesh),
+            *shipped_scorers("mesh" if nodes.of_mesh else "close-up"),
             axes=self._axes,
             of_mesh=nodes.of_mesh,
         )

@@ -631,7 +631,7 @@ class DefaultSegmenter:
     def encode(self, asset: Asset, progress: Progress = no_progress) -> DefaultSession:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
-        clouds = not encoding.nodes.of_mesh
-        scorers = shipped_scorers(rooms=encoding.room is not None, clouds=clouds)
-        solver = solver_of(encoding, *scorers, shipped_moving_scorers())
+        thing = "mesh" if encoding.nodes.of_mesh else "cloud"
+        met = thing if encoding.room is None else "room"
+        solver = solver_of(encoding, *shipped_scorers(met), shipped_moving_scorers())
         return DefaultSession(asset, encoding, solver)

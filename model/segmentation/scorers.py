@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,34 +18,38 @@ from model.segmentation.solver import PartSolver
 from model.segmentation.trees import Scorer, load_scorer
 
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
-PART_SCORERS = ("first_click.npz", "later_click.npz")
-CLOUD_SCORERS = ("first_click_cloud.npz", "later_click_cloud.npz")
-ROOM_SCORERS = ("room_first_click.npz", "room_later_click.npz")
+
+Met = Literal["mesh", "cloud", "close-up", "room"]
+"""What is clicked: a mesh, a cloud, a cloud from close by, or a room."""
+SCORERS: dict[Met, tuple[str, str]] = {
+    "mesh": ("first_click.npz", "later_click.npz"),
+    "cloud": ("first_click_cloud.npz", "later_click_cloud.npz"),
+    # Trees learned from cells, and close-ups have none: there networks choose better.
+    "close-up": ("first_click.npz", "later_click_close.npz"),
+    "room": ("room_first_click.npz", "room_later_click.npz"),
+}
+"""Files of the scorers of a first click and of later ones. Meshes are their own close-ups."""
 
 Scorers = tuple[Scorer | None, Scorer | None]
 """Of a first click, and of later ones."""
 
 
-@lru_cache(maxsize=3)
-def shipped_scorers(*, rooms: bool = False, clouds: bool = False) -> Scorers:
-    """The scorers that ship for meshes, ``clouds`` or ``rooms``, None where they are not there."""
-    folder = static_assets() / "segmentation"
-    if clouds and not rooms:
-        return _read(folder, CLOUD_SCORERS, OBJECT_FEATURE_NAMES)
-    return read_scorers(folder, rooms=rooms)
+@lru_cache(maxsize=len(SCORERS))
+def shipped_scorers(met: Met = "mesh") -> Scorers:
+    """The scorers that ship, None where they are not there."""
+    return read_scorers(static_assets() / "segmentation", met)
+
+
+def read_scorers(folder: Path, met: Met = "mesh") -> Scorers:
+    """The scorers in ``folder``."""
+    names = ROOM_FEATURE_NAMES if met == "room" else OBJECT_FEATURE_NAMES
+    return _read(folder, SCORERS[met], names)
 
 
 @lru_cache(maxsize=1)
 def shipped_moving_scorers() -> Scorers:
     """The scorers of clicks on parts that move, for clouds of objects; None where not there."""
     return _read(static_assets() / "segmentation", MOVING_SCORERS, MOVING_FEATURE_NAMES)
-
-
-def read_scorers(folder: Path, *, rooms: bool = False) -> Scorers:
-    """The scorers in ``folder``."""
-    if rooms:
-        return _read(folder, ROOM_SCORERS, ROOM_FEATURE_NAMES)
-    return _read(folder, PART_SCORERS, OBJECT_FEATURE_NAMES)
 
 
 def _read(folder: Path, files: tuple[str, str], names: tuple[str, ...]) -> Scorers:

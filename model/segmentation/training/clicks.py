@@ -18,8 +18,7 @@ from model.segmentation.encoding import Encoding, encode
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES
 from model.segmentation.scorers import (
-    PART_SCORERS,
-    ROOM_SCORERS,
+    SCORERS,
     Scorers,
     read_scorers,
     shipped_scorers,
@@ -327,7 +326,7 @@ def train_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
         ("drawers", range(config.drawer_seed, config.drawer_seed + config.drawer_objects)),
     ]
     played = _rounds(rounds, config, start)
-    return _fitted(played, config, folder, PART_SCORERS, OBJECT_FEATURE_NAMES)
+    return _fitted(played, config, folder, SCORERS["mesh"], OBJECT_FEATURE_NAMES)
 
 
 def train_room_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
@@ -340,7 +339,7 @@ def train_room_scorers(config: ClickTraining, folder: Path) -> dict[str, float]:
         ("rooms", range(middle, middle + config.rooms)),
     ]
     played = _rounds(rounds, config, (None, None))
-    return _fitted(played, config, folder, ROOM_SCORERS, ROOM_FEATURE_NAMES)
+    return _fitted(played, config, folder, SCORERS["room"], ROOM_FEATURE_NAMES)
 
 
 def _rounds(

@@ -1,5 +1,5 @@
 """The scorers of clicks on clouds: sessions on objects of all kinds, as the shipped scorers play
-them.
+them. Trees learn from them, and for later clicks in close-ups a network.
 
 That of later clicks sees how well a mask explains all clicks so far, see ``HISTORY_FEATURES``.
 Meshes keep the scorers that learned from both: on them what is known of shells and faces says more.
@@ -12,8 +12,15 @@ from functools import partial
 from pathlib import Path
 
 from model.segmentation.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import CLOUD_SCORERS, shipped_scorers
-from model.segmentation.training.clicks import ClickTraining, Round, Rows, collect, fit_trees_to
+from model.segmentation.scorers import SCORERS, shipped_scorers
+from model.segmentation.training.clicks import (
+    ClickTraining,
+    Round,
+    Rows,
+    collect,
+    fit_scorer,
+    fit_trees_to,
+)
 from model.segmentation.training.fit import Boosting
 from model.segmentation.training.moving import fitted
 
@@ -26,13 +33,15 @@ FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_
 
 @dataclass(frozen=True)
 class CloudTraining:
-    """What is needed to train ``first_click_cloud.npz`` and ``later_click_cloud.npz`` again.
+    """What is needed to train ``first_click_cloud.npz``, ``later_click_cloud.npz`` and
+    ``later_click_close.npz`` again.
 
     Attributes:
         rounds: the objects that are clicked.
         clicks: how they are clicked.
         held_out: every n-th object measures in a fit of its own.
         first, later: how the trees of both are grown.
+        networks: that are fitted and averaged, for close-ups.
     """
 
     rounds: tuple[Played, ...] = (
@@ -48,6 +57,7 @@ class CloudTraining:
     later: Boosting = field(
         default_factory=lambda: Boosting(trees=800, leaves=31, forests=1, scale=4.0)
     )
+    networks: int = 3
 
 
 def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
@@ -55,7 +65,7 @@ def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
     played = [
         rows
         for kind, first, end in config.rounds
-        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers(clouds=True))
+        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers("cloud"))
     ]
     first, later = ([pair[k] for pair in played if len(pair[k].share)] for k in (0, 1))
     return first, later
@@ -64,9 +74,12 @@ def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
 def train_clouds(config: CloudTraining, folder: Path) -> dict[str, float]:
     """Play, fit, measure and write the scorers into ``folder``; see :func:`.moving.fitted`."""
     first, later = play_rounds(config)
+    for_first, for_later = (folder / name for name in SCORERS["cloud"])
     at_first = partial(fit_trees_to, config=config.first, names=FIRST_FEATURE_NAMES)
     after = partial(fit_trees_to, config=config.later, names=OBJECT_FEATURE_NAMES)
+    close = partial(fit_scorer, networks=config.networks)
     return {
-        **fitted(first, config, "first", folder / CLOUD_SCORERS[0], at_first),
-        **fitted(later, config, "later", folder / CLOUD_SCORERS[1], after),
+        **fitted(first, config, "first", for_first, at_first),
+        **fitted(later, config, "later", for_later, after),
+        **fitted(later, config, "close", folder / SCORERS["close-up"][1], close),
     }

@@ -73,7 +73,7 @@ def play_sessions(seed: int, config: MendingTraining) -> Rows:
     log = Log(MOVING_FEATURE_NAMES)
     solver = solver_of(
         seen.encoding,
-        *shipped_scorers(clouds=not seen.encoding.nodes.of_mesh),
+        *shipped_scorers("mesh" if seen.encoding.nodes.of_mesh else "cloud"),
         shipped_moving_scorers(),
     )
     if isinstance(solver, ObjectSolver):  # not taken for a room

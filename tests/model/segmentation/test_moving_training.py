@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import CLOUD_SCORERS, MOVING_SCORERS
+from model.segmentation.scorers import MOVING_SCORERS, SCORERS
 from model.segmentation.training.clicks import ClickTraining
 from model.segmentation.training.clouds import CloudTraining, train_clouds
 from model.segmentation.training.fit import Boosting
@@ -99,9 +99,10 @@ def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> 
 def test_clicks_on_clouds_learn_from_rounds_of_all_kinds(tmp_path) -> None:
     rounds = (("drawers", 90_000, 90_002), ("small", 70_000, 70_002))
     clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0)
-    config = CloudTraining(rounds, clicks, held_out=2, first=FEW, later=FEW)
+    config = CloudTraining(rounds, clicks, held_out=2, first=FEW, later=FEW, networks=1)
     scores = train_clouds(config, tmp_path)
-    for kind, file in zip(("first", "later"), CLOUD_SCORERS, strict=True):
+    files = (*SCORERS["cloud"], SCORERS["close-up"][1])
+    for kind, file in zip(("first", "later", "close"), files, strict=True):
         assert 0 <= scores[f"{kind}_iou"] <= scores[f"{kind}_best_possible"] <= 1
         assert scores[f"{kind}_clicks"] > 1
         scorer = load_scorer(tmp_path / file, OBJECT_FEATURE_NAMES)

@@ -98,7 +98,7 @@ def test_scorers_of_rooms_can_be_trained_again(tmp_path) -> None:
                            networks=2, room_seed=SEED)  # fmt: skip
     scores = train_room_scorers(config, tmp_path)
     assert 0 < scores["first_iou"] <= scores["first_best_possible"] <= 1
-    first, later = read_scorers(tmp_path, rooms=True)
+    first, later = read_scorers(tmp_path, "room")
     assert first is not None and later is not None and first.names[-1] == "click_outside"
 
 
