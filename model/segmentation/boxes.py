@@ -39,7 +39,7 @@ from model.segmentation.solver import (
     PartSolver,
     PartState,
 )
-from model.segmentation.trees import Scorer
+from model.segmentation.trees import Scorer, Trees
 from model.segmentation.walk import Walk
 
 BOX_FEATURES = (
@@ -81,6 +81,8 @@ _REGIONS = 10
 _FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
 """Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh), at
 most."""
+_OF_TREES = 2.5
+"""The scores of trees for first clicks times this differ as much as a network's."""
 _SAY = 0.8
 """Of the scorer of parts that move; that of anything, which learned from other objects, has the
 rest."""
@@ -500,7 +502,8 @@ class ObjectSolver(PartSolver):
         self, found: Candidates, features: Float, scores: Float, clicked: Clicked
     ) -> tuple[Float, Float]:
         first, _ = self.moving_scorers
-        both, scores = self._with_fronts(found, features, scores, clicked, first, _SAY)
+        alike = scores * _OF_TREES if isinstance(self._first, Trees) else scores
+        both, scores = self._with_fronts(found, features, alike, clicked, first, _SAY)
         return both, scores - self._bar_alone(found.masks, scores, clicked.last)
 
     def _bar_alone(self, masks: Bool, scores: Float, cell: int) -> Float | float:
