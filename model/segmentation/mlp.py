@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.npyio import NpzFile
 
 from model.errors import InputFileError
 from model.segmentation.parallel import mapped
@@ -77,17 +78,40 @@ def load_mlp(path: Path, names: tuple[str, ...]) -> Mlp:
     Raises:
         InputFileError: where the file is absent, newer, or made for other features.
     """
-    if not path.is_file():
-        raise InputFileError(path, "not there", "train it: python -m model.segmentation.training")
-    with np.load(path, allow_pickle=False) as data:
-        if int(data["format"]) != FORMAT:
-            raise InputFileError(path, f"format {int(data['format'])}, this version reads {FORMAT}")
-        found = tuple(str(n) for n in data["names"])
-        if not set(found) <= set(names):
-            raise InputFileError(path, "made for other features", "train it again")
+    with open_npz(path) as data:
+        found, picks = columns(data, "format", FORMAT, path, names)
         layers = []
         while f"weight_{len(layers)}" in data:
             i = len(layers)
             layers.append((data[f"weight_{i}"], data[f"bias_{i}"]))
-        picks = None if found == names else np.array([names.index(n) for n in found])
         return Mlp(found, data["mean"], data["scale"], tuple(layers), picks)
+
+
+def open_npz(path: Path) -> NpzFile:
+    """What a scorer was written to.
+
+    Raises:
+        InputFileError: where it is not there.
+    """
+    if not path.is_file():
+        raise InputFileError(path, "not there", "train it: python -m model.segmentation.training")
+    return np.load(path, allow_pickle=False)
+
+
+def columns(
+    data: NpzFile, key: str, version: int, path: Path, names: tuple[str, ...]
+) -> tuple[tuple[str, ...], npt.NDArray[np.int64] | None]:
+    """Names of what a scorer learned from, and their places in ``names``, None where all the same.
+
+    Args:
+        key: of its format; ``version``: that can be read.
+
+    Raises:
+        InputFileError: where it is newer, or made for other features.
+    """
+    if int(data[key]) != version:
+        raise InputFileError(path, f"format {int(data[key])}, this version reads {version}")
+    found = tuple(str(n) for n in data["names"])
+    if not set(found) <= set(names):
+        raise InputFileError(path, "made for other features", "train it again")
+    return found, None if found == names else np.array([names.index(n) for n in found])

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
-from model.segmentation.mlp import Mlp, load_mlp, save_mlp
+from model.segmentation.mlp import Mlp, columns, load_mlp, open_npz, save_mlp
 from model.segmentation.parallel import mapped
 
 FORMAT = 1
@@ -89,17 +88,8 @@ def load_trees(path: Path, names: tuple[str, ...]) -> Trees:
     Raises:
         InputFileError: where the file is absent, newer, or made for other features.
     """
-    if not path.is_file():
-        raise InputFileError(path, "not there", "train it: python -m model.segmentation.training")
-    with np.load(path, allow_pickle=False) as data:
-        if int(data["trees_format"]) != FORMAT:
-            raise InputFileError(
-                path, f"format {int(data['trees_format'])}, this version reads {FORMAT}"
-            )
-        found = tuple(str(n) for n in data["names"])
-        if not set(found) <= set(names):
-            raise InputFileError(path, "made for other features", "train it again")
-        picks = None if found == names else np.array([names.index(n) for n in found])
+    with open_npz(path) as data:
+        found, picks = columns(data, "trees_format", FORMAT, path, names)
         return Trees(
             found,
             data["feature"].astype(np.int32),
@@ -122,8 +112,6 @@ def save_scorer(scorer: Scorer, path: Path, config: dict[str, object]) -> None:
 
 def load_scorer(path: Path, names: tuple[str, ...]) -> Scorer:
     """Read what :func:`save_trees` or :func:`.mlp.save_mlp` wrote; the same errors."""
-    if path.is_file():
-        with np.load(path, allow_pickle=False) as data:
-            if "trees_format" in data:
-                return load_trees(path, names)
-    return load_mlp(path, names)
+    with open_npz(path) as data:
+        trees = "trees_format" in data
+    return load_trees(path, names) if trees else load_mlp(path, names)
