@@ -16,17 +16,21 @@ STRAY = 150
 DOOR, BODY = (0.25, -0.02, 0.55), (0.5, 0.2, 0.8)
 
 
-@pytest.fixture(scope="module")
-def scan(make_cabinet_cloud) -> tuple[Asset, np.ndarray]:
+def with_stray(made, seed: int) -> Asset:
     """The cabinet, then points in the air around it."""
-    made = make_cabinet_cloud(noise=0.001)
-    cloud, rng = made.asset.cloud, np.random.default_rng(1)
+    cloud, rng = made.asset.cloud, np.random.default_rng(seed)
     air = rng.uniform((-0.3, -0.5, -0.2), (1.3, 0.9, 1.1), (3 * STRAY, 3))
     outside = (np.abs(air - (0.5, 0.22, 0.4)) > (0.56, 0.34, 0.46)).any(1)
     air = air[outside][:STRAY].astype(np.float32)
     colors = np.concatenate([cloud.colors, np.full((len(air), 3), 90, np.uint8)])
     whole = PointCloud(np.concatenate([cloud.points, air]), colors=colors)
-    return Asset("scan", cloud=whole), made.labels
+    return Asset("scan", cloud=whole)
+
+
+@pytest.fixture(scope="module")
+def scan(make_cabinet_cloud) -> tuple[Asset, np.ndarray]:
+    made = make_cabinet_cloud(noise=0.001)
+    return with_stray(made, 1), made.labels
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +75,23 @@ def test_few_points_are_all_kept(count: int) -> None:
     assert nodes_of_asset(Asset("same", cloud=PointCloud(points * 0))).elements.node_count == count
 
 
-def test_points_in_the_air_change_no_answer(scan, session, make_cabinet_cloud) -> None:
-    _, labels = scan
-    clean = DefaultSegmenter().encode(make_cabinet_cloud(noise=0.001).asset)
-    for place in (DOOR, (0.75, -0.02, 0.2), (0.42, -0.06, 0.37)):
-        prompts = Prompts((click(place),))
-        answer, same = (s.segment(prompts).labels[: len(labels)] == 1 for s in (session, clean))
-        assert (answer & same).sum() > 0.9 * (answer | same).sum()
+def test_points_in_the_air_make_no_answer_worse(make_cabinet_cloud) -> None:
+    made = make_cabinet_cloud(noise=0.001)
+    places = ((1, DOOR), (2, (0.75, -0.02, 0.2)))
+
+    def right(asset: Asset) -> list[float]:
+        session, found = DefaultSegmenter().encode(asset), []
+        for part, place in places:
+            answer = session.segment(Prompts((click(place),))).labels[: len(made.labels)] == 1
+            true = made.labels == part
+            found.append((answer & true).sum() / (answer | true).sum())
+        return found
+
+    # Which points make a cell changes with a few of them, so single answers come and go a little.
+    clean = np.array(right(made.asset))
+    stray = np.array([right(with_stray(made, seed)) for seed in range(1, 6)])
+    assert (stray.mean(0) > clean - 0.02).all()
+    assert (stray > clean - 0.08).all()
 
 
 def test_a_click_on_one_is_about_it_alone(scan, session) -> None:
