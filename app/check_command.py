@@ -123,7 +123,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         "asset": str(task.asset),
         "name": task.name,
         "category": obj.category,
-        "notes": list(reading_notes(task.asset)),
+        "notes": list(reading_notes(task.asset, obj)),
         "links": len(obj.parts),
         "moving_joints": sum(j.moves for j in obj.tree.joints),
         "kilograms": round(sum(i.mass for i in physics.inertials.values()), 4),

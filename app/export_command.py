@@ -116,7 +116,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     progress = progress or no_progress
     progress(0.0, f"reading {task.asset}")
     obj = load_object(task.asset)
-    notes = reading_notes(task.asset)
+    notes = reading_notes(task.asset, obj)
     physics = physics_of(obj, task.physics, store=task.store, progress=part_of(progress, 0.05, 0.5))
     written: list[dict[str, Any]] = []
     for i, (name, folder) in enumerate(task.folders):

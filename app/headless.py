@@ -14,7 +14,13 @@ from typing import Any
 from app.prompt_file import PromptFile, check_prompts, read_prompts
 from model.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.geometry.asset import Asset, UpAxis
-from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.kinematics.articulated_object import (
+    ArticulatedObject,
+    Part,
+    Prediction,
+    SegmentedObject,
+    remarks_of,
+)
 from model.kinematics.joint import Joint
 from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
@@ -108,6 +114,7 @@ def _source_json(asset: Asset, scan: Path) -> dict[str, Any]:
         "sha256": asset.source.sha256 if asset.source else None,
         "elements": asset.element_kind,
         "count": asset.element_count,
+        "remarks": list(asset.warnings),
     }
 
 
@@ -186,7 +193,7 @@ def prediction_json(segmented: SegmentedObject, answer: Prediction) -> dict[str,
         "backend": answer.backend,
         "seed": answer.seed,
         "seconds": round(answer.seconds, 6),
-        "problems": list(answer.problems),
+        "problems": [*remarks_of(segmented.parts), *answer.problems],
         "base": answer.tree.root if answer.tree is not None else None,
         "links": list(answer.tree.links) if answer.tree is not None else [],
         "parts": [{"link": part.link, "name": part.name} for part in segmented.parts],

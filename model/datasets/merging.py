@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from model.errors import KinematicsError
-from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds
@@ -91,6 +91,7 @@ def _joined(link: str, parts: Sequence[Part], name: str | None) -> Part:
         merged(meshes) if meshes else None,
         merged_clouds(clouds) if clouds else None,
         name,
+        remarks_of(parts),
     )
 
 

@@ -51,7 +51,7 @@ from model.exporters.saved import (
 )
 from model.exporters.urdf import write_urdf_of
 from model.geometry.asset import Asset
-from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.articulated_object import ArticulatedObject, remarks_of
 from model.kinematics.tree_json import tree_to_json
 from model.progress import Progress, no_progress
 
@@ -238,6 +238,7 @@ def _write_texts(
         "category": obj.category,
         "written": _now(),
         "parts": [_entry(p) for p in parts],
+        "remarks": list(remarks_of(obj.parts)),
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},

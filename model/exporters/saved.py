@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from model.errors import InputFileError
-from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.geometry.part_folder import remarks_in
+from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
 from model.kinematics.urdf import read_urdf, read_urdf_model
 from model.progress import Progress, no_progress
 
@@ -69,13 +70,15 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
         return obj
     kept = read_provenance(path)["asset"]
     entries = {entry["link"]: entry for entry in kept.get("parts", [])}
+    remarks = remarks_in(kept)
     parts: list[Part] = []
     for part in obj.parts:
         entry = entries.get(part.link, {})
         cloud = None
         if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
             cloud = read_asset(path / entry["cloud"], up_axis="z").cloud
-        parts.append(replace(part, cloud=cloud, name=entry.get("name")))
+        told = (*remarks, *part.remarks)
+        parts.append(replace(part, cloud=cloud, name=entry.get("name"), remarks=told))
     gives_way = kept.get("give_way")
     names = gives_way if isinstance(gives_way, list) else []
     joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
@@ -83,10 +86,12 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     return replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
 
 
-def reading_notes(asset: str | Path) -> tuple[str, ...]:
-    """What :func:`load_object` changes of a URDF on reading it, for people."""
+def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
+    """What :func:`load_object` changed of a URDF on reading ``obj`` from it, and what was passed
+    over of its meshes or of the source they come from, for people."""
     path = Path(asset)
-    return read_urdf_model(path if path.is_file() else path / URDF).notes
+    model = read_urdf_model(path if path.is_file() else path / URDF)
+    return (*model.notes, *remarks_of(obj.parts))
 
 
 def read_provenance(folder: str | Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from model.geometry.formats.references import ReferenceRefused, resolve
 OBJECT_JSON = "object.json"
 _MAX_JSON = 16 << 20
 _MAX_PARTS = 1000
+_MAX_REMARKS, _LONGEST_REMARK = 100, 300
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,17 @@ class PartEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """The parts of a folder. ``path`` is its object.json, or None."""
+    """The parts of a folder.
+
+    Attributes:
+        path: its object.json, or None.
+        remarks: what was passed over on reading the source that the parts were cut from.
+    """
 
     entries: tuple[PartEntry, ...]
     category: str | None = None
     path: Path | None = None
+    remarks: tuple[str, ...] = ()
 
 
 def natural_key(path: Path) -> list[tuple[int, int, str]]:
@@ -127,7 +134,15 @@ def _from_json(path: Path) -> Manifest:
     if twice is not None:
         raise InputFileError(path, f"names {twice.name!r} twice")
     category = tree.get("category")
-    return Manifest(_named(found), category if isinstance(category, str) else None, path)
+    told = category if isinstance(category, str) else None
+    return Manifest(_named(found), told, path, remarks_in(tree.get("source")))
+
+
+def remarks_in(entry: Any) -> tuple[str, ...]:
+    """The texts of ``remarks`` in a JSON object, each on one short line; () where it has none."""
+    said = entry.get("remarks") if isinstance(entry, dict) else None
+    texts = [t for t in said if isinstance(t, str)] if isinstance(said, list) else []
+    return tuple(" ".join(t.split())[:_LONGEST_REMARK] for t in texts[:_MAX_REMARKS])
 
 
 def _named(files: list[tuple[Path, str | None]]) -> tuple[PartEntry, ...]:

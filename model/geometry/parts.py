@@ -51,5 +51,6 @@ def split(
         cloud = None
         if asset.mesh is None and asset.cloud is not None:
             cloud = asset.cloud.take(index)
-        out.append(Part(f"link_{label}", mesh, cloud, names.get(int(label)) or None))
+        name = names.get(int(label)) or None
+        out.append(Part(f"link_{label}", mesh, cloud, name, asset.warnings))
     return tuple(out)

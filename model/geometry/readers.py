@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -183,8 +184,9 @@ def _read_parts(
     for i, entry in enumerate(manifest.entries):
         progress(i / len(manifest.entries), f"reading {entry.path.name}")
         up = up_axis or default_up_axis(entry.path, part_of_folder=True)
-        loaded = _load(entry.path, max_bytes, files)
-        out.append(cleaned(entry.path, loaded, turned_up(up), scale))
+        loaded = cleaned(entry.path, _load(entry.path, max_bytes, files), turned_up(up), scale)
+        told = tuple(f"{entry.path.name}: {w}" for w in loaded.warnings)
+        out.append(replace(loaded, warnings=told))
     extra = [manifest.path] if manifest.path is not None else []
     digest = _digest([*(e.path for e in manifest.entries), *extra, *files.paths])
     first = up_axis or default_up_axis(manifest.entries[0].path, part_of_folder=True)
@@ -204,7 +206,7 @@ def _read_folder(
             cloud, "is a cloud among meshes", "give all parts as meshes or all as clouds"
         )
     whole = join(parts)
-    warnings = tuple(dict.fromkeys(w for p in parts for w in p.warnings))
+    warnings = dict.fromkeys([*manifest.remarks, *(w for p in parts for w in p.warnings)])
     sizes = [len(p.faces) if solid[0] else len(p.vertices) for p in parts]
     return Asset(
         folder.name,
@@ -214,7 +216,7 @@ def _read_folder(
         element_part=np.repeat(np.arange(len(parts), dtype=np.int32), sizes),
         part_names=tuple(e.name or e.link for e in manifest.entries),
         category=manifest.category,
-        warnings=warnings,
+        warnings=tuple(warnings),
     )
 
 
@@ -243,6 +245,7 @@ def read_part_files(
             mesh=to_mesh(p) if is_solid(p) else None,
             cloud=None if is_solid(p) else to_cloud(p),
             name=e.name,
+            remarks=(*manifest.remarks, *p.warnings),
         )
         for e, p in zip(manifest.entries, parts, strict=True)
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,12 +23,15 @@ class Part:
         link: name of its link (``link_0``).
         mesh, cloud: its geometry; at least one.
         name: what it is in the field's words (door, drawer, lid, …), or None.
+        remarks: what was passed over on reading the source it comes from (points that are no
+            numbers, a missing texture), for people.
     """
 
     link: str
     mesh: Mesh | None = None
     cloud: PointCloud | None = None
     name: str | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.mesh is None and self.cloud is None:
@@ -38,6 +41,11 @@ class Part:
     def bounds(self) -> npt.NDArray[np.float64]:
         """(2, 3) lowest and highest corner."""
         return (self.mesh if self.mesh is not None else self.cloud).bounds  # type: ignore[union-attr]
+
+
+def remarks_of(parts: Iterable[Part]) -> tuple[str, ...]:
+    """The remarks of all parts, each once: parts of one source share theirs."""
+    return tuple(dict.fromkeys(remark for part in parts for remark in part.remarks))
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,9 @@ def load_part(link: str, visuals: Sequence[UrdfVisual]) -> Part:
     """
     meshes: list[Mesh] = []
     clouds: list[PointCloud] = []
+    remarks: list[str] = []
     for visual in visuals:
-        mesh, cloud = _load(visual)
+        mesh, cloud = _load(visual, remarks)
         if mesh is not None:
             meshes.append(moved_mesh(mesh, visual.object_from_geometry))
         if cloud is not None:
@@ -35,11 +36,16 @@ def load_part(link: str, visuals: Sequence[UrdfVisual]) -> Part:
     names = {v.name for v in visuals}
     name = names.pop() if len(names) == 1 else None
     return Part(
-        link, merged(meshes) if meshes else None, merged_clouds(clouds) if clouds else None, name
+        link,
+        merged(meshes) if meshes else None,
+        merged_clouds(clouds) if clouds else None,
+        name,
+        tuple(dict.fromkeys(remarks)),
     )
 
 
-def _load(visual: UrdfVisual) -> tuple[Mesh | None, PointCloud | None]:
+def _load(visual: UrdfVisual, remarks: list[str]) -> tuple[Mesh | None, PointCloud | None]:
+    """The geometry; what was passed over on reading it is added to ``remarks``."""
     if visual.file is None:
         assert visual.primitive is not None
         return _primitive(*visual.primitive, visual.color), None
@@ -51,6 +57,7 @@ def _load(visual: UrdfVisual) -> tuple[Mesh | None, PointCloud | None]:
 
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
     asset = read_asset(visual.file, up_axis="z")
+    remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
     if mesh is not None and visual.color is not None and _plain(mesh):
         mesh = replace(mesh, materials=(Material("urdf", visual.color),) * len(mesh.materials))

@@ -19,7 +19,7 @@ from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import FOLDER_SUFFIXES, MOBILITY, read_asset, read_part_files
 from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
-from model.kinematics.articulated_object import Part, SegmentedObject
+from model.kinematics.articulated_object import Part, SegmentedObject, remarks_of
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_reader import read_urdf_model
@@ -85,9 +85,11 @@ def whole(path: Path) -> Part:
             "link_0",
             merged(meshes) if meshes else None,
             merged_clouds(clouds) if clouds and not meshes else None,
+            remarks=remarks_of(parts),
         )
     asset = read_unshifted(path)
-    return Part("link_0", asset.mesh, None if asset.mesh is not None else asset.cloud)
+    cloud = None if asset.mesh is not None else asset.cloud
+    return Part("link_0", asset.mesh, cloud, remarks=asset.warnings)
 
 
 def scaled(parts: tuple[Part, ...], factors: FloatArray) -> tuple[Part, ...]:

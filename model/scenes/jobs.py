@@ -19,7 +19,7 @@ from model.exporters.mjcf import MjcfExporter
 from model.exporters.physics import Physics, PhysicsSettings, physics_of, plain_physics
 from model.exporters.sdf import SdfExporter
 from model.exporters.usd import UsdExporter
-from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
+from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject, remarks_of
 from model.kinematics.tree import KinematicTree
 from model.predictors import load_predictor
 from model.scenes.asset_parts import (
@@ -164,7 +164,7 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         "joints": joints,
         "parts": len(parts),
         "how": how,
-        "notes": [] if found is None else list(found.notes),
+        "notes": [*(() if found is None else found.notes), *remarks_of(parts)],
         "problems": list(problems),
         "usable": usability(obj, found, placement.scale, state),
     }

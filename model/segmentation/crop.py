@@ -155,6 +155,8 @@ def crop(asset: Asset, keep: Bool) -> Asset:
             f"{asset.name}: a crop needs a mask of {asset.element_count} elements that keeps some"
         )
     if asset.mesh is not None:
-        return Asset(asset.name, mesh=asset.mesh.take_faces(keep), source=asset.source)
+        mesh = asset.mesh.take_faces(keep)
+        return Asset(asset.name, mesh=mesh, source=asset.source, warnings=asset.warnings)
     assert asset.cloud is not None
-    return Asset(asset.name, cloud=asset.cloud.take(keep), source=asset.source)
+    cloud = asset.cloud.take(keep)
+    return Asset(asset.name, cloud=cloud, source=asset.source, warnings=asset.warnings)

@@ -195,6 +195,47 @@ def test_some_nan_points_are_dropped_with_a_note(tmp_path):
     assert "200 of 2000" in " ".join(report["problems"])
 
 
+def test_what_was_left_out_is_told_until_the_export(tmp_path, capsys):
+    """From the scan over its parts and the saved asset to what a simulator gets."""
+    wall, door = (m.subdivide().subdivide() for m in cupboard())
+    whole = trimesh.util.concatenate([wall, door])
+    corners = whole.vertices.tolist()
+    corners[7], corners[-1] = [np.nan] * 3, [np.inf, 0.0, 0.0]
+    scan = tmp_path / "holes.obj"
+    rows = [f"v {x} {y} {z}" for x, y, z in corners]
+    rows += ["f {} {} {}".format(*(face + 1)) for face in whole.faces]
+    scan.write_text("\n".join(rows))
+    prompts = write_prompts(tmp_path / "p.json", [{"position": [0.3, -0.02, 0.6], "part": 1}])
+    parts, asset, out = tmp_path / "parts", tmp_path / "asset", tmp_path / "out"
+
+    def run(*words: object) -> dict:
+        assert main([*map(str, words), "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    cut = run("segment", scan, "--prompts", prompts, "--out", parts, "--up-axis", "z",
+              "--segmenter", "nearest")  # fmt: skip
+    (remark,) = cut["problems"]
+    lost = np.isin(whole.faces, [7, len(corners) - 1]).any(axis=1).sum()
+    assert f"2 of {len(corners)} points" in remark and f"{lost} faces" in remark
+    assert remark in run("predict", parts, "--out", asset, "--predictor", "geometric")["problems"]
+    written = run("export", asset, "--format", "urdf,glb", "--out", out, "--no-collision")
+    assert [f["notes"] for f in written["formats"]] == [[remark], [remark]]
+    assert open_asset(parts, tmp_path / "workspace", ReadOptions()).warnings == (remark,)
+
+
+def test_a_damaged_mesh_of_a_urdf_is_told_at_its_export(tmp_path, capsys):
+    points = cupboard()[0].vertices.copy()
+    points[3] = np.nan
+    ply(tmp_path / "body.ply", points)
+    urdf = tmp_path / "a.urdf"
+    shape = '<visual><geometry><mesh filename="body.ply"/></geometry></visual>'
+    urdf.write_text(f'<robot name="r"><link name="link_0">{shape}</link></robot>')
+    words = ["export", urdf, "--format", "glb", "--out", tmp_path / "o", "--no-collision"]
+    assert main([*map(str, words), "--json"]) == 0
+    (note,) = json.loads(capsys.readouterr().out)["notes"]
+    assert note.startswith(f"body.ply: 1 of {len(points)} points")
+
+
 def test_two_parts_with_no_points(tmp_path):
     folder = tmp_path / "parts"
     folder.mkdir()

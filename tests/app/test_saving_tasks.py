@@ -68,6 +68,22 @@ def test_accepting_moves_what_was_prepared(source, tmp_path, monkeypatch):
     assert read_provenance(folder)["by"] == "her"
 
 
+def test_what_was_left_out_stays_with_an_accepted_asset(tmp_path):
+    whole = trimesh.creation.box((1, 0.5, 0.7)).subdivide()
+    scan = tmp_path / "box.obj"
+    rows = ["v {} {} {}".format(*corner) for corner in whole.vertices.tolist()]
+    rows[3] = "v nan nan nan"
+    rows += ["f {} {} {}".format(*(face + 1)) for face in whole.faces]
+    scan.write_text("\n".join(rows))
+    workspace = tmp_path / "workspace"
+    opened = open_asset(scan, workspace, ReadOptions())
+    labels = tasks.arrays_of(workspace).put((np.arange(opened.element_count) < 2).astype(np.int16))
+    folder = accepted(PartSource(opened.folder, workspace, labels), TREE, tmp_path / "a", {})
+    (remark,) = read_provenance(folder)["asset"]["remarks"]
+    assert remark.startswith(f"1 of {len(whole.vertices)} points")
+    assert all(part.remarks == (remark,) for part in load_object(folder).parts)
+
+
 def test_what_differs_gets_a_draft_of_its_own_and_old_ones_go(source):
     made = [prepare_asset(source, TREE), prepare_asset(replace(source, names={}), TREE)]
     for upper in np.linspace(0.5, 1, DRAFTS_KEPT):

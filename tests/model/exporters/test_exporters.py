@@ -434,7 +434,7 @@ def test_what_reading_a_urdf_changed_is_told(tmp_path):
     shape = '<visual><geometry><box size="1, 2, 3"/></geometry></visual>'
     path.write_text(f'<robot name="r"><link name="a">{shape}</link></robot>')
     assert load_object(path).parts
-    (note,) = reading_notes(path)
+    (note,) = reading_notes(path, load_object(path))
     assert "separated by commas" in note
 
 
