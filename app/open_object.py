@@ -21,7 +21,7 @@ from app.judging import JointCheck, Judging
 from app.part_tasks import PartSource
 from app.running_jobs import RunningJobs
 from app.segmenting import Segmenting
-from app.tasks import ReadOptions, stamp
+from app.tasks import ReadOptions, Stamp, stamp_if_there
 from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
 from model.gate.report import GateReport
@@ -35,8 +35,6 @@ from sessions.store import ObjectRecord
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
-
-Stamp = tuple[tuple[str, int, int], ...]
 
 
 class OpenObject(Watched):
@@ -142,11 +140,11 @@ class OpenObject(Watched):
             frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
             if "open" in self.jobs or (self.asset is not None and self._frame == frame):
                 return
-            now = (frame, None if self.problem is None else _stamp(self.record.path))
+            now = (frame, None if self.problem is None else stamp_if_there(self.record.path))
             if self.problem is not None and not again and now == (self._frame, self._failed_on):
                 return
             self._frame, self.problem = frame, None
-            self._failed_on = _stamp(self.record.path)
+            self._failed_on = stamp_if_there(self.record.path)
             self.asset = None
             self.segmenting.forget()
             self.payloads.clear()
@@ -318,11 +316,3 @@ class OpenObject(Watched):
             self.problem = message
             self.bench.note_broken(self.record.id, True)
         self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
-
-
-def _stamp(path: str | Path) -> Stamp:
-    """Tells whether a file or folder changed; () where there is none."""
-    try:
-        return stamp(Path(path))
-    except OSError:
-        return ()

@@ -29,9 +29,8 @@ class Server:
 
     def __init__(self, config: ServeConfig) -> None:
         self.config = config
-        self.bench = Workbench(
-            config, Store(Path(config.workspace), config.database), paths_to_open(config)
-        )
+        paths = paths_to_open(config)
+        self.bench = Workbench(config, Store(Path(config.workspace), config.database), paths)
         if config.scene is not None:
             self.bench.desk = SceneDesk(self.bench, config.scene, config.assets)
         self.viser: viser.ViserServer = guarded_server(
@@ -74,8 +73,12 @@ class Server:
 
 
 def paths_to_open(config: ServeConfig) -> list[Path]:
-    """The objects of this run: what was named, else the bundled examples."""
-    from model.geometry.readers import find_assets
+    """The objects of this run: what was named, else the bundled examples.
+
+    Raises:
+        InputFileError: where none of them can be opened whatever is in it.
+    """
+    from model.geometry.readers import find_assets, refusal
 
     if config.scene is not None:
         return []
@@ -87,6 +90,11 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     if not found:
         where = named[0] if named else static_assets() / "examples"
         raise InputFileError(where, "holds nothing that can be opened", "give meshes or scans")
+    problems = [problem for path in found if (problem := refusal(path)) is not None]
+    if len(problems) == len(found):
+        raise problems[0]
+    for problem in problems:
+        log.warning("%s", problem)
     return found
 
 

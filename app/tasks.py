@@ -25,6 +25,7 @@ from sessions.tool_commands import FaceCut
 
 K = TypeVar("K")
 V = TypeVar("V")
+Stamp = tuple[tuple[str, int, int], ...]
 
 
 class Recent(Generic[K, V]):
@@ -128,10 +129,18 @@ def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
     return replace(asset, mesh=split.mesh, element_part=part)
 
 
-def stamp(path: Path) -> tuple[tuple[str, int, int], ...]:
+def stamp(path: Path) -> Stamp:
     """Names, sizes and times of what a path holds: tells whether a working copy is still true."""
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())[:5000]
     return tuple((f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files)
+
+
+def stamp_if_there(path: Path) -> Stamp:
+    """As :func:`stamp`; () where there is nothing."""
+    try:
+        return stamp(path)
+    except OSError:
+        return ()
 
 
 @lru_cache(maxsize=8)

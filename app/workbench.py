@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import threading
 from collections import OrderedDict
@@ -15,6 +16,7 @@ from app.jobs import Job, WorkerProcess
 from app.open_object import OpenObject
 from app.part_tasks import PartSource
 from app.review_order import ReviewOrder
+from app.tasks import stamp_if_there
 from app.watched import Listener
 from model.errors import CommandError
 from model.kinematics.tree import KinematicTree
@@ -35,8 +37,9 @@ class Workbench:
     """Workers, store and open objects of one server.
 
     Attributes:
-        broken: objects whose file couldn't be read when somebody last wanted to see them.
-        taken_off: objects that were taken off the queue in this run, the last one last.
+        broken: objects whose file can't be opened whatever is in it, or couldn't be read when
+            somebody last wanted to see them.
+        taken_off: objects of this run that were taken off the queue, the last one last.
     """
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
@@ -58,23 +61,52 @@ class Workbench:
         self._records: dict[int, ObjectRecord] = {}
         self.broken: frozenset[int] = frozenset()
         self.taken_off: tuple[int, ...] = ()
-        self.add_paths(paths)
+        self._enter(paths)
+        self._leave_off()
         self._closed = threading.Event()
         threading.Thread(target=self._follow_loop, name="follow", daemon=True).start()
 
     def add_paths(self, paths: list[Path]) -> list[int]:
         """Put files or folders into the queue; returns their object ids."""
-        records = self.store.open_objects((p, None, p.stem) for p in paths)
-        ids = [r.id for r in records]
+        ids = self._enter(paths)
         with self._lock:
-            self._ids = list(dict.fromkeys([*self._ids, *ids]))
-            self._records.update({r.id: r for r in records})
+            back = [i for i in self.taken_off if i in ids]
             self.taken_off = tuple(i for i in self.taken_off if i not in ids)
+        if back:
+            self.store.put_back(back)
         self._tell_queue()
         return ids
 
+    def _enter(self, paths: list[Path]) -> list[int]:
+        from model.geometry.readers import refusal
+
+        records = self.store.open_objects((p, None, p.stem) for p in paths)
+        ids = [r.id for r in records]
+        with self._lock:
+            self.broken |= {
+                r.id for r, p in zip(records, paths, strict=True) if refusal(p) is not None
+            }
+            self._ids = list(dict.fromkeys([*self._ids, *ids]))
+            self._records.update({r.id: r for r in records})
+        return ids
+
+    def _leave_off(self) -> None:
+        """Leave out what was taken off in an earlier run, but for what changed since.
+
+        Where that is all there is, it stays: a queue without anything would tell nobody why.
+        """
+        off = tuple(
+            i for i, stamp in self.store.taken_off().items()
+            if i in self._ids and stamp == _stamp(self._records[i].path)
+        )  # fmt: skip
+        if len(off) < len(self._ids):
+            self._ids = [i for i in self._ids if i not in off]
+            self.taken_off = off
+
     def take_off(self, object_id: int) -> None:
-        """Take what can't be read off the queue; its file and all that was decided stay.
+        """Take what can't be read off the queue, for later runs, too, until its file changes.
+
+        The file and all that was decided stay.
 
         Raises:
             CommandError: where it can be read.
@@ -84,6 +116,7 @@ class Workbench:
                 raise CommandError("only what can't be read is taken off the list")
             self._ids = [i for i in self._ids if i != object_id]
             self.taken_off = (*(i for i in self.taken_off if i != object_id), object_id)
+        self.store.take_off(object_id, _stamp(self._records[object_id].path))
         self._tell_queue()
 
     def put_back(self) -> int:
@@ -98,6 +131,7 @@ class Workbench:
             *left, object_id = self.taken_off
             self.taken_off = tuple(left)
             self._ids = [*self._ids, object_id]
+        self.store.put_back([object_id])
         self._tell_queue()
         return object_id
 
@@ -213,3 +247,8 @@ class Workbench:
             self.desk.close()
         for worker in (self.geometry, self.segmentation, self.prediction, self.saving):
             worker.close()
+
+
+def _stamp(path: Path) -> str:
+    """Tells whether a file or folder changed since an object was taken off the queue."""
+    return hashlib.sha256(repr(stamp_if_there(path)).encode()).hexdigest()[:16]

@@ -22,7 +22,7 @@ from model import codec
 from model.errors import CommandError, StoreError
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
-from sessions.database import Database, commands, objects, snapshots, sqlite_file
+from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
 from sessions.records import Entry, ObjectRecord, now
 from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
@@ -33,6 +33,8 @@ __all__ = ["ConflictError", "Entry", "ObjectRecord", "Store", "clean_who", "now"
 
 SNAPSHOT_EVERY = 50
 SNAPSHOTS_KEPT = 2
+_OFF = "taken off "
+"""Before an object's id: the key of what is left out of the queue."""
 
 
 class ConflictError(StoreError):
@@ -191,6 +193,32 @@ class Store:
         with self._database.reading() as connection:
             self._row(connection, object_id)
             return self._entries(connection, object_id, after)
+
+    def taken_off(self) -> dict[int, str]:
+        """Objects that are left out of the queue, the last one last → :meth:`take_off`'s stamp."""
+        wanted = select(meta).where(meta.c.key.startswith(_OFF, autoescape=True))
+        with self._database.reading() as connection:
+            rows = connection.execute(wanted.order_by(meta.c.value)).all()
+        # The value begins with the time, which sorts as text.
+        return {int(r.key.removeprefix(_OFF)): r.value.partition(" ")[2] for r in rows}
+
+    def take_off(self, object_id: int, stamp: str) -> None:
+        """Leave an object out of the queue from now on; nothing of it is lost.
+
+        Args:
+            object_id: the object.
+            stamp: tells whether its source changed since.
+        """
+        key = f"{_OFF}{object_id}"
+        with self._database.writing() as connection:
+            connection.execute(delete(meta).where(meta.c.key == key))
+            connection.execute(insert(meta).values(key=key, value=f"{now()} {stamp}"))
+
+    def put_back(self, object_ids: Iterable[int]) -> None:
+        """Have objects in the queue again; those that are there already stay."""
+        keys = [f"{_OFF}{i}" for i in object_ids]
+        with self._database.writing() as connection:
+            connection.execute(delete(meta).where(meta.c.key.in_(keys)))
 
     def put_array(self, array: npt.NDArray[Any]) -> str:
         """Keep an array of numbers; the same content has the same reference. Durable on return."""

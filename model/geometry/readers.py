@@ -19,7 +19,7 @@ from model.errors import ConfigurationError, GeometryError, InputFileError
 from model.geometry.asset import Asset, Source, UpAxis
 from model.geometry.cleaning import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 from model.geometry.formats.gltf import read_gltf
-from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
+from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join, size_of
 from model.geometry.formats.mtl import MaterialFiles
 from model.geometry.formats.npz import read_npz
 from model.geometry.formats.obj import read_obj
@@ -124,13 +124,28 @@ def read_asset(
         raise InputFileError(path, "doesn't fit into memory", "thin the scan first") from None
 
 
+def refusal(path: Path) -> InputFileError | None:
+    """Why a file can't be opened whatever is in it: a pipe, a device, empty, or of no known type.
+
+    None for folders, and where only reading it can tell.
+    """
+    if path.is_dir():
+        return None
+    try:
+        size_of(path)
+    except InputFileError as error:
+        return error
+    if path.suffix.lower() in _READERS:
+        return None
+    what = f"files of type {path.suffix!r}" if path.suffix else "files without a suffix"
+    return InputFileError(path, f"{what} can't be opened", f"use one of {', '.join(SUFFIXES)}")
+
+
 def _load(path: Path, max_bytes: int, files: MaterialFiles | None = None) -> Loaded:
-    reader = _READERS.get(path.suffix.lower())
-    if not path.exists():
-        raise InputFileError(path, "no such file", "check the path")
-    if reader is None:
-        what = f"files of type {path.suffix!r}" if path.suffix else "files without a suffix"
-        raise InputFileError(path, f"{what} can't be opened", f"use one of {', '.join(SUFFIXES)}")
+    problem = refusal(path)
+    if problem is not None:
+        raise problem
+    reader = _READERS[path.suffix.lower()]
     if reader is read_obj and files is not None:
         return read_obj(path, max_bytes, files=files)
     return reader(path, max_bytes)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.errors import ConfigurationError, InputFileError
+from model.geometry.formats.loaded import size_of
 from model.plug_ins import load_plug_in
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import Scene, SceneProblem
@@ -174,6 +175,7 @@ def _checked(scene: Scene) -> Scene:
 
 
 def _head(path: Path) -> bytes:
+    size_of(path)  # a pipe would never be read to its end
     try:
         with path.open("rb") as file:
             return file.read(_HEAD)

@@ -97,6 +97,28 @@ def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(bench_of, tmp_p
         bench.put_back()
 
 
+def test_what_was_taken_off_stays_off_at_the_next_start(bench_of, tmp_path: Path) -> None:
+    good, *bad = (tmp_path / f"{name}.ply" for name in ("good", "one", "two"))
+    GOOD.export(good)
+    for path in bad:
+        path.write_bytes(b"ply\nformat ascii 1.0\n")
+    bench = bench_of(good, *bad)
+    ids = [r.id for r in bench.records()]
+    for number in ids[:0:-1]:
+        obj = bench.object(number)
+        wait(lambda obj=obj: obj.problem, "the problem")
+        bench.take_off(number)
+    later = bench_of(good, *bad)
+    assert [r.id for r in later.records()] == ids[:1]
+    assert later.taken_off == tuple(ids[:0:-1])
+    assert later.put_back() == ids[1]
+    again = bench_of(good, *bad)
+    assert [r.id for r in again.records()] == ids[:2] and again.taken_off == (ids[2],)
+    assert [r.id for r in bench_of(bad[1]).records()] == [ids[2]]  # it is all there is
+    GOOD.export(bad[1])  # mended
+    assert [r.id for r in bench_of(good, *bad).records()] == ids
+
+
 def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
     bench_of, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

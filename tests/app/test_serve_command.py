@@ -17,14 +17,18 @@ from pathlib import Path
 import pytest
 
 from app.cli import make_parser
+from app.config import ServeConfig
 from app.network import url
 from app.serve_command import make_config
+from app.server import paths_to_open
+from app.workbench import Workbench
 from model.errors import ArtiworldError
 from model.resources import static_assets
 from model.scenes.assets import index_assets
 from model.scenes.convert import descriptions
 from model.scenes.finders import LexiconFinder
 from model.scenes.registry import read_scene
+from sessions.store import Store
 from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, box
 
 
@@ -200,6 +204,48 @@ def test_mistakes_end_the_program_with_one_line(scan, tmp_path):
         port = taken.getsockname()[1]
         done = artiworld("serve", scan, "--workspace", tmp_path / "w", "--port", port)
         assert_users_mistake(done, f"port {port} is in use")
+
+
+def empty_file(path: Path) -> None:
+    path.touch()
+
+
+def open_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [
+        ("pipe", os.mkfifo),
+        ("pipe.ply", os.mkfifo),
+        ("socket.ply", open_socket),
+        ("nothing", empty_file),
+        ("nothing.ply", empty_file),
+        ("letter.docx", lambda path: path.write_text("Dear Sir")),
+    ],
+)
+def test_what_can_never_be_opened_is_told_before_the_server_starts(name, make, tmp_path):
+    make(tmp_path / name)
+    done = artiworld("serve", tmp_path / name, "--workspace", tmp_path / "w", "--port", 0)
+    assert_users_mistake(done, name)
+    assert not (tmp_path / "w").exists()
+
+
+def test_what_cant_be_opened_beside_others_is_told_and_marked(scan, tmp_path):
+    empty_file(tmp_path / "nothing.ply")
+    words = (tmp_path / "nothing.ply", "/dev/null", scan)
+    with serving(*words, "--workspace", tmp_path / "w", "--port", 0) as (_, _, printed):
+        assert "nothing.ply: the file is empty" in printed
+        assert "/dev/null: is not a regular file" in printed
+    store = Store(tmp_path / "v")
+    config = ServeConfig(paths=words, workspace=tmp_path / "v")
+    bench = Workbench(config, store, paths_to_open(config))
+    try:
+        assert [r.id in bench.broken for r in bench.records()] == [True, True, False]
+    finally:
+        bench.close()
 
 
 def test_the_pages_messages_are_known_whoever_asked_first():

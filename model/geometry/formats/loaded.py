@@ -144,11 +144,11 @@ def with_plain_colors(loaded: Loaded) -> Loaded:
     return replace(loaded, colors=colors, materials=materials)
 
 
-def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
-    """The content of a regular file.
+def size_of(path: Path) -> int:
+    """Bytes of a regular file that holds some.
 
     Raises:
-        InputFileError: where it is missing, empty, too large, a pipe or a device, or unreadable.
+        InputFileError: where it is missing, empty, a pipe or a device.
     """
     try:
         info = path.stat()
@@ -159,10 +159,20 @@ def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
         raise InputFileError(path, "is not a regular file", "give a mesh or point cloud file")
     if info.st_size == 0:
         raise InputFileError(path, "the file is empty", "export or download it again")
-    if info.st_size > max_bytes:
+    return info.st_size
+
+
+def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        InputFileError: where it is missing, empty, too large, a pipe or a device, or unreadable.
+    """
+    size = size_of(path)
+    if size > max_bytes:
         raise InputFileError(
             path,
-            f"{info.st_size / 2**30:.1f} GiB is over the limit of {max_bytes / 2**30:.1f} GiB",
+            f"{size / 2**30:.1f} GiB is over the limit of {max_bytes / 2**30:.1f} GiB",
             "thin or cut the scan first",
         )
     try:
