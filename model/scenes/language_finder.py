@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import Lock
@@ -211,14 +211,13 @@ class LanguageFinder:
         with ThreadPoolExecutor(max_workers=self.engine.parallel) as pool:
             futures = [pool.submit(ask, batch) for batch in _cut(left, size)]
             try:
-                for future in futures:
-                    # Another thread may be the one that an interrupt wakes: look up now and then.
-                    while not wait([future], timeout=_LOOKS_UP).done:
-                        pass
-                    future.result()
+                _hear(pool, futures)
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
-                self.engine.close()  # the block waits for the question under way
+                # The block waits for what is under way, some of which may begin only now.
+                while under_way := [f for f in futures if not f.done()]:
+                    self.engine.close()
+                    wait(under_way, timeout=_LOOKS_UP)
                 raise
         return found
 
@@ -320,6 +319,24 @@ def _line(value: Any, longest: int) -> str:
     # Half a surrogate pair is valid in JSON and can't be written.
     plain = value.encode("utf-8", "ignore").decode()
     return " ".join("".join(c if c.isprintable() else " " for c in plain).split())[:longest]
+
+
+def _hear(pool: Executor, futures: Sequence[Future[None]]) -> None:
+    """Wait for all; after a failure nothing new is asked, and what is under way is still kept."""
+    try:
+        for future in futures:
+            _wait_for([future])
+            future.result()
+    except Exception:
+        pool.shutdown(wait=False, cancel_futures=True)
+        _wait_for(futures)
+        raise
+
+
+def _wait_for(futures: Sequence[Future[None]]) -> None:
+    # Another thread may be the one that an interrupt wakes: look up now and then.
+    while left := [f for f in futures if not f.done()]:
+        wait(left, timeout=_LOOKS_UP)
 
 
 def _cut(objects: list[ObjectDescription], size: int) -> list[list[ObjectDescription]]:

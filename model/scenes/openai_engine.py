@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
+from threading import Thread
+from typing import Any, TypeVar
 
 from model.errors import ConfigurationError
 from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError
+
+T = TypeVar("T")
 
 KEY_VARIABLE, URL_VARIABLE = "OPENAI_API_KEY", "OPENAI_BASE_URL"
 """Environment variables; the key is taken from nowhere else."""
@@ -73,9 +79,28 @@ class OpenAiEngine:
         self.name = f"openai:{model}" if url is None else f"openai:{model} at {url.rstrip('/')}"
         self.model, self.batch, self.parallel = model, batch, parallel
         self._form = 0
+        self._under_way: set[Future[Answer]] = set()
 
     def ask(self, system: str, user: str) -> Answer:
         """See :class:`~model.scenes.language_finder.ChatEngine`."""
+        answer: Future[Answer] = Future()
+        self._under_way.add(answer)
+        # Nothing ends a thread that waits for a server, and the program doesn't wait for this one.
+        Thread(target=self._ask_for, args=(answer, system, user), daemon=True).start()
+        try:
+            return answer.result()
+        finally:
+            self._under_way.discard(answer)
+
+    def _ask_for(self, answer: Future[Answer], system: str, user: str) -> None:
+        try:
+            said = self._ask(system, user)
+        except Exception as error:  # a thread's boundary: whoever asked gets it
+            _unless_given_up(answer.set_exception, error)
+        else:
+            _unless_given_up(answer.set_result, said)
+
+    def _ask(self, system: str, user: str) -> Answer:
         import openai
 
         messages = [{"role": "system", "content": system}, {"role": "user", "content": user}]
@@ -110,6 +135,15 @@ class OpenAiEngine:
 
     def close(self) -> None:
         """See :class:`~model.scenes.language_finder.ChatEngine`; its connections close alone."""
+        given_up = FinderUnavailableError(f"{self.name} wasn't waited for")
+        for answer in list(self._under_way):
+            _unless_given_up(answer.set_exception, given_up)
+
+
+def _unless_given_up(give: Callable[[T], None], value: T) -> None:
+    """Nobody waits for an answer that was given up."""
+    with suppress(InvalidStateError):
+        give(value)
 
 
 def _answer(said: Any) -> Answer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -84,6 +85,28 @@ def test_an_interrupt_does_not_wait_for_a_language_model(tmp_path: Path) -> None
     finally:
         if in_group(run.pid):
             os.killpg(run.pid, signal.SIGKILL)
+
+
+def test_an_interrupt_does_not_wait_for_a_server_that_is_silent(tmp_path: Path) -> None:
+    pytest.importorskip("openai", reason="openai is not installed")
+    scene = scenes_made.write_scene(tmp_path / "layout.json", scenes_made.mesatask())
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(120)
+        run = subprocess.Popen(
+            [sys.executable, "-m", "app.cli", "scene", "inspect", str(scene), "--finder",
+             "openai:model", "--finder-url", f"http://127.0.0.1:{server.getsockname()[1]}/v1",
+             "--finder-cache", str(tmp_path / "cache")],
+            start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            asked, _ = server.accept()
+            with asked:
+                assert asked.recv(1 << 16)
+                os.kill(run.pid, signal.SIGINT)
+                ends_quietly(run)
+        finally:
+            if in_group(run.pid):
+                os.killpg(run.pid, signal.SIGKILL)
 
 
 def ends_quietly(run: subprocess.Popen[str]) -> None:
