@@ -6,6 +6,7 @@ of the one that was accepted before.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from app.judging import Wish
 from model.errors import CommandError
 from model.exporters.asset_folder import publish
+from model.exporters.saved import recover
 from model.gate.report import GateReport
 from model.geometry.asset import Source
 from sessions import commands as cmd
@@ -25,6 +27,9 @@ from sessions.store import Entry, ObjectRecord
 if TYPE_CHECKING:
     from app.open_object import OpenObject
     from app.part_tasks import PartSource
+    from app.workbench import Workbench
+
+log = logging.getLogger(__name__)
 
 
 def accept(
@@ -77,6 +82,7 @@ def accept(
         looked_at=gate is not None and gate is looked_at,
     )  # fmt: skip
     folder = asset_folder(obj.bench.workspace, obj.record)
+    obj.bench.store.accepting_begins(obj.record.id, state.seq)
     job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
@@ -93,6 +99,35 @@ def accept(
 
     obj.start("save", job, keep)
     obj.changed()
+
+
+def take_up(bench: Workbench) -> dict[int, int]:
+    """See to the acceptances that a server which died has begun.
+
+    One that was decided is finished. The others wait for a person: what the gate says of them, and
+    what it showed, is gone.
+
+    Returns:
+        Objects that wait → the number of their last command, with which they still do.
+    """
+    waiting: dict[int, int] = {}
+    for object_id, seq in bench.store.accepting().items():
+        record = bench.store.object(object_id)
+        folder = asset_folder(bench.workspace, record)
+        recover(folder)
+        if record.seq == seq:
+            waiting[object_id] = seq
+            log.warning(
+                "%s: its acceptance was begun and not finished; accept it again, unless another "
+                "server is at it", record.name,
+            )  # fmt: skip
+            continue
+        live = bench.hub.session(object_id)
+        doc = live.document
+        if doc.review.state == "accepted" and doc.saved is None and folder.is_dir():
+            live.do(cmd.Saved(str(folder)), doc.review.by)
+        bench.store.accepting_ends(object_id)
+    return waiting
 
 
 def _check_unchanged(obj: OpenObject, before: Document, source: PartSource) -> None:

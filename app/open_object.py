@@ -183,6 +183,10 @@ class OpenObject(Watched):
             self.segmenting.take_source_parts(asset)
             if asset.category:
                 self.do(cmd.SetCategory(asset.category), "source file")
+        if self.bench.was_interrupted(self.bench.store.object(self.record.id)):
+            self.tell(
+                "Not accepted", "The server ended while it was saved: accept it again", "yellow"
+            )
         for warning in asset.warnings:
             self.tell("Opened with a remark", warning, "yellow")
         self.bench.geometry.submit(picking_tasks.prepare_picking, asset.folder)
@@ -294,6 +298,8 @@ class OpenObject(Watched):
         if what == "open":
             self._worker_died = isinstance(job.error, JobFailed)
         error = self.jobs.hand_over(what, job, keep)
+        if what == "save" and not self.bench.closing:
+            self.bench.store.accepting_ends(self.record.id)
         if isinstance(error, BackendError):
             self.backend_away = True
             self._failed(what, f"{error}: press “Predict on this machine”")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app import saving_tasks
+from app.accepting import take_up
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
 from app.open_object import OpenObject
@@ -63,6 +64,7 @@ class Workbench:
         self.taken_off: tuple[int, ...] = ()
         self._enter(paths)
         self._leave_off()
+        self._interrupted = take_up(self)
         self._closed = threading.Event()
         threading.Thread(target=self._follow_loop, name="follow", daemon=True).start()
 
@@ -170,6 +172,10 @@ class Workbench:
             if not self._open[i].in_use:
                 self._open.pop(i).let_go()
 
+    def was_interrupted(self, record: ObjectRecord) -> bool:
+        """Whether the server before ended while it accepted the object as it is now."""
+        return self._interrupted.get(record.id) == record.seq
+
     def on_queue(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""
         self._queue_listeners.append(listener)
@@ -239,6 +245,11 @@ class Workbench:
         if self._preparing is not None and self._preparing[:2] != (source, tree):
             self.stop_preparing()
         return self.saving.submit(saving_tasks.prepare_asset, source, tree, on_progress=on_progress)
+
+    @property
+    def closing(self) -> bool:
+        """Whether it ends: what is under way is cut off."""
+        return self._closed.is_set()
 
     def close(self) -> None:
         """End the workers."""

@@ -33,8 +33,8 @@ __all__ = ["ConflictError", "Entry", "ObjectRecord", "Store", "clean_who", "now"
 
 SNAPSHOT_EVERY = 50
 SNAPSHOTS_KEPT = 2
-_OFF = "taken off "
-"""Before an object's id: the key of what is left out of the queue."""
+_OFF, _ACCEPTING = "taken off ", "accepting "
+"""Before an object's id: keys of marks that are no decisions about it."""
 
 
 class ConflictError(StoreError):
@@ -196,11 +196,7 @@ class Store:
 
     def taken_off(self) -> dict[int, str]:
         """Objects that are left out of the queue, the last one last → :meth:`take_off`'s stamp."""
-        wanted = select(meta).where(meta.c.key.startswith(_OFF, autoescape=True))
-        with self._database.reading() as connection:
-            rows = connection.execute(wanted.order_by(meta.c.value)).all()
-        # The value begins with the time, which sorts as text.
-        return {int(r.key.removeprefix(_OFF)): r.value.partition(" ")[2] for r in rows}
+        return self._marks(_OFF)
 
     def take_off(self, object_id: int, stamp: str) -> None:
         """Leave an object out of the queue from now on; nothing of it is lost.
@@ -209,16 +205,23 @@ class Store:
             object_id: the object.
             stamp: tells whether its source changed since.
         """
-        key = f"{_OFF}{object_id}"
-        with self._database.writing() as connection:
-            connection.execute(delete(meta).where(meta.c.key == key))
-            connection.execute(insert(meta).values(key=key, value=f"{now()} {stamp}"))
+        self._mark(_OFF, object_id, stamp)
 
     def put_back(self, object_ids: Iterable[int]) -> None:
         """Have objects in the queue again; those that are there already stay."""
-        keys = [f"{_OFF}{i}" for i in object_ids]
-        with self._database.writing() as connection:
-            connection.execute(delete(meta).where(meta.c.key.in_(keys)))
+        self._unmark(_OFF, object_ids)
+
+    def accepting(self) -> dict[int, int]:
+        """Objects whose acceptance was begun and not ended → their last command's number then."""
+        return {i: int(seq) for i, seq in self._marks(_ACCEPTING).items()}
+
+    def accepting_begins(self, object_id: int, seq: int) -> None:
+        """Keep that an object is being accepted; a server that dies now leaves that behind."""
+        self._mark(_ACCEPTING, object_id, str(seq))
+
+    def accepting_ends(self, object_id: int) -> None:
+        """It was accepted, or whoever wanted it was told why not."""
+        self._unmark(_ACCEPTING, [object_id])
 
     def put_array(self, array: npt.NDArray[Any]) -> str:
         """Keep an array of numbers; the same content has the same reference. Durable on return."""
@@ -274,6 +277,24 @@ class Store:
             snapshots.c.seq <= seq - SNAPSHOTS_KEPT * SNAPSHOT_EVERY
         )
         connection.execute(delete(snapshots).where(old))
+
+    def _marks(self, kind: str) -> dict[int, str]:
+        wanted = select(meta).where(meta.c.key.startswith(kind, autoescape=True))
+        with self._database.reading() as connection:
+            rows = connection.execute(wanted.order_by(meta.c.value)).all()
+        # The value begins with the time, which sorts as text.
+        return {int(r.key.removeprefix(kind)): r.value.partition(" ")[2] for r in rows}
+
+    def _mark(self, kind: str, object_id: int, value: str) -> None:
+        key = f"{kind}{object_id}"
+        with self._database.writing() as connection:
+            connection.execute(delete(meta).where(meta.c.key == key))
+            connection.execute(insert(meta).values(key=key, value=f"{now()} {value}"))
+
+    def _unmark(self, kind: str, object_ids: Iterable[int]) -> None:
+        keys = [f"{kind}{i}" for i in object_ids]
+        with self._database.writing() as connection:
+            connection.execute(delete(meta).where(meta.c.key.in_(keys)))
 
     def _row(self, connection: Connection, object_id: int) -> Row[Any]:
         row = connection.execute(select(*_COLUMNS).where(objects.c.id == object_id)).one_or_none()

@@ -118,9 +118,14 @@ class QueuePanel:
                 self._first = ids.index(current) // PAGE * PAGE
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
-        broken = app.bench.broken
+
+        def alarm(record: ObjectRecord) -> str:
+            if record.id in app.bench.broken:
+                return "can't be read"
+            return "was being accepted" if app.bench.was_interrupted(record) else ""
+
         now = (
-            tuple((r.id, names[r.id], r.state, r.id in broken) for r in page),
+            tuple((r.id, names[r.id], r.state, alarm(r)) for r in page),
             current,
             len(chosen),
             self._first,
@@ -132,7 +137,7 @@ class QueuePanel:
         self._shown = now
 
         def stands(record: ObjectRecord) -> str:
-            return "can't be read" if record.id in broken else words[record.state]
+            return alarm(record) or words[record.state]
 
         done = sum(r.state == "accepted" for r in records)
         self._summary.content = f"**{done} of {len(records)}** accepted"
@@ -153,7 +158,7 @@ class QueuePanel:
             record = page[k]
             here = record.id == current
             button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
-            button.icon = viser.Icon.ALERT_TRIANGLE if record.id in broken else _ICONS[record.state]
+            button.icon = viser.Icon.ALERT_TRIANGLE if alarm(record) else _ICONS[record.state]
             button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
             button.hint = f"{plain(names[record.id])}: {stands(record)}"
             button.visible = True

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 from app import judging_tasks
-from app.accepting import accept
+from app.accepting import accept, asset_folder
 from app.config import ServeConfig
 from app.judging import LookFirstError
 from app.open_object import OpenObject
@@ -253,3 +253,57 @@ def test_what_was_kept_is_forgotten_when_a_threshold_changes(tmp_path: Path) -> 
     examine.write_text(examine.read_text().replace("SHALLOW = 0.03", "SHALLOW = 0.02"))
     judging_tasks.judge_version.cache_clear()
     assert judging_tasks.judge_version(tmp_path) != judging_tasks.judge_version()
+
+
+def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
+    cupboard: OpenObject, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    obj, before = cupboard, cupboard.bench
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    obj.do(cmd.SetJoint(replace(DOOR, upper=1.05)), "tester")
+    judged(obj)
+    held = before.saving.submit(time.sleep, 600.0, priority=9)
+    wait(lambda: held.state == "running", "saving is held up")
+    accept(obj, "", "tester", NOW)
+    wait(lambda: "save" in obj.busy, "it is being saved")
+    before.close()
+    source = [Path(obj.record.path)]
+
+    bench = Workbench(before.config, Store(before.workspace), source)
+    try:
+        (record,) = bench.records()
+        assert record.state != "accepted" and bench.was_interrupted(record)
+        assert "cupboard: its acceptance was begun and not finished" in caplog.text
+        notes: list[tuple[str, ...]] = []
+        again = bench.object(record.id)
+        again.watch(lambda: None, lambda *note: notes.append(note))
+        judged(again)
+        assert any(n[0] == "Not accepted" and "accept it again" in n[1] for n in notes)
+        accept(again, "", "tester", NOW)
+        wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
+        assert not bench.was_interrupted(*bench.records()) and not bench.store.accepting()
+        folder = Path(again.document.saved.folder)
+    finally:
+        bench.close()
+
+    # One that was decided, and whose asset was just taking the place of another one.
+    store = Store(tmp_path)
+    (known,) = store.open_objects([(source[0], None, "cupboard")])
+    history = Store(before.workspace).history(record.id)
+    first = next(e.seq for e in history if isinstance(e.command, cmd.Accept))
+    for e in history[:first]:
+        store.append(known.id, e.command, e.who, e.seq - 1, at=e.at)
+    store.accepting_begins(known.id, first - 1)
+    store.close()
+    target = asset_folder(tmp_path, known)
+    shutil.copytree(folder, target.with_name(f".{target.name}.0123456789ab.old"))
+    config = replace(before.config, workspace=tmp_path)
+    bench = Workbench(config, Store(tmp_path), source)
+    try:
+        assert (target / "provenance.json").is_file() and not bench.store.accepting()
+        saved = bench.store.load(known.id).present.saved
+        assert saved is not None and Path(saved.folder) == target
+        assert not bench.was_interrupted(*bench.records())
+    finally:
+        bench.close()
