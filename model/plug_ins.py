@@ -8,13 +8,13 @@ from typing import Any
 from model.errors import ArtiworldError, ConfigurationError
 
 
-def load_plug_in(point: EntryPoint, kind: str, port: type | None = None, needs: str = "") -> Any:
+def load_plug_in(point: EntryPoint, kind: str, port: type, needs: str) -> Any:
     """What the callable of an entry point gives.
 
     Args:
         point: names a callable without arguments.
         kind: what a plug-in of its group is, as errors call it.
-        port: the protocol that it has to fit; None leaves that to the caller.
+        port: the protocol that it has to fit.
         needs: the members of ``port``, as errors name them.
 
     Raises:
@@ -31,15 +31,9 @@ def load_plug_in(point: EntryPoint, kind: str, port: type | None = None, needs: 
         raise ConfigurationError(
             f"the {kind} {point.name!r} can't be loaded: {why}; mend or remove its package"
         ) from error
-    if port is not None:
-        _check_fits(made, point, kind, port, needs)
-    return made
-
-
-def _check_fits(made: Any, point: EntryPoint, kind: str, port: type, needs: str) -> None:
     # A class has all its methods, but they can't be called on it.
     if isinstance(made, port) and not isinstance(made, type):
-        return
+        return made
     gave = f"the class {made.__name__}" if isinstance(made, type) else f"a {type(made).__name__}"
     raise ConfigurationError(
         f"the plug-in {point.name!r} ({point.value}) gives {gave}, which is no {kind}: "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -68,7 +69,8 @@ def _table() -> dict[str, Callable[[], Exporter]]:
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.
-        table.setdefault(point.name, lambda point=point: load_plug_in(point, "export format"))
+        needs = "name, description and export"
+        table.setdefault(point.name, partial(load_plug_in, point, "exporter", Exporter, needs))
     return table
 
 
@@ -88,14 +90,9 @@ def load_exporter(name: str) -> Exporter:
     if name not in table:
         raise ConfigurationError(f"no export format {name!r}; there are {', '.join(table)}")
     try:
-        made = table[name]()
+        return table[name]()
     except ImportError as error:  # of a built-in one: an extra isn't installed
         raise ConfigurationError(f"the export format {name!r} can't be loaded: {error}") from error
-    if not isinstance(made, Exporter):
-        raise ConfigurationError(
-            f"the plug-in {name!r} is no exporter: it needs name, description and export"
-        )
-    return made
 
 
 def export(

@@ -72,7 +72,4 @@ def load_finder(
         raise ConfigurationError(
             f"no finder {name!r}; there are {', '.join([KNOWN, *plugins])}"
         )  # fmt: skip
-    made = load_plug_in(plugins[name], "finder")
-    if not isinstance(made, ArticulableFinder):
-        raise ConfigurationError(f"the plug-in {name!r} is no finder: it needs name and find")
-    return made
+    return load_plug_in(plugins[name], "finder", ArticulableFinder, "name and find")

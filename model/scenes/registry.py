@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -95,7 +96,9 @@ def _table() -> dict[str, Callable[[], SceneReader]]:
     table = dict(BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         # A plug-in may not take a built-in's name.
-        table.setdefault(point.name, lambda point=point: load_plug_in(point, "scene format"))
+        needs = "name, description, recognises and read"
+        made = partial(load_plug_in, point, "scene reader", SceneReader, needs)
+        table.setdefault(point.name, made)
     return table
 
 
@@ -113,12 +116,7 @@ def load_reader(name: str) -> SceneReader:
     table = _table()
     if name not in table:
         raise ConfigurationError(f"no scene format {name!r}; there are {', '.join(table)}")
-    made = table[name]()
-    if not isinstance(made, SceneReader):
-        raise ConfigurationError(
-            f"the plug-in {name!r} is no scene reader: it needs name, description, recognises, read"
-        )
-    return made
+    return table[name]()
 
 
 def recognised(path: Path) -> bool:

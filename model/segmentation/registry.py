@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import entry_points
 
 from model.errors import ConfigurationError
@@ -33,21 +33,10 @@ def _table() -> dict[str, Callable[[], Segmenter]]:
     for entry in entry_points(group=GROUP):
         # Ours win: a plug-in can't take the place of a built-in without being asked for.
         if entry.name not in table:
-            table[entry.name] = _loader(entry)
-    return table
-
-
-def _loader(entry) -> Callable[[], Segmenter]:
-    def load() -> Segmenter:
-        made = load_plug_in(entry, "segmenter")
-        if not isinstance(made, Segmenter):
-            raise ConfigurationError(
-                f"the plug-in {entry.name!r} ({entry.value}) is no segmenter: it needs `name` "
-                "and `encode`"
+            table[entry.name] = partial(
+                load_plug_in, entry, "segmenter", Segmenter, "name and encode"
             )
-        return made
-
-    return load
+    return table
 
 
 def _with_weights(name: str) -> Callable[[], Segmenter] | None:

@@ -1,0 +1,62 @@
+"""What other packages offer under our entry-point groups, right or wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from model.errors import ConfigurationError
+from model.exporters import registry as exporters
+from model.exporters.glb import GlbExporter
+from model.scenes import finder_registry as finders
+from model.scenes import registry as scene_readers
+from model.scenes.finders import LexiconFinder
+from model.scenes.readers.own import OwnReader
+from model.segmentation import registry as segmenters
+from model.segmentation.default import DefaultSegmenter
+
+
+class Point:
+    """An entry point whose callable gives ``made``."""
+
+    name, value = "theirs", "package:make"
+
+    def __init__(self, made: Any) -> None:
+        self._made = made
+
+    def load(self) -> Callable[[], Any]:
+        return lambda: self._made
+
+
+@pytest.mark.parametrize(
+    ("module", "load", "kind", "right"),
+    [
+        (segmenters, segmenters.load_segmenter, "segmenter", DefaultSegmenter),
+        (exporters, exporters.load_exporter, "exporter", GlbExporter),
+        (finders, finders.load_finder, "finder", LexiconFinder),
+        (scene_readers, scene_readers.load_reader, "scene reader", OwnReader),
+    ],
+)
+def test_a_plug_in_that_does_not_fit_is_named_with_what_it_needs(
+    module: ModuleType, load: Callable[[str], Any], kind: str, right: type,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def offered(made: Any) -> Any:
+        monkeypatch.setattr(module, "entry_points", lambda group: [Point(made)])
+        if module is segmenters:
+            segmenters._table.cache_clear()
+        return load("theirs")
+
+    try:
+        told = rf"'theirs' \(package:make\) gives .*, which is no {kind}: it needs name"
+        with pytest.raises(ConfigurationError, match=told):
+            offered("words")
+        with pytest.raises(ConfigurationError, match=f"gives the class {right.__name__}"):
+            offered(right)
+        made = right()
+        assert offered(made) is made
+    finally:
+        segmenters._table.cache_clear()
