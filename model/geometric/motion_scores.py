@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.geometric.context import PartContext
+from model.geometric.hypothesis import UP, unit
 from model.geometric.looks import Looks
 from model.geometric.motion_words import Mechanism
 from model.geometric.pivots import alike
@@ -18,6 +19,13 @@ from model.geometric.scene import TOUCHING
 from model.geometric.shape import blades
 
 Scores = dict[Mechanism, float]
+
+LAP = 0.5 * TOUCHING
+"""How far (diagonals) panels that pass each other lap at least; the edges of neighbours in one
+plane are found to no more than that."""
+
+NEXT_TO = 0.06
+"""Largest gap (diagonals) between fronts that are neighbours."""
 
 
 def _step(value: float, at: float, width: float) -> float:
@@ -179,6 +187,7 @@ def _drawers(c: _Cues) -> Scores:
         drawer += 2.4 * part.closed * wide * low * c.large * flat
     else:
         drawer += 1.8 * k.way_out * c.panel * c.standing * wide * low * c.large
+    drawer += 3.4 * part.closed * c.panel * c.standing * c.large * spans_doors(part)
     return {"slide_out": 0.3 + drawer - (2.0 if k.disc is not None else 0.0)}
 
 
@@ -192,6 +201,7 @@ def _arms(c: _Cues) -> Scores:
     lever = 0.3 + middling * (1 - c.panel) * (0.9 + 0.8 * k.end_contact)
     lever += 2.6 * c.small * c.rod * k.end_contact * (1 - c.panel)
     bail, legs = _bail(part, k)
+    bail *= 1 - c.panel  # of a scanned door only one face is there, thin as a bow's wire
     # A long-legged bow that stands on its parent is pulled out of it.
     return {
         "temple": temple,
@@ -269,7 +279,9 @@ def passes_sibling(context: PartContext) -> bool:
         if abs(other.box.axes[:, other.panel.normal] @ axes[:, n]) < 0.98:
             continue
         step = axes.T @ (other.center - shape.center)
-        if not 0.6 * thick < abs(step[n]) < 5 * thick + 0.02:
+        # Handles move the middles of boxes, not the planes.
+        apart = abs(float(axes[:, n] @ (other.slab_center - shape.slab_center)))
+        if not 0.6 * thick < apart < 5 * thick + 0.02:
             continue
         lap = [
             shape.box.half[k] + other.box.reach(axes[:, k]) - abs(step[k])
@@ -277,9 +289,35 @@ def passes_sibling(context: PartContext) -> bool:
             if k != n
         ]
         narrow = 2 * min(float(shape.box.half[k]) for k in range(3) if k != n)
-        if 0.0 < min(lap) < 0.6 * narrow:
+        if LAP < min(lap) < 0.6 * narrow:
             return True
     return False
+
+
+def spans_doors(context: PartContext) -> bool:
+    """Whether it is wider than high and runs below or above two or more upright fronts that stand
+    side by side in its plane: the drawer across the doors of a refrigerator or a cupboard."""
+    shape, scene = context.shape, context.scene
+    normal = context.panel_normal
+    if abs(normal[2]) > 0.3:
+        return False
+    level = unit(np.cross(UP, normal))
+    width, height = 2 * shape.box.reach(level), float(shape.high[2] - shape.low[2])
+    doors: dict[float, list[float]] = {1.0: [], -1.0: []}
+    for j in scene.others(context.part):
+        other = scene.shapes[j]
+        if j in (context.parent, context.assembly.root):
+            continue
+        wide, tall = 2 * other.box.reach(level), float(other.high[2] - other.low[2])
+        step = other.center - shape.center
+        in_plane = abs(float((other.slab_center - shape.slab_center) @ normal)) < 2 * TOUCHING
+        within = abs(float(step @ level)) + wide / 2 < width / 2 + 2 * TOUCHING
+        gap = abs(float(step[2])) - (height + tall) / 2
+        if in_plane and within and tall > wide and abs(gap) < NEXT_TO:
+            doors[float(np.sign(step[2]))].append(wide)
+    return width > 1.1 * height and any(
+        len(side) > 1 and sum(side) > 0.7 * width for side in doors.values()
+    )
 
 
 def _bail(context: PartContext, k: Looks) -> tuple[float, float]:

@@ -159,6 +159,12 @@ class Shape:
         """The part seen as a panel with something sticking out."""
         return fit_panel(self)
 
+    @property
+    def slab_center(self) -> Array:
+        """(3,) of the panel's slab, without what sticks out of it."""
+        panel, axis = self.panel, self.box.axes[:, self.panel.normal]
+        return self.box.center + axis * (panel.low + panel.high) / 2
+
 
 @dataclass(frozen=True, eq=False)
 class Protrusion:
