@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from app.part_tasks import PartSource, parts_of
 from model.errors import CommandError
+from model.gate.words import moving_chain
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -34,27 +35,33 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
 
     parts = {p.link: p for p in parts_of(source)}
     joint = tree.joint_of[child]
-    if child not in parts:
-        raise CommandError(f"{child} has no part to snap to; it is a helper link")
+    # Of a part's several joints each snaps to that part, and to the next one above it.
+    chain = moving_chain(tree, child, parts.__contains__)
+    moved, above = chain[-1], tree.joint_of[chain[0]].parent
+    if moved not in parts:
+        raise CommandError(f"{child} carries several parts: there is none to snap to")
+    points = _surface_points(parts[moved])
     if to == "free range":
-        return _with_free_range(source, tree, joint, tuple(parts.values()))
-    points = _surface_points(parts[child])
+        along = points @ np.asarray(joint.axis)
+        most = math.pi if joint.rotates else 0.95 * float(np.ptp(along))
+        return _with_free_range(source, tree, joint, tuple(parts.values()), most)
     if to.startswith("axis "):
         return axis_along_box(joint, box_of(points), to.removeprefix("axis "))  # type: ignore[arg-type]
     if to == "Box edge":
         return origin_on_box_edge(joint, box_of(points))
     if to == "Centre":
         return replace(joint, origin=tuple(float(v) for v in box_of(points).center))
-    if joint.parent not in parts:
-        raise CommandError(f"{joint.parent} has no part to touch; it is a helper link")
-    both = (parts[child], parts[joint.parent])
+    if above not in parts:
+        raise CommandError(f"{above} has no part to touch")
+    both = (parts[moved], parts[above])
     found = on_barrels(joint, *both)
     if found is not None:
         return found
     reach = 0.01 * float(np.linalg.norm(np.ptp(points, axis=0)))
-    moved = origin_on_contact(joint, points, _surface_points(parts[joint.parent]), reach)
+    touching = origin_on_contact(joint, points, _surface_points(parts[above]), reach)
     # A contact tells the axis less exactly than barrels that the joint's own is parallel to.
-    return on_barrels(replace(moved, axis=joint.axis), *both) or on_barrels(moved, *both) or moved
+    found = on_barrels(replace(touching, axis=joint.axis), *both) or on_barrels(touching, *both)
+    return found or touching
 
 
 def _surface_points(part: Part) -> npt.NDArray[np.float64]:
@@ -73,13 +80,10 @@ def _surface_points(part: Part) -> npt.NDArray[np.float64]:
 
 
 def _with_free_range(
-    source: PartSource, tree: KinematicTree, joint: Joint, parts: tuple[Part, ...]
+    source: PartSource, tree: KinematicTree, joint: Joint, parts: tuple[Part, ...], most: float
 ) -> Joint:
     from model.kinematics.sweep import free_range
 
-    part = next(p for p in parts if p.link == joint.child)
-    along = _surface_points(part) @ np.asarray(joint.axis)
-    most = math.pi if joint.rotates else 0.95 * float(np.ptp(along))
     lower, upper = free_range(ArticulatedObject(source.title, parts, tree), joint.name, most)
     closed_below, closed_above = joint.lower == 0.0, joint.upper == 0.0
     return replace(

@@ -14,10 +14,10 @@ from typing import Any, Literal
 import viser
 
 from app.open_object import OpenObject
+from app.titles import in_words
 from app.viewer.annotate_panel import AnnotatePanel
 from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
-from app.viewer.joint_text import in_words
 from app.viewer.joints_panel import JointsPanel
 from app.viewer.keys import add_keys
 from app.viewer.light import PLAIN, LightSwitch

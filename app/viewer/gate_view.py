@@ -6,8 +6,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from app.open_object import OpenObject
+from app.titles import in_words, joint_title
 from app.viewer import palette
-from app.viewer.joint_text import in_words, part_title
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.errors import CommandError
@@ -135,11 +135,11 @@ class GateView:
 
     def _add_row(self, doc: Document, verdict: JointVerdict) -> None:
         gui, app, joint = self._app.client.gui, self._app, verdict.joint
-        title = part_title(doc, verdict.child)
+        title = joint_title(doc, verdict.child)
         button = gui.add_button(
             f"{SIGNS[verdict.verdict]} {title}: {WORDS[verdict.verdict]}"[:60],
             color=palette.VERDICT_COLORS[verdict.verdict],
-            hint=f"{plain(joint, 60)}: show the worst moment (Tab: the next one)",
+            hint="Show the worst moment (Tab: the next one)",
         )
         button.on_click(lambda _: app.act(lambda: self.show(joint)))
         lines = [plain(f.sentence, 200) for f in verdict.findings[:3]]

@@ -11,12 +11,14 @@ import viser
 
 from app import snapping_tasks
 from app.open_object import OpenObject
-from app.viewer.joint_text import joint_note, part_title, shown
+from app.titles import joint_title, part_title
+from app.viewer.joint_text import joint_note, shown
 from app.viewer.widgets import differs, put
 from model.errors import CommandError
 from model.kinematics.joint import JOINT_TYPES, Joint
 from model.kinematics.tree import KinematicTree
 from sessions import commands as cmd
+from sessions.document import Document
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -46,7 +48,6 @@ class JointEditor:
         self._child = gui.add_dropdown("Moves", ("—",))
         self.pose_box = gui.add_folder(None)
         self._note = gui.add_markdown("")
-        self._name = gui.add_text("Name", "")
         self._type = gui.add_dropdown("Type", JOINT_TYPES)
         self._parent = gui.add_dropdown("Parent", ("—",))
         self._axis = gui.add_vector3("Axis", (0.0, 0.0, 1.0), step=0.001)
@@ -58,6 +59,11 @@ class JointEditor:
         self._upper = gui.add_number("Upper [°]", 0.0, step=0.1)
         self._free = gui.add_button_group("Limits", ("Free range", "Zero is closed"))
         self._gizmo = gui.add_button("Axis handles (G)", icon=viser.Icon.AXIS_X, color="gray")
+        self._name = gui.add_text(
+            "Name in files",
+            "",
+            hint="What URDF and simulators call the joint; screens name its part",
+        )
         self._locked = gui.add_checkbox(
             "Keep it", False, hint="Predicting again leaves this joint as it is"
         )
@@ -100,13 +106,13 @@ class JointEditor:
         return joint
 
     def _child_chosen(self) -> None:
-        self._app.choose_joint(self._link(self._child.value))
+        self._app.choose_joint(self._link(self._child.value, joint_title))
 
-    def _link(self, title: str) -> str:
-        """The link that people call so."""
+    def _link(self, title: str, called: Callable[[Document, str], str] = part_title) -> str:
+        """The link that, or whose joint, people call so."""
         doc = self._app.need_object().document
         for link in () if doc.tree is None else doc.tree.links:
-            if part_title(doc, link) == title:
+            if called(doc, link) == title:
                 return link
         raise CommandError(f"nothing is called {title} any more: choose again")
 
@@ -190,13 +196,13 @@ class JointEditor:
     def draw(self, obj: OpenObject, tree: KinematicTree) -> None:
         """Bring it up to date."""
         doc = obj.document
-        titles = tuple(part_title(doc, j.child) for j in tree.joints) or ("—",)
+        titles = tuple(joint_title(doc, j.child) for j in tree.joints) or ("—",)
         put(self._child, "options", titles)
         joint = self._app.joint
         if joint is None:
             put(self._note, "content", "No joint.")
             return
-        put(self._child, "value", part_title(doc, joint.child))
+        put(self._child, "value", joint_title(doc, joint.child))
         put(self._name, "value", joint.name)
         put(self._type, "value", joint.type)
         below = tree.descendants(joint.child)

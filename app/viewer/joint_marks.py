@@ -15,7 +15,6 @@ from viser import transforms as vtf
 from app.display_tasks import PartPayload
 from app.judging import JointCheck
 from app.viewer import palette
-from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 
 Poses = Mapping[str, npt.NDArray[np.float64]]
@@ -176,13 +175,18 @@ class JointMarks:
         self._moment = [cross, label, ball]
 
 
-def axis_length(payloads: Sequence[PartPayload] | None, joint: Joint, diagonal: float) -> float:
-    """A length that lets the arrow stand out of its part at both ends."""
-    part = joint.child.removeprefix("link_")
+def axis_length(
+    payloads: Sequence[PartPayload] | None,
+    link: str,
+    axis: tuple[float, float, float],
+    diagonal: float,
+) -> float:
+    """A length that lets the arrow along ``axis`` stand out of a link's part at both ends."""
+    part = link.removeprefix("link_")
     for payload in payloads or ():
         if str(payload.part) == part:
             points = payload.vertices if payload.vertices is not None else payload.points
             if points is not None and len(points):
-                along = points @ np.asarray(joint.axis, np.float32)
+                along = points @ np.asarray(axis, np.float32)
                 return float(np.clip(1.25 * np.ptp(along), 0.12 * diagonal, 1.1 * diagonal))
     return 0.3 * diagonal

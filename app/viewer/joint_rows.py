@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from app.scene_rows import Work
+from app.titles import joint_title, moved_part
 from app.viewer import palette
-from app.viewer.joint_text import moved_part, part_title, range_text, sure_text
-from app.viewer.text import plain
+from app.viewer.joint_text import range_text, sure_text
 from app.viewer.widgets import put
 from sessions.document import Document
 
@@ -43,7 +43,7 @@ class JointRows:
         gui, app = self._app.client.gui, self._app
         with self._folder:
             for name, line, color in lines[:SHOWN]:
-                button = gui.add_button(line, color=color, hint=f"{plain(name, 60)}: play it")
+                button = gui.add_button(line, color=color, hint="Play it")
                 button.on_click(lambda _, name=name: app.act(lambda: app.in_scene.play_joint(name)))
                 self._rows.append(button)
             if len(lines) > SHOWN:
@@ -57,9 +57,9 @@ def joint_lines(doc: Document) -> list[tuple[str, str, palette.Rgb]]:
         return out
     for joint in (j for j in doc.tree.joints if j.moves):
         part = moved_part(doc.tree, joint.child)
-        sure = sure_text(doc, joint.child) or sure_text(doc, part)
+        sure = sure_text(doc, joint.child)
         edited = " ✎" if joint.child in doc.edited_joints else ""
-        words = [part_title(doc, part)[:30] + edited, joint.type, range_text(joint), sure]
+        words = [joint_title(doc, joint.child)[:40] + edited, joint.type, range_text(joint), sure]
         number = part.removeprefix("link_")
         color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
         out.append((joint.name, " · ".join(w for w in words if w), color))

@@ -3,39 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
 
 from app.judging import JointCheck
+from app.titles import in_words, joint_title, moved_part, part_title
 from app.viewer.text import plain
-from model.gate.words import BASE, called
+from model.gate.words import BASE
 from model.kinematics.joint import Joint, value_text
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
-
-_LINK = re.compile(r"(?<![\w/])link_\d+(?!\.?\w)")
-"""A link in a sentence; neither a file's name nor a part of a longer one."""
-
-
-def part_title(doc: Document, link: str) -> str:
-    """What people call a link, the same on every screen; see :func:`model.gate.words.called`."""
-    name = next((p.name for p in doc.parts if p.link == link), None)
-    return called(link, name, root=doc.tree is None or link == doc.tree.root)
-
-
-def in_words(doc: Document, text: str) -> str:
-    """A sentence in which links are called what people call them."""
-    return _LINK.sub(lambda found: part_title(doc, found[0]), text)
-
-
-def moved_part(tree: KinematicTree, link: str) -> str:
-    """The link that holds the part which the joint of ``link`` moves: a helper holds none, and
-    passes its motion on."""
-    while not link.startswith("link_"):
-        below = [j.child for j in tree.joints if j.parent == link]
-        if len(below) != 1:
-            break
-        (link,) = below
-    return link
 
 
 def shown(joint: Joint, q: float) -> float:
@@ -58,7 +33,10 @@ def sure_text(doc: Document, child: str) -> str:
     """How sure the prediction of a joint is; what a person edited is no prediction."""
     if child in doc.edited_joints:
         return "edited"
-    sure = None if doc.prediction is None else doc.prediction.confidence.get(child)
+    known = {} if doc.prediction is None else doc.prediction.confidence
+    # All joints of a part are one prediction.
+    part = child if doc.tree is None else moved_part(doc.tree, child)
+    sure = known.get(child, known.get(part))
     return "" if sure is None else f"{100 * sure:.0f} %"
 
 
@@ -84,7 +62,7 @@ def tree_text(tree: KinematicTree, doc: Document, checks: list[JointCheck]) -> s
         joint = tree.joint_of.get(link)
         if joint is not None:
             depth[link] = depth[joint.parent] + 1
-        title = plain(part_title(doc, link))
+        title = plain(part_title(doc, link) if joint is None else joint_title(doc, link))
         line = f"{'  ' * depth[link]}- **{title}**"
         if joint is not None:
             sure = sure_text(doc, link)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.open_object import OpenObject
+from app.titles import joint_title, part_title
 from app.viewer.joint_editor import JointEditor
-from app.viewer.joint_text import part_title, shown, tree_text
+from app.viewer.joint_text import shown, tree_text
 from app.viewer.palette import CATEGORIES
 from app.viewer.quick_names import QuickNames
 from app.viewer.widgets import NONE, put
@@ -166,7 +167,7 @@ class JointsPanel:
 
     def _draw_motion(self, tree: KinematicTree | None, doc: Document) -> None:
         moving = [] if tree is None else [j for j in tree.joints if j.moves and j.mimic is None]
-        key = tuple((j.name, j.type, j.lower, j.upper, part_title(doc, j.child)) for j in moving)
+        key = tuple((j.name, j.type, j.lower, j.upper, joint_title(doc, j.child)) for j in moving)
         if key == self._motion_key:
             return
         self._motion_key = key
@@ -179,7 +180,7 @@ class JointsPanel:
         with self._motion:
             for joint in moving:
                 unit = "°" if joint.rotates else "mm"
-                slider = self._slider(f"{part_title(doc, joint.child)} [{unit}]", joint)
+                slider = self._slider(f"{joint_title(doc, joint.child)} [{unit}]", joint)
                 buttons = gui.add_button_group("", ("▶ / ■", "Edit"))
                 buttons.on_click(lambda e, j=joint: self._row_clicked(e.target.value, j))
                 sliders[joint.name] = slider
@@ -215,7 +216,7 @@ class JointsPanel:
             max=high,
             step=max(round((high - low) / 400, 1), 0.1),
             initial_value=min(max(start, low), high),
-            hint=f"{joint.name}: {joint.type}",
+            hint=joint.type,
         )
         slider.on_update(lambda e: self._slid(e, joint))
         return slider

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.open_object import OpenObject
+from app.titles import in_words, moved_part
 from app.viewer import palette
 from app.viewer.joint_marks import AxisMark, axis_length
-from app.viewer.joint_text import in_words
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.kinematics.joint import Joint
@@ -186,8 +186,9 @@ class Redraw:
             if not joint.moves:
                 continue
             chosen = joint.child == self._app.child
-            length = axis_length(payloads, joint, obj.asset.diagonal)
-            part = joint.child.removeprefix("link_")
+            moved = moved_part(doc.tree, joint.child)
+            length = axis_length(payloads, moved, joint.axis, obj.asset.diagonal)
+            part = moved.removeprefix("link_")
             color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
             marks.append(
                 AxisMark(

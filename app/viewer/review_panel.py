@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.open_object import OpenObject
+from app.titles import in_words, joint_title, part_title
 from app.viewer import palette
 from app.viewer.gate_view import GateView
-from app.viewer.joint_text import in_words, moved_part, part_title, range_text, sure_text
+from app.viewer.joint_text import range_text, sure_text
 from app.viewer.prompt_list import tool_label
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
@@ -199,10 +200,9 @@ def summary(doc: Document) -> str:
     rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
     for joint in doc.tree.joints:
         edited = " ✎" if joint.child in doc.edited_joints else ""
-        part = moved_part(doc.tree, joint.child)
         rows.append(
-            f"| {plain(part_title(doc, part), 40)}{edited} | {joint.type} "
-            f"| {range_text(joint)} | {sure_text(doc, joint.child) or sure_text(doc, part)} |"
+            f"| {plain(joint_title(doc, joint.child), 40)}{edited} | {joint.type} "
+            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
         )
     lines.append("\n".join(rows))
     found = () if doc.prediction is None else doc.prediction.problems

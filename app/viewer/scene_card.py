@@ -11,9 +11,9 @@ import viser
 from app.scene_accepting import Refusal
 from app.scene_desk import SceneDesk
 from app.scene_rows import Row, Work, decided_text
+from app.titles import in_words
 from app.viewer import palette
 from app.viewer.joint_rows import JointRows
-from app.viewer.joint_text import in_words
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put

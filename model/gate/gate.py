@@ -89,7 +89,7 @@ def _look(scene: Scene, found: dict[str, list[Finding]], seed: int, progress: Pr
     _floating(scene, found)
     moving = [j for j in obj.tree.joints if j.moves]
     for k, joint in enumerate(moving):
-        progress(0.55 * k / max(len(moving), 1), f"Sweeping {joint.name}")
+        progress(0.55 * k / max(len(moving), 1), f"Sweeping {title(obj, joint.child)}")
         found[joint.name] += examine(scene, joint)
     known = frozenset(
         frozenset((link, f.other))

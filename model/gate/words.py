@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, value_text
+from model.kinematics.tree import KinematicTree
 
 BASE = "base"
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 
 
 def called(link: str, name: str | None, *, root: bool) -> str:
@@ -24,10 +28,55 @@ def called(link: str, name: str | None, *, root: bool) -> str:
     return BASE if root and number == "0" else f"part {number}"
 
 
+def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -> tuple[str, ...]:
+    """The links between a part and the next part above it, from above, the part's own last.
+
+    A part with several joints has helper links between them, which hold nothing.
+
+    Args:
+        link: of the part, or one of its helpers.
+        holds: whether a link holds a part.
+
+    Returns:
+        The last link holds the part, unless ``link`` is a helper that carries several.
+    """
+    while not holds(link) and len(below := tree.children(link)) == 1:
+        link = below[0]
+    chain = [link]
+    while (joint := tree.joint_of.get(chain[0])) is not None and joint.parent != tree.root:
+        if holds(joint.parent) or len(tree.children(joint.parent)) > 1:
+            break
+        chain.insert(0, joint.parent)
+    return tuple(chain)
+
+
+def joint_called(
+    tree: KinematicTree, child: str, holds: Callable[[str], bool], part: Callable[[str], str]
+) -> str:
+    """The joint of ``child`` in people's words: as the part that it moves, "door 2", or where that
+    has several "door 2, first joint".
+
+    Args:
+        holds: whether a link holds a part. part: what people call the part in a link.
+    """
+    chain = moving_chain(tree, child, holds)
+    if len(chain) == 1 or not holds(chain[-1]):
+        return part(child)
+    place = chain.index(child)
+    which = ORDINALS[place] if place < len(ORDINALS) else f"{place + 1}th"
+    return f"{part(chain[-1])}, {which} joint"
+
+
 def title(obj: ArticulatedObject, link: str) -> str:
-    """A link in people's words; see :func:`called`."""
-    name = next((p.name for p in obj.parts if p.link == link), None)
-    return called(link, name, root=link == obj.tree.root)
+    """A link in people's words; see :func:`called` and :func:`joint_called`."""
+    names = {p.link: p.name for p in obj.parts}
+
+    def part(of: str) -> str:
+        return called(of, names.get(of), root=of == obj.tree.root)
+
+    if link in names or link == obj.tree.root:
+        return part(link)
+    return joint_called(obj.tree, link, names.__contains__, part)
 
 
 def length(metres: float) -> str:

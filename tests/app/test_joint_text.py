@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.judging import joint_title
-from app.viewer.joint_text import in_words, joint_note, part_title, range_text, tree_text
+from app.titles import in_words, joint_title, moved_part, part_title
+from app.viewer.joint_text import joint_note, range_text, tree_text
 from model.errors import KinematicsError
-from model.gate.report import JointVerdict
 from model.gate.words import interval, title
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction
@@ -80,9 +79,37 @@ def test_a_part_is_called_the_same_everywhere() -> None:
     assert [part_title(doc, link) for link in tree.links] == ["base", "door 1", "part 2"]
     assert joint_note(knob, doc, []) == "*turns beside door 1, as joint&#95;link&#95;2*"
     assert in_words(doc, "link_2 isn't in parts/link_2.ply") == "part 2 isn't in parts/link_2.ply"
-    verdict = JointVerdict("j2", "link_2", ())
-    assert joint_title(doc, verdict) == "part 2"
-    assert joint_title(doc, replace(verdict, child="helper_2")) == "j2"
+    assert [joint_title(doc, j.child) for j in tree.joints] == ["door 1", "part 2"]
     parts = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in doc.parts)
     obj = ArticulatedObject("cupboard", parts, tree)
     assert [title(obj, link) for link in tree.links] == ["base", "door 1", "part 2"]
+
+
+def test_the_joints_of_one_part_are_told_apart() -> None:
+    """A seat that rises and turns has a helper link between, which no screen names."""
+    rises = Joint("rises", "prismatic", "link_0", "helper_1", (0, 0, 1), lower=0.0, upper=0.1)
+    turns = Joint("turns", "continuous", "helper_1", "link_1", (0, 0, 1))
+    lever = Joint("j2", "revolute", "link_1", "link_2", (1, 0, 0), lower=0.0, upper=0.3)
+    tree = KinematicTree(("link_0", "helper_1", "link_1", "link_2"), (rises, turns, lever))
+    parts = (PartInfo(0, "base"), PartInfo(1, "seat"), PartInfo(2, "lever"))
+    sure = {"link_1": 0.71, "link_2": 0.45}
+    doc = Document(parts=parts, tree=tree, prediction=Prediction(tree, confidence=sure))
+    first, second = "seat 1, first joint", "seat 1, second joint"
+    assert [joint_title(doc, j.child) for j in tree.joints] == [first, second, "lever 2"]
+    assert [part_title(doc, k) for k in tree.links] == ["base", first, "seat 1", "lever 2"]
+    assert moved_part(tree, "helper_1") == "link_1"
+    assert in_words(doc, "helper_1 is above link_1") == f"{first} is above seat 1"
+    said = tree_text(tree, doc, [])
+    assert "helper" not in said
+    assert said.splitlines()[1:3] == [
+        f"  - **{first}** prismatic 0 to 100 mm · 71 % sure",
+        f"    - **{second}** continuous turns freely · 71 % sure",
+    ]
+    cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
+    obj = ArticulatedObject("chair", cloud, tree)
+    assert [title(obj, link) for link in tree.links] == ["base", first, "seat 1", "lever 2"]
+
+    # A helper that carries two parts is the joint of neither.
+    both = KinematicTree(tree.links, (rises, turns, replace(lever, parent="helper_1")))
+    doc = replace(doc, tree=both)
+    assert [joint_title(doc, j.child) for j in both.joints] == ["helper_1", "seat 1", "lever 2"]

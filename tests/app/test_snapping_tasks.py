@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -38,3 +39,24 @@ def test_contact_lands_in_the_middle_of_the_barrels(
     snapped = snapping_tasks.snap_joint(cast(Any, None), tree, "link_1", "Contact")
     assert snapped.origin[:2] == pytest.approx((0.003, -0.026), abs=1e-6)
     assert snapped.axis == joint.axis
+
+
+def test_each_joint_of_a_part_snaps_to_that_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A seat that rises and turns: the helper link between holds nothing to snap to."""
+    foot = trimesh.creation.box((0.1, 0.1, 0.4)).apply_translation((0, 0, 0.2))
+    seat = trimesh.creation.box((0.5, 0.4, 0.1)).apply_translation((0.02, 0, 0.45))
+    parts = (part("link_0", foot), part("link_1", seat))
+    monkeypatch.setattr(snapping_tasks, "parts_of", lambda _: parts)
+    rises = Joint("rises", "prismatic", "link_0", "helper_1", (1, 0, 0), (0, 0, 0), 0.0, 0.1)
+    turns = Joint("turns", "continuous", "helper_1", "link_1", (1, 0, 0))
+    tree = KinematicTree(("link_0", "helper_1", "link_1"), (rises, turns))
+
+    def snapped(child: str, to: str) -> Joint:
+        return snapping_tasks.snap_joint(cast(Any, SimpleNamespace(title="chair")), tree, child, to)
+
+    for joint in (rises, turns):
+        assert snapped(joint.child, "axis Short").axis == pytest.approx((0, 0, 1), abs=1e-6)
+        assert snapped(joint.child, "Centre").origin == pytest.approx((0.02, 0, 0.45), abs=1e-6)
+        assert snapped(joint.child, "Contact").origin[2] == pytest.approx(0.4, abs=0.02)
+    upper = snapped("helper_1", "free range").upper
+    assert upper is not None and upper > 0.3
