@@ -199,9 +199,12 @@ def _collision(
 
 
 def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
+    from app.headless import predicted_sure
     from model.gate.gate import run_gate
+    from model.gate.unsure import with_unsure
 
     report = run_gate(obj, store=task.store, mends=False)
+    report = with_unsure(report, obj.tree, predicted_sure(task.asset, obj.tree))
     return {**report.to_json(), "seconds": round(report.seconds, 3)}
 
 

@@ -22,6 +22,7 @@ from model.kinematics.articulated_object import (
     remarks_of,
 )
 from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT
 from model.progress import Progress, no_progress
 
@@ -223,6 +224,37 @@ def _joint_json(joint: Joint, answer: Prediction) -> dict[str, Any]:
         "confidence": answer.confidence.get(joint.child),
         "note": answer.notes.get(joint.child),
     }
+
+
+def predicted_sure(folder: Path, tree: KinematicTree) -> dict[str, float]:
+    """Child link → confidence, 0..1, of the joints that are as :func:`predict` wrote them.
+
+    Returns:
+        Nothing where ``folder`` holds no such prediction: what a person accepted is no guess.
+    """
+    try:
+        told = json.loads((folder / PREDICTION_JSON).read_text(encoding="utf-8"))["joints"]
+        return {
+            j["child"]: float(j["confidence"])
+            for j in told
+            if j["confidence"] is not None and _same_joint(j, tree.joint_of.get(j["child"]))
+        }
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _same_joint(told: dict[str, Any], joint: Joint | None) -> bool:
+    """Whether a joint is the one that was told, as far as URDF keeps numbers."""
+    if joint is None or (told["type"], told["parent"]) != (joint.type, joint.parent):
+        return False
+    if not joint.moves:
+        return True
+    numbers = [*told["axis"], *told["origin"], *(told["limits"] or ())]
+    limits = (joint.lower, joint.upper) if joint.limited else ()
+    have = (*joint.axis, *joint.origin, *(v for v in limits if v is not None))
+    return len(numbers) == len(have) and all(
+        abs(a - b) < 1e-5 for a, b in zip(numbers, have, strict=True)
+    )
 
 
 def part_of(progress: Progress, start: float, end: float) -> Progress:

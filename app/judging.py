@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from app.titles import joint_title
 from model.errors import CommandError
-from model.gate.report import GateReport, JointVerdict, Mend
-from model.gate.words import called
+from model.gate.report import GateReport, Mend
+from model.gate.unsure import with_unsure
 from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
@@ -21,6 +22,9 @@ KEPT = 16
 
 Revision = tuple[KinematicTree, str]
 """What an answer belongs to: the tree, and the reference of the labels."""
+
+Sure = tuple[tuple[str, float], ...]
+"""Child link and confidence of each joint that is still the predictor's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +67,25 @@ class Judging:
     def __init__(self, obj: OpenObject) -> None:
         self._obj = obj
         self._answers: OrderedDict[Revision, GateReport] = OrderedDict()
+        self._told: dict[tuple[Revision, Sure], GateReport] = {}
         self._asked: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
         self._waiting: Wish | None = None
 
     @property
     def report(self) -> GateReport | None:
-        """The answer to the present joints and parts; None while there is none."""
-        revision = self._revision(self._obj.document)
-        return None if revision is None else self._answers.get(revision)
+        """The answer to the present joints and parts, with what the predictor itself doubts; None
+        while there is none. The same until something changes."""
+        document = self._obj.document
+        revision = self._revision(document)
+        answer = None if revision is None else self._answers.get(revision)
+        if revision is None or answer is None:
+            return None
+        sure = document.unsettled
+        key = revision, tuple(sorted(sure.items()))
+        told = self._told.get(key)
+        # All tabs get the same one, also where two ask at once.
+        return told or self._told.setdefault(key, with_unsure(answer, revision[0], sure))
 
     @property
     def checks(self) -> list[JointCheck]:
@@ -118,6 +132,7 @@ class Judging:
         self._answers[revision] = report
         while len(self._answers) > KEPT:
             self._answers.popitem(last=False)
+        self._told = {k: v for k, v in self._told.items() if k[0] in self._answers}
         if revision != self._revision(self._obj.document):
             return
         if self._waiting is None:
@@ -156,14 +171,14 @@ class Judging:
         document = self._obj.document
         if report is not None and report.verdict == "broken" and not wish.override.strip():
             count, worst = len(report.with_verdict("broken")), report.joints[0]
-            what = f"{joint_title(document, worst)} is broken: {worst.sentence}"
+            what = f"{joint_title(document, worst.child)} is broken: {worst.sentence}"
             more = f" So {'are' if count > 2 else 'is'} {count - 1} more." if count > 1 else ""
             raise CommandError(f"{what}{more} Mend it, or say why it is right")
         if report is not None and report.verdict == "look" and wish.looked_at is not report:
             count, worst = len(report.with_verdict("look")), report.joints[0]
             more = f" {count - 1} more to look at." if count > 1 else ""
             raise LookFirstError(
-                f"{joint_title(document, worst)}: {worst.sentence}{more} "
+                f"{joint_title(document, worst.child)}: {worst.sentence}{more} "
                 "Y again accepts it as it is"
             )
         return True
@@ -192,12 +207,6 @@ class Judging:
             if mend.kind == kind:
                 return mend
         raise CommandError("the joints changed meanwhile; they are being judged again")
-
-
-def joint_title(document: Document, verdict: JointVerdict) -> str:
-    """What people call the part that a joint moves, else the joint's name."""
-    part = next((p for p in document.parts if p.link == verdict.child), None)
-    return verdict.joint if part is None else called(part.link, part.name, root=False)
 
 
 def checks_of(report: GateReport) -> list[JointCheck]:

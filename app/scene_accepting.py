@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from app.accepting import acceptance_record, asset_folder
-from app.judging import joint_title
 from app.judging_tasks import judge_joints
 from app.part_tasks import PartSource
 from app.scene_rows import HELD
+from app.titles import joint_title
 from app.watched import Notice
 from model.exporters.asset_folder import publish
 from model.gate.report import GateReport
+from model.gate.unsure import with_unsure
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
 from sessions.state import Context, apply, review_problems
@@ -254,7 +255,9 @@ class Accepting:
         source = self._source(work)
         job = desk.bench.prediction.submit(judge_joints, source, doc.tree, priority=6)
 
-        def keep(report: GateReport) -> None:
+        def keep(answer: GateReport) -> None:
+            assert doc.tree is not None
+            report = with_unsure(answer, doc.tree, doc.unsettled)
             if not _as_it_was(doc, work.live.refresh().present):
                 return  # edited or decided on meanwhile: it is looked at again
             if (work.id, record) not in self._queue:
@@ -263,7 +266,7 @@ class Accepting:
             seen = looked is not None and _same(looked, work.document)
             if report.verdict == "broken" or (report.verdict == "look" and not seen):
                 worst = report.joints[0]
-                self._refuse(work, f"{joint_title(doc, worst)}: {worst.sentence}", report)
+                self._refuse(work, f"{joint_title(doc, worst.child)}: {worst.sentence}", report)
             else:
                 self._save(work, record, source, report, seen)
 
@@ -369,7 +372,9 @@ class Accepting:
 
 def _same(one: Document, other: Document) -> bool:
     """Whether the gate would say the same of both."""
-    return (one.tree, one.segmentation, one.parts) == (other.tree, other.segmentation, other.parts)
+    return (one.tree, one.segmentation, one.parts, one.unsettled) == (
+        other.tree, other.segmentation, other.parts, other.unsettled,
+    )  # fmt: skip
 
 
 def _as_it_was(one: Document, other: Document) -> bool:

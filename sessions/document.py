@@ -251,6 +251,14 @@ class Document:
         return tuple(j.child for j in self.tree.joints if self.prediction.joint(j.child) != j)
 
     @property
+    def unsettled(self) -> dict[str, float]:
+        """Child link → confidence, 0..1, of the joints as predicted that nobody settled since."""
+        if self.prediction is None:
+            return {}
+        settled = {*self.edited_joints, *self.locked}
+        return {k: v for k, v in self.prediction.confidence.items() if k not in settled}
+
+    @property
     def locked_joints(self) -> tuple[Joint, ...]:
         """The settled joints, for the next prediction."""
         if self.tree is None:

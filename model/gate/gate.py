@@ -14,7 +14,7 @@ from model.gate.examine import Scene, examine
 from model.gate.mends import mends_for
 from model.gate.physics import run_physics, simulator_installed
 from model.gate.physics_report import PhysicsReport, Stop
-from model.gate.report import VERDICTS, Finding, GateReport, JointVerdict, Verdict
+from model.gate.report import Finding, GateReport, JointVerdict, Verdict, worst_first
 from model.gate.support import loose_parts
 from model.gate.words import length, title, value
 from model.kinematics.articulated_object import ArticulatedObject, Part
@@ -30,8 +30,6 @@ STOPPED = 0.5
 """Share of its range that a joint may fall short of in the simulator to be worth a look only."""
 MANY = 10
 """Moving joints from which on each gets fewer samples."""
-SEVERE = ("geometry", "jammed", "floating", "limits", "collision", "detached", "physics")
-"""What is told first of findings that are equally bad."""
 
 
 def run_gate(
@@ -75,10 +73,10 @@ def run_gate(
     for k, (name, findings) in enumerate(found.items()):
         progress(0.9 + 0.1 * k / max(len(found), 1), "Looking for mends")
         joint = obj.tree.by_name[name]
-        ordered = tuple(sorted(findings, key=_rank))
+        ordered = worst_first(findings)
         offered = mends_for(scene, joint, ordered) if mends and scene is not None else ()
         joints.append(JointVerdict(name, joint.child, ordered, offered))
-    joints.sort(key=_badness)
+    joints.sort(key=lambda j: j.place)
     diagonal = scene.diagonal if scene is not None else 0.0
     return GateReport(tuple(joints), diagonal, said, time.perf_counter() - start)
 
@@ -214,12 +212,3 @@ def _stopped(
     if any(f.kind == "collision" and f.verdict == "fine" for f in known):
         verdict = "fine"  # free once another part is moved out of the way
     return Finding("physics", verdict, f"{text}.", 0.0, stop.q, stop.where, stop.other)
-
-
-def _rank(finding: Finding) -> tuple[int, int]:
-    order = SEVERE.index(finding.kind) if finding.kind in SEVERE else len(SEVERE)
-    return -VERDICTS.index(finding.verdict), order
-
-
-def _badness(joint: JointVerdict) -> tuple[int, float, str]:
-    return -VERDICTS.index(joint.verdict), -joint.depth, joint.joint

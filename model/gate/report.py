@@ -11,10 +11,16 @@ from model.kinematics.joint import Joint
 
 Verdict = Literal["fine", "look", "broken"]
 Kind = Literal[
-    "collision", "combination", "detached", "jammed", "floating", "limits", "geometry", "physics"
-]
+    "collision", "combination", "detached", "jammed", "floating", "limits", "geometry", "physics",
+    "unsure",
+]  # fmt: skip
 MendKind = Literal["flip", "shift", "limits", "shrink"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+SEVERE: tuple[Kind, ...] = (
+    "geometry", "jammed", "floating", "limits", "collision", "detached", "physics", "combination",
+    "unsure",
+)  # fmt: skip
+"""What is told first of findings that are equally bad."""
 
 FREE = "Moves freely over its range."
 
@@ -43,6 +49,11 @@ class Finding:
     q: Mapping[str, float] = field(default_factory=dict)
     where: tuple[float, float, float] | None = None
     other: str | None = None
+
+
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """In the order in which they are told."""
+    return tuple(sorted(findings, key=lambda f: (-VERDICTS.index(f.verdict), SEVERE.index(f.kind))))
 
 
 @dataclass(frozen=True)
@@ -95,6 +106,11 @@ class JointVerdict:
         """Deepest penetration in metres."""
         kinds = ("collision", "jammed", "combination")
         return max((f.depth for f in self.findings if f.kind in kinds), default=0.0)
+
+    @property
+    def place(self) -> tuple[int, float, str]:
+        """Sorts the joints of an object, worst first."""
+        return -VERDICTS.index(self.verdict), -self.depth, self.joint
 
 
 @dataclass(frozen=True)

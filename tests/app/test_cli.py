@@ -488,6 +488,29 @@ def test_what_was_changed_on_reading_a_urdf_is_told(cupboards, tmp_path, capfd):
     assert told.count("axis of length 2 was normalised") == 2
 
 
+def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_path, capfd):
+    out = tmp_path / "asset"
+    assert main(["predict", str(parts), "--out", str(out), "--category", "cupboard"]) == 0
+    told = json.loads((out / "prediction.json").read_text())
+    told["joints"][0]["confidence"] = 0.02
+    (out / "prediction.json").write_text(json.dumps(told))
+    words = ["check", str(out), "--format", "glb", "--no-cache", "--no-collision", "--json"]
+
+    def verdicts() -> list[str]:
+        capfd.readouterr()
+        main(words)
+        (row,) = json.loads(capfd.readouterr().out)["assets"]
+        return [f["kind"] for j in row["gate"]["joints"] for f in j["findings"]]
+
+    assert verdicts() == ["unsure"]
+    # What somebody changed since is no prediction any more.
+    urdf = (out / "object.urdf").read_text()
+    upper = re.search(r' upper="[^"]+"', urdf)
+    assert upper is not None
+    (out / "object.urdf").write_text(urdf.replace(upper.group(), ' upper="0.5"'))
+    assert verdicts() == []
+
+
 def test_what_the_gate_calls_broken_is_not_fine(cupboards, capfd):
     urdf = cupboards / "good" / "object.urdf"
     text = urdf.read_text()

@@ -230,6 +230,30 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
         assert obj.document.review.state != "accepted"
 
 
+def test_what_the_predictor_does_not_believe_is_not_accepted_unseen(cupboard: OpenObject) -> None:
+    obj = cupboard
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    labels = obj.document.segmentation.labels
+    tree = KinematicTree(("link_0", "link_1"), (DOOR,))
+    obj.do(cmd.RecordPrediction(Prediction(tree, confidence={"link_1": 0.02}), labels), "tester")
+    report = judged(obj)
+    assert report.verdict == "look"  # though nothing is in its way
+    assert report is obj.judging.report
+    with pytest.raises(LookFirstError, match="only 2 % sure"):
+        accept(obj, "", "tester", NOW)
+    # What a person settled is nobody's guess any more.
+    obj.do(cmd.LockJoint("link_1", True), "tester")
+    assert judged(obj).verdict == "fine"
+    obj.do(cmd.LockJoint("link_1", False), "tester")
+    assert judged(obj).verdict == "look"
+    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
+    gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
+    assert (gate["verdict"], gate["looked_at"]) == ("look", True)
+    assert gate["joints"][0]["findings"][0]["kind"] == "unsure"
+
+
 def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch) -> None:
     tree = cupboard.document.tree
     assert tree is not None
