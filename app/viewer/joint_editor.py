@@ -52,7 +52,9 @@ class JointEditor:
         self._parent = gui.add_dropdown("Parent", ("—",))
         self._axis = gui.add_vector3("Axis", (0.0, 0.0, 1.0), step=0.001)
         self._axis_to = gui.add_button_group("Axis to", ("X", "Y", "Z", "Flip (F)"))
-        self._axis_box = gui.add_button_group("Part's box", ("Long", "Middle", "Short"))
+        self._axis_box = gui.add_button_group(
+            "Axis along", ("Long", "Middle", "Short"), hint="The sides of the part's box"
+        )
         self._origin = gui.add_vector3("Origin [mm]", (0.0, 0.0, 0.0), step=0.1)
         self._origin_to = gui.add_button_group("Snap to", ("Box edge", "Contact", "Centre"))
         self._lower = gui.add_number("Lower [°]", 0.0, step=0.1)
@@ -232,6 +234,7 @@ class JointEditor:
         put(self._free, "visible", joint.limited)
         put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
+        put(self._reset, "visible", joint.child in doc.edited_joints)
         put(self._note, "content", joint_note(joint, doc, obj.checks))
 
 

@@ -67,6 +67,7 @@ class JointMarks:
         self._contacts: list[_Contact] = []
         self._contact_key: Any = None
         self._moment: list[Any] = []
+        self._directions: list[Any] = []
 
     def show_axes(self, marks: Iterable[AxisMark]) -> None:
         """Draw joint axes as arrows; only those that changed are sent."""
@@ -92,6 +93,27 @@ class JointMarks:
             head_radius=2.6 * width,
             head_length=6.5 * width,
         )
+
+    def show_directions(self, corner: npt.NDArray[np.float64] | None) -> None:
+        """Arrows called X, Y and Z beside the corner (3,) of the object, for what is told in
+        numbers; None takes them away."""
+        if self._diagonal is None or (corner is None) == (not self._directions):
+            return
+        gone, self._directions = self._directions, []
+        for handle in gone:
+            handle.remove()
+        if corner is None:
+            return
+        at, length = corner - 0.04 * self._diagonal, 0.12 * self._diagonal
+        for axis, name, color in zip(np.eye(3), "XYZ", palette.DIRECTIONS, strict=True):
+            way, middle = tuple(axis), tuple(at + 0.5 * length * axis)
+            arrow = self._arrow(
+                AxisMark(f"of-{name}", "", middle, way, length, color, False), self._diagonal
+            )
+            label = self._client.scene.add_label(
+                f"/direction/{name}", name, position=at + 1.3 * length * axis
+            )
+            self._directions += [arrow, label]
 
     def _ball(
         self, name: str, at: tuple[float, float, float], radius: float, opacity: float

@@ -29,6 +29,8 @@ _LIGHTER, _DARKER, _TURN = 0.56, 0.55, 0.065
 SELECTED: Final[Rgb] = (236, 0, 140)
 GHOST: Final[Rgb] = (150, 150, 160)
 CONTACT: Final[Rgb] = (220, 20, 40)
+DIRECTIONS: Final[tuple[Rgb, Rgb, Rgb]] = ((204, 51, 51), (60, 150, 60), (51, 90, 204))
+"""Of X, Y and Z, as everywhere in 3D."""
 NEGATIVE: Final[Rgb] = (25, 25, 30)
 
 PART_NAMES: Final[tuple[str, ...]] = (

@@ -170,6 +170,8 @@ class Redraw:
         app.scene.show_prompts(clicks, visible=app.stage == "Annotate")
         app.scene.show_parts(payloads, moving, app.hidden)
         app.scene.marks.show_axes(self._axis_marks(obj, doc) if moving else ())
+        choosing = moving and app.stage == "Joints"
+        app.scene.marks.show_directions(obj.asset.bounds[0] if choosing else None)
         app.scene.marks.show_contacts(obj.checks, doc.tree if moving else None)
         app.motion.pose()
         app.motion.draw_gizmo()

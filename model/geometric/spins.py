@@ -48,7 +48,9 @@ def spin_hypotheses(context: PartContext) -> list[Hypothesis]:
                 r.axis,
                 origin,
                 score=score,
-                note=f"turns about its symmetry axis (outline round to {100 * r.spread:.0f} %)",
+                note="turns about its symmetry axis"
+                if r.round
+                else "turns about its middle, which is hardly round",
             )
         )
     ball = shape.ball and shape.size > 25 * shape.noise

@@ -30,7 +30,7 @@ class Notes:
         self.nodes: dict[str, Any] = {}
         self.added = 0
         self.scene = self
-        self.add_arrows = self.add_icosphere = self._add
+        self.add_arrows = self.add_icosphere = self.add_label = self._add
 
     def _add(self, name: str, *_: Any, position: Any = (0, 0, 0), **__: Any) -> Any:
         self.added += 1
@@ -130,3 +130,17 @@ def test_a_click_meets_the_part_where_it_is_now() -> None:
     parts._poses = TREE.pose({"lower": math.pi / 2})
     assert parts.pick(*down, frozenset()) is None
     assert parts.pick((0, -5, 0.1), (0, 1, 0), frozenset()) == 2
+
+
+def test_directions_are_named_beside_the_object(drawn: tuple[Notes, JointMarks]) -> None:
+    client, marks = drawn
+    before = dict(client.nodes)
+    marks.show_directions(np.array([1.0, 2.0, 3.0]))
+    labels = [np.subtract(client.nodes[f"/direction/{k}"].position, (1, 2, 3)) for k in "XYZ"]
+    assert [int(np.argmax(at)) for at in labels] == [0, 1, 2]
+    added = client.added
+    marks.show_directions(np.array([1.0, 2.0, 3.0]))
+    assert client.added == added  # nothing is sent twice
+    marks.pose(TREE.pose({"lower": 1.0}))
+    marks.show_directions(None)
+    assert client.nodes == before
