@@ -131,6 +131,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     box.fill("the shelf is soft")
     box.press("Enter")
     wait_until(lambda: tab.app.review_panel.override_text == "the shelf is soft", "the reason")
+    tab.wait_seen()  # what was there before Undo counts as new
     joint_button(tab, "against the gate").click()
     wait_until(lambda: obj.document.saved is not None, "saved")
     assert obj.document.review.override == "the shelf is soft"
