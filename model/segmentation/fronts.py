@@ -67,7 +67,12 @@ _CUTS, _EXPANDED, _AT_ONCE, _MOST = 3, 20, 4, 20
 _EVENLY = 1.0
 """What speaks against a rectangle that no line tells."""
 _APART = 3
-_ALIKE = 0.85
+_ALIKE, _SAME = 0.85, 0.93
+"""Overlap of rectangles of which the likelier one is enough: where no line tells them apart, and in
+any case."""
+_TOLD, _TOLD_APART = 1.5, 3
+"""Evidence of a line that tells a rectangle from another, and how many squares apart their sides
+are at least: a door's window is nearly as large as the door."""
 _KEPT, _LAYERS = 16, 8
 _BINS = 4
 """To the reach of a front."""
@@ -602,6 +607,7 @@ def _cut(front: Front, spot: tuple[int, int], others: list[tuple[int, int]]) -> 
     """
     whole = front.bounds
     known: dict[Rect, float] = {whole: 0.0}
+    sides: dict[Rect, Float] = {whole: np.full(4, _CLIP / 2)}
     queue, left = [whole], _EXPANDED
     while queue and left:
         found: dict[Rect, None] = {}
@@ -609,23 +615,28 @@ def _cut(front: Front, spot: tuple[int, int], others: list[tuple[int, int]]) -> 
             left -= 1
             found |= dict.fromkeys(_children(front, rect, spot, others))
         queue = queue[_AT_ONCE:]
-        queue += _scored(front, [r for r in found if r not in known], known)
+        queue += _scored(front, [r for r in found if r not in known], known, sides)
         queue.sort(key=lambda r: -known[r])
     best = sorted(known, key=lambda r: -known[r])[:2]
     even = [r for rect in [whole, *best] for r in _even(rect, spot) if r not in known]
-    for rect in _scored(front, list(dict.fromkeys(even)), known):
+    for rect in _scored(front, list(dict.fromkeys(even)), known, sides):
         known[rect] -= _EVENLY
     right = [r for r in known if not any(_holds(r, o) for o in others)]
     right.sort(key=lambda r: -known[r])
-    return _apart(np.array(right, np.int64).reshape(-1, 4))
+    lines = np.array([sides[r] for r in right]).reshape(-1, 4)
+    return _apart(np.array(right, np.int64).reshape(-1, 4), lines)
 
 
-def _scored(front: Front, rects: list[Rect], known: dict[Rect, float]) -> list[Rect]:
+def _scored(
+    front: Front, rects: list[Rect], known: dict[Rect, float], sides: dict[Rect, Float]
+) -> list[Rect]:
+    """``rects``, which are ``known`` now, with the lines along their ``sides``."""
     if rects:
         each = np.array(rects)
-        sides = np.stack([front.lines(each, side) for side in range(4)], axis=1)
-        worth = support(sides, front.within(each))
+        lines = np.stack([front.lines(each, side) for side in range(4)], axis=1)
+        worth = support(lines, front.within(each))
         known.update(zip(rects, worth.tolist(), strict=True))
+        sides.update(zip(rects, lines, strict=True))
     return rects
 
 
@@ -636,8 +647,8 @@ def support(sides: Float, inner: Float) -> Float:
     return np.minimum(sides, 2.0).mean(1) + 0.5 * sides.min(1) - 0.5 * inner.max(1)
 
 
-def _apart(rects: Rects) -> Rects:
-    """The first ones that are not alike."""
+def _apart(rects: Rects, lines: Float) -> Rects:
+    """The first ones that are not alike; ``lines`` (R, 4) is the evidence along their sides."""
     kept: list[int] = []
     area = (rects[:, 1] - rects[:, 0] + 1) * (rects[:, 3] - rects[:, 2] + 1)
     free = np.ones(len(rects), bool)
@@ -650,7 +661,10 @@ def _apart(rects: Rects) -> Rects:
         low = np.maximum(rects[i, ::2], rects[:, ::2])
         high = np.minimum(rects[i, 1::2], rects[:, 1::2])
         common = np.maximum(high - low + 1, 0).prod(1)
-        free &= common < _ALIKE * (area + area[i] - common)
+        overlap = common / (area + area[i] - common)
+        elsewhere = np.abs(rects - rects[i]) > _TOLD_APART
+        told = (elsewhere & (lines > _TOLD)).any(1)
+        free &= overlap < np.where(told, _SAME, _ALIKE)
     return rects[kept]
 
 
