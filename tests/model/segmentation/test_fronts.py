@@ -144,13 +144,36 @@ def test_a_knob_is_clicked_for_the_panel_behind_it(fronts, panels) -> None:
     assert best_overlap(encoding, masks, labels == 4) > 0.85, "with its knob"
 
 
-@pytest.fixture(scope="module")
-def refrigerator():
+def bundled(name: str):
+    """A bundled scan, the true part of each point, and its session."""
     folder = static_assets() / "examples"
-    asset = read_asset(folder / "refrigerator_scan.ply")
-    runs = json.loads((folder / "truth" / "refrigerator_scan.json").read_text())["runs"]
+    asset = read_asset(folder / f"{name}.ply")
+    runs = json.loads((folder / "truth" / f"{name}.json").read_text())["runs"]
     labels = np.concatenate([np.full(number, part) for part, number in runs])
     return asset, labels, DefaultSegmenter().encode(asset)
+
+
+@pytest.fixture(scope="module")
+def refrigerator():
+    return bundled("refrigerator_scan")
+
+
+@pytest.fixture(scope="module")
+def oven():
+    return bundled("oven_scan")
+
+
+@pytest.mark.parametrize("spot", [
+    (0.0, -0.32, 0.48), (0.15, -0.32, 0.4), (-0.15, -0.32, 0.4), (0.1, -0.32, 0.6),
+])  # fmt: skip
+def test_a_door_is_taken_by_its_window(oven, spot) -> None:
+    """The window's edges are lines too, and the door isn't much larger than the window."""
+    asset, labels, session = oven
+    door = np.flatnonzero(labels == 1)
+    index = int(door[np.abs(asset.element_centers[door] - spot).sum(1).argmin()])
+    x, y, z = asset.element_centers[index].tolist()
+    taken = session.segment(Prompts((Click((x, y, z), 1, element=index),))).labels == 1
+    assert iou(taken, labels == 1) > 0.9
 
 
 @pytest.mark.parametrize("spot", [
