@@ -10,9 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 from model.segmentation.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import SCORERS, shipped_scorers
+from model.segmentation.scorers import SCORERS, Met, shipped_scorers
 from model.segmentation.training.clicks import (
     ClickTraining,
     Round,
@@ -27,7 +28,7 @@ from model.segmentation.training.moving import fitted
 Played = tuple[Round, int, int]
 """Kind of objects, first seed, end."""
 
-FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_FEATURES)
+PLAIN_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_FEATURES)
 """A first click has no history."""
 
 
@@ -60,12 +61,26 @@ class CloudTraining:
     networks: int = 3
 
 
-def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
+class Rounds(Protocol):
+    """What is played."""
+
+    @property
+    def rounds(self) -> tuple[Played, ...]:
+        """The objects that are clicked."""
+        ...
+
+    @property
+    def clicks(self) -> ClickTraining:
+        """How they are clicked."""
+        ...
+
+
+def play_rounds(config: Rounds, met: Met) -> tuple[list[Rows], list[Rows]]:
     """Rows of the first and of the later clicks on each object, as the shipped scorers play."""
     played = [
         rows
         for kind, first, end in config.rounds
-        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers("cloud"))
+        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers(met))
     ]
     first, later = ([pair[k] for pair in played if len(pair[k].share)] for k in (0, 1))
     return first, later
@@ -73,9 +88,9 @@ def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
 
 def train_clouds(config: CloudTraining, folder: Path) -> dict[str, float]:
     """Play, fit, measure and write the scorers into ``folder``; see :func:`.moving.fitted`."""
-    first, later = play_rounds(config)
+    first, later = play_rounds(config, "cloud")
     for_first, for_later = (folder / name for name in SCORERS["cloud"])
-    at_first = partial(fit_trees_to, config=config.first, names=FIRST_FEATURE_NAMES)
+    at_first = partial(fit_trees_to, config=config.first, names=PLAIN_FEATURE_NAMES)
     after = partial(fit_trees_to, config=config.later, names=OBJECT_FEATURE_NAMES)
     close = partial(fit_scorer, networks=config.networks)
     return {
