@@ -40,12 +40,7 @@ from model.segmentation.prompt_steps import (
     telling,
 )
 from model.segmentation.prompts import BASE, Click, PartSegmentation, Prompts
-from model.segmentation.scorers import (
-    shipped_mesh_scorers,
-    shipped_moving_scorers,
-    shipped_scorers,
-    solver_of,
-)
+from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.segmentation.solver import (
     ALONE_BEHIND,
     NEARLY_ALL,
@@ -636,10 +631,7 @@ class DefaultSegmenter:
     def encode(self, asset: Asset, progress: Progress = no_progress) -> DefaultSession:
         """Encode ``asset``: 2 to 3 s at 100k points and at a million."""
         encoding = encode(asset, shipped_edge_model(), progress)
-        if encoding.room is not None:
-            scorers = shipped_scorers("room")
-        else:
-            of_mesh = encoding.nodes.of_mesh
-            scorers = shipped_mesh_scorers() if of_mesh else shipped_scorers("cloud")
-        solver = solver_of(encoding, *scorers, shipped_moving_scorers())
+        thing = "mesh" if encoding.nodes.of_mesh else "cloud"
+        met = thing if encoding.room is None else "room"
+        solver = solver_of(encoding, *shipped_scorers(met), shipped_moving_scorers())
         return DefaultSession(asset, encoding, solver)

@@ -13,10 +13,9 @@ from model.resources import static_assets
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES, ObjectSolver
 from model.segmentation.encoding import Encoding
 from model.segmentation.fronts import Fronts
-from model.segmentation.mlp import Mlp
 from model.segmentation.rooms import ROOM_FEATURE_NAMES, RoomSolver
 from model.segmentation.solver import PartSolver
-from model.segmentation.trees import Scorer, Weighed, load_scorer, load_trees
+from model.segmentation.trees import Scorer, load_scorer
 
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 
@@ -30,10 +29,6 @@ SCORERS: dict[Met, tuple[str, str]] = {
     "room": ("room_first_click.npz", "room_later_click.npz"),
 }
 """Files of the scorers of a first click and of later ones. Meshes are their own close-ups."""
-MESH_TREES = "first_click_mesh.npz"
-_OF_NETWORK, _OF_TREES = 0.5, 1.25
-"""Weights of both for a first click on a mesh: trees know more of small things, and networks of
-what they were not shown; the scores of trees lie closer together."""
 
 Scorers = tuple[Scorer | None, Scorer | None]
 """Of a first click, and of later ones."""
@@ -49,17 +44,6 @@ def read_scorers(folder: Path, met: Met = "mesh") -> Scorers:
     """The scorers in ``folder``."""
     names = ROOM_FEATURE_NAMES if met == "room" else OBJECT_FEATURE_NAMES
     return _read(folder, SCORERS[met], names)
-
-
-@lru_cache(maxsize=1)
-def shipped_mesh_scorers() -> Scorers:
-    """Those of clicks on meshes, but for close-ups: trees have a say at first clicks."""
-    network, later = shipped_scorers("mesh")
-    path = static_assets() / "segmentation" / MESH_TREES
-    if not isinstance(network, Mlp) or not path.is_file():
-        return network, later
-    trees = load_trees(path, OBJECT_FEATURE_NAMES)
-    return Weighed(((network, _OF_NETWORK), (trees, _OF_TREES))), later
 
 
 @lru_cache(maxsize=1)

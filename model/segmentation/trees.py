@@ -59,27 +59,7 @@ class Trees:
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """The weighed sum of what several scorers say.
-
-    Attributes:
-        scorers: a network or trees, and its weight.
-    """
-
-    scorers: tuple[tuple[Mlp | Trees, float], ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the features that any of them asks for."""
-        return tuple(dict.fromkeys(name for scorer, _ in self.scorers for name in scorer.names))
-
-    def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """(N,) outputs of (N, D) features."""
-        return np.stack([weight * scorer(features) for scorer, weight in self.scorers]).sum(0)
-
-
-Scorer = Mlp | Trees | Weighed
+Scorer = Mlp | Trees
 """What ranks hypotheses by what they show."""
 
 
@@ -122,7 +102,7 @@ def load_trees(path: Path, names: tuple[str, ...]) -> Trees:
         )
 
 
-def save_scorer(scorer: Mlp | Trees, path: Path, config: dict[str, object]) -> None:
+def save_scorer(scorer: Scorer, path: Path, config: dict[str, object]) -> None:
     """Write ``scorer`` as npz with the training configuration and scores beside the numbers."""
     if isinstance(scorer, Trees):
         save_trees(scorer, path, config)
@@ -130,7 +110,7 @@ def save_scorer(scorer: Mlp | Trees, path: Path, config: dict[str, object]) -> N
         save_mlp(scorer, path, config)
 
 
-def load_scorer(path: Path, names: tuple[str, ...]) -> Mlp | Trees:
+def load_scorer(path: Path, names: tuple[str, ...]) -> Scorer:
     """Read what :func:`save_trees` or :func:`.mlp.save_mlp` wrote; the same errors."""
     with open_npz(path) as data:
         trees = "trees_format" in data

@@ -13,7 +13,6 @@ from model.segmentation.training.clicks import ClickTraining, train_room_scorers
 from model.segmentation.training.clouds import CloudTraining, train_clouds
 from model.segmentation.training.edges import EdgeTraining, train_edges
 from model.segmentation.training.mending import MendingTraining, train_mending
-from model.segmentation.training.meshes import MeshTraining, train_meshes
 from model.segmentation.training.moving import MovingTraining, train_moving
 from model.segmentation.training.part_masks import PartMaskTraining, train_part_masks
 
@@ -24,20 +23,18 @@ class Training:
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
-            ``first_click_mesh.npz``, ``first_click_cloud.npz``, ``later_click_cloud.npz``,
-            ``later_click_close.npz``,
+            ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``later_click_close.npz``,
             ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
             rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_boxes, skip_parts, skip_meshes, skip_clouds, skip_rooms, skip_moving,
-        skip_mending, skip_proposals: keep the networks that are there.
-        edges, boxes, clicks, meshes, clouds, moving, mending, proposals: their settings.
+        skip_edges, skip_boxes, skip_parts, skip_clouds, skip_rooms, skip_moving, skip_mending,
+        skip_proposals: keep the networks that are there.
+        edges, boxes, clicks, clouds, moving, mending, proposals: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
     skip_edges: bool = False
     skip_boxes: bool = False
     skip_parts: bool = False
-    skip_meshes: bool = False
     skip_clouds: bool = False
     skip_rooms: bool = False
     skip_moving: bool = False
@@ -46,7 +43,6 @@ class Training:
     edges: EdgeTraining = field(default_factory=EdgeTraining)
     boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
-    meshes: MeshTraining = field(default_factory=MeshTraining)
     clouds: CloudTraining = field(default_factory=CloudTraining)
     moving: MovingTraining = field(default_factory=MovingTraining)
     mending: MendingTraining = field(default_factory=MendingTraining)
@@ -65,8 +61,6 @@ def main() -> None:
         print(json.dumps(train_boxes(config.boxes, config.out / "boxes.npz"), indent=1))
     if not config.skip_parts:
         print(json.dumps(train_scorers(config.clicks, config.out), indent=1))
-    if not config.skip_meshes:
-        print(json.dumps(train_meshes(config.meshes, config.out), indent=1))
     if not config.skip_clouds:
         print(json.dumps(train_clouds(config.clouds, config.out), indent=1))
     if not config.skip_rooms:

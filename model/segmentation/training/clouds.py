@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from model.segmentation.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import SCORERS, Met, shipped_scorers
+from model.segmentation.scorers import SCORERS, shipped_scorers
 from model.segmentation.training.clicks import (
     ClickTraining,
     Round,
@@ -28,7 +27,7 @@ from model.segmentation.training.moving import fitted
 Played = tuple[Round, int, int]
 """Kind of objects, first seed, end."""
 
-PLAIN_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_FEATURES)
+FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_FEATURES)
 """A first click has no history."""
 
 
@@ -61,26 +60,12 @@ class CloudTraining:
     networks: int = 3
 
 
-class Rounds(Protocol):
-    """What is played."""
-
-    @property
-    def rounds(self) -> tuple[Played, ...]:
-        """The objects that are clicked."""
-        ...
-
-    @property
-    def clicks(self) -> ClickTraining:
-        """How they are clicked."""
-        ...
-
-
-def play_rounds(config: Rounds, met: Met) -> tuple[list[Rows], list[Rows]]:
+def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
     """Rows of the first and of the later clicks on each object, as the shipped scorers play."""
     played = [
         rows
         for kind, first, end in config.rounds
-        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers(met))
+        for rows in collect(range(first, end), config.clicks, kind, *shipped_scorers("cloud"))
     ]
     first, later = ([pair[k] for pair in played if len(pair[k].share)] for k in (0, 1))
     return first, later
@@ -88,9 +73,9 @@ def play_rounds(config: Rounds, met: Met) -> tuple[list[Rows], list[Rows]]:
 
 def train_clouds(config: CloudTraining, folder: Path) -> dict[str, float]:
     """Play, fit, measure and write the scorers into ``folder``; see :func:`.moving.fitted`."""
-    first, later = play_rounds(config, "cloud")
+    first, later = play_rounds(config)
     for_first, for_later = (folder / name for name in SCORERS["cloud"])
-    at_first = partial(fit_trees_to, config=config.first, names=PLAIN_FEATURE_NAMES)
+    at_first = partial(fit_trees_to, config=config.first, names=FIRST_FEATURE_NAMES)
     after = partial(fit_trees_to, config=config.later, names=OBJECT_FEATURE_NAMES)
     close = partial(fit_scorer, networks=config.networks)
     return {

@@ -57,7 +57,6 @@ from model.segmentation.trees import Scorer, save_scorer
 if TYPE_CHECKING:
     from model.segmentation.training.clouds import CloudTraining
     from model.segmentation.training.mending import MendingTraining
-    from model.segmentation.training.meshes import MeshTraining
 
 Seeds = tuple[int, int, int]
 """First one, end, step."""
@@ -314,7 +313,7 @@ def _played(play_one: Callable[[int, C], P], config: C, seed: int) -> P:
 
 def fitted(
     rows: list[Rows],
-    config: MovingTraining | MendingTraining | CloudTraining | MeshTraining,
+    config: MovingTraining | MendingTraining | CloudTraining,
     kind: str,
     path: Path,
     fit: Callable[[Rows], Scorer],

@@ -560,23 +560,3 @@ def test_clicks_that_agree_do_not_hold_the_mask_as_it_is() -> None:
         for n in (5, len(clicks))
     ]
     assert reached[1] > max(0.9, reached[0] + 0.05), np.round(reached, 2)
-
-
-def test_a_wheel_of_a_chair_is_clicked_without_what_it_carries() -> None:
-    folder = static_assets() / "examples"
-    asset = read_asset(folder / "office_chair.glb")
-    truth = json.loads((folder / "truth" / "office_chair.json").read_text())
-    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    session, mesh = DefaultSegmenter().encode(asset), asset.mesh
-    assert mesh is not None
-    wheels = [p["id"] for p in truth["parts"] if p["name"] == "wheel"]
-    assert len(wheels) == 5
-    overlaps = []
-    for wheel in wheels:
-        own = np.flatnonzero(labels == wheel)
-        face = int(own[mesh.face_areas[own].argmax()])
-        x, y, z = mesh.triangles[face].mean(0).tolist()
-        taken = session.segment(Prompts((Click((x, y, z), 1, True, face),))).labels == 1
-        common, area = taken & (labels == wheel), mesh.face_areas
-        overlaps.append(area[common].sum() / area[taken | (labels == wheel)].sum())
-    assert min(overlaps) > 0.2 and np.mean(overlaps) > 0.5

@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.segmentation.boxes import HISTORY_FEATURES, MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import MESH_TREES, MOVING_SCORERS, SCORERS
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.scorers import MOVING_SCORERS, SCORERS
 from model.segmentation.training.clicks import ClickTraining
 from model.segmentation.training.clouds import CloudTraining, train_clouds
 from model.segmentation.training.fit import Boosting
 from model.segmentation.training.mending import MendingTraining, play_sessions, train_mending
-from model.segmentation.training.meshes import MeshTraining, train_meshes
 from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.training.ornaments import ornamented
 from model.segmentation.training.scans import build
-from model.segmentation.trees import Trees, load_scorer
+from model.segmentation.trees import load_scorer
 
 FEW = Boosting(trees=8, leaves=4, least=5, forests=2)
 SMALL = MovingTraining(parts=2, clicks=2, networks=1, held_out=2, workers=1)
@@ -109,13 +108,3 @@ def test_clicks_on_clouds_learn_from_rounds_of_all_kinds(tmp_path) -> None:
         scorer = load_scorer(tmp_path / file, OBJECT_FEATURE_NAMES)
         x = np.random.default_rng(0).normal(size=(5, len(OBJECT_FEATURE_NAMES)))
         assert np.isfinite(scorer(x.astype(np.float32))).all()
-
-
-def test_trees_of_meshes_learn_from_rounds_of_all_kinds(tmp_path) -> None:
-    rounds = (("drawers", 90_000, 90_002), ("small", 70_000, 70_002))
-    clicks = ClickTraining(parts=2, first_clicks=2, clicks=2, mesh_share=1.0)
-    scores = train_meshes(MeshTraining(rounds, clicks, held_out=2, trees=FEW), tmp_path)
-    assert 0 <= scores["first_iou"] <= scores["first_best_possible"] <= 1
-    trees = load_scorer(tmp_path / MESH_TREES, OBJECT_FEATURE_NAMES)
-    assert isinstance(trees, Trees)
-    assert set(trees.names) == set(OBJECT_FEATURE_NAMES) - set(HISTORY_FEATURES)

@@ -10,7 +10,7 @@ import pytest
 from model.errors import InputFileError
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.training.fit import Boosting, fit_mlp, fit_trees, plain_trees
-from model.segmentation.trees import Trees, Weighed, load_scorer, load_trees, save_trees
+from model.segmentation.trees import Trees, load_scorer, load_trees, save_trees
 
 NAMES = ("size", "border", "depth")
 
@@ -74,11 +74,3 @@ def test_a_file_says_what_it_holds(tmp_path: Path) -> None:
         load_scorer(path, ("size", "border"))
     with pytest.raises(InputFileError, match="not there"):
         load_scorer(tmp_path / "none.npz", NAMES)
-
-
-def test_several_are_weighed() -> None:
-    trees, x, value, _ = grown()
-    network = fit_mlp((*NAMES[:2], "more"), x, value, np.ones(len(x)), hidden=(4,), epochs=1)
-    both = Weighed(((network, 0.5), (trees, 2.0)))
-    assert both.names == ("size", "border", "more", "depth")
-    assert np.allclose(both(x), 0.5 * network(x) + 2 * trees(x), atol=1e-6)
