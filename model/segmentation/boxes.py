@@ -81,7 +81,7 @@ _REGIONS = 10
 _FRONTS, _PLANES, _BETWEEN, _OF_SIZES = 4, 16, 12, 10
 """Fronts that boxes are put behind, planes that cut, and boxes between planes (of a mesh), at
 most."""
-_OF_TREES = 2.5
+_OF_TREES = 3.0
 """The scores of trees for first clicks times this differ as much as a network's."""
 _SAY = 0.8
 """Of the scorer of parts that move; that of anything, which learned from other objects, has the

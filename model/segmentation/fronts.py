@@ -67,6 +67,8 @@ _CUTS, _EXPANDED, _AT_ONCE, _MOST = 3, 20, 4, 20
 _EVENLY = 1.0
 """What speaks against a rectangle that no line tells."""
 _APART = 3
+_MORE = 6
+"""Rectangles that are kept beside, since strong lines tell them from a likelier one like them."""
 _ALIKE, _SAME = 0.85, 0.93
 """Overlap of rectangles of which the likelier one is enough: where no line tells them apart, and in
 any case."""
@@ -648,23 +650,32 @@ def support(sides: Float, inner: Float) -> Float:
 
 
 def _apart(rects: Rects, lines: Float) -> Rects:
-    """The first ones that are not alike; ``lines`` (R, 4) is the evidence along their sides."""
-    kept: list[int] = []
+    """The first ones that are not alike, and then those that are, but told apart by strong lines.
+
+    Args:
+        lines: (R, 4) the evidence along their sides.
+    """
     area = (rects[:, 1] - rects[:, 0] + 1) * (rects[:, 3] - rects[:, 2] + 1)
-    free = np.ones(len(rects), bool)
-    for i in range(len(rects)):
-        if not free[i]:
-            continue
-        kept.append(i)
-        if len(kept) == _MOST:
-            break
+    free, told = np.ones(len(rects), bool), np.ones(len(rects), bool)
+
+    def keep(i: int) -> None:
         low = np.maximum(rects[i, ::2], rects[:, ::2])
         high = np.minimum(rects[i, 1::2], rects[:, 1::2])
         common = np.maximum(high - low + 1, 0).prod(1)
         overlap = common / (area + area[i] - common)
         elsewhere = np.abs(rects - rects[i]) > _TOLD_APART
-        told = (elsewhere & (lines > _TOLD)).any(1)
-        free &= overlap < np.where(told, _SAME, _ALIKE)
+        alike = overlap >= _ALIKE
+        free[alike] = False
+        told[alike & ~(elsewhere & (lines > _TOLD)).any(1) | (overlap >= _SAME)] = False
+        kept.append(i)
+
+    kept: list[int] = []
+    while free.any() and len(kept) < _MOST:
+        keep(int(free.argmax()))
+    most = len(kept) + _MORE
+    told &= ~free
+    while told.any() and len(kept) < most:
+        keep(int(told.argmax()))
     return rects[kept]
 
 
