@@ -153,6 +153,14 @@ def bundled(name: str):
     return asset, labels, DefaultSegmenter().encode(asset)
 
 
+def click_on(asset: Asset, own: np.ndarray, spot, part: int = 1) -> Click:
+    """A click for a part on that one of its ``own`` points (E,) that is nearest to a spot."""
+    there = np.flatnonzero(own)
+    index = int(there[np.abs(asset.element_centers[there] - spot).sum(1).argmin()])
+    x, y, z = asset.element_centers[index].tolist()
+    return Click((x, y, z), part, element=index)
+
+
 @pytest.fixture(scope="module")
 def refrigerator():
     return bundled("refrigerator_scan")
@@ -169,10 +177,7 @@ def oven():
 def test_a_door_is_taken_by_its_window(oven, spot) -> None:
     """The window's edges are lines too, and the door isn't much larger than the window."""
     asset, labels, session = oven
-    door = np.flatnonzero(labels == 1)
-    index = int(door[np.abs(asset.element_centers[door] - spot).sum(1).argmin()])
-    x, y, z = asset.element_centers[index].tolist()
-    taken = session.segment(Prompts((Click((x, y, z), 1, element=index),))).labels == 1
+    taken = session.segment(Prompts((click_on(asset, labels == 1, spot),))).labels == 1
     assert iou(taken, labels == 1) > 0.9
 
 
@@ -185,24 +190,19 @@ def test_a_handle_neither_cuts_a_drawer_nor_is_clicked_alone(refrigerator, spot)
     click takes all of the drawer.
     """
     asset, labels, session = refrigerator
-    drawer = np.flatnonzero(labels == 3)
-    index = int(drawer[np.abs(asset.element_centers[drawer] - spot).sum(1).argmin()])
-    x, y, z = asset.element_centers[index].tolist()
-    taken = session.segment(Prompts((Click((x, y, z), 1, element=index),))).labels == 1
+    click = click_on(asset, labels == 3, spot)
+    taken = session.segment(Prompts((click,))).labels == 1
     assert iou(taken, labels == 3) > 0.9
     if spot[1] < -0.4:
-        alone = session.candidates(Prompts((Click((x, y, z), 1, element=index),)), 1)
+        alone = session.candidates(Prompts((click,)), 1)
         assert min(mask.sum() for mask in alone) < 0.1 * taken.sum(), "Tab has the handle"
 
 
 def test_a_handle_of_a_door_is_set_apart_by_a_click_with_another_number(refrigerator) -> None:
     """It takes no half of the door along."""
     asset, labels, session = refrigerator
-    own, clicks = np.flatnonzero(labels == 1), []
-    for part, spot in ((1, (-0.3, -0.37, 1.5)), (2, (-0.05, -0.43, 1.1))):
-        index = int(own[np.abs(asset.element_centers[own] - spot).sum(1).argmin()])
-        x, y, z = asset.element_centers[index].tolist()
-        clicks.append(Click((x, y, z), part, element=index))
+    spots = ((1, (-0.3, -0.37, 1.5)), (2, (-0.05, -0.43, 1.1)))
+    clicks = [click_on(asset, labels == 1, spot, part) for part, spot in spots]
     before = session.segment(Prompts(tuple(clicks[:1]))).labels
     assert before[clicks[1].element] == 1, "it went with the door"
     after = session.segment(Prompts(tuple(clicks))).labels
