@@ -213,11 +213,22 @@ def _connected(work: _Work) -> list[RegionOffer]:
 def _same_shape(work: _Work) -> list[RegionOffer]:
     from model.segmentation.similar import same_shape
 
+    return _beside_parts(work, same_shape(work.encoded, work.mask))
+
+
+def _mirror(work: _Work) -> list[RegionOffer]:
+    from model.segmentation.similar import mirrored
+
+    return _beside_parts(work, [mirrored(work.encoded, work.mask)])
+
+
+def _beside_parts(work: _Work, masks: list[Bool]) -> list[RegionOffer]:
+    """New parts out of masks that look like the chosen one."""
     out: list[RegionOffer] = []
     labels, part = work.labels, work.request.part
     ids = labels - labels.min()
     held = np.bincount(ids)
-    for mask in same_shape(work.encoded, work.mask):
+    for mask in masks:
         # What other parts have already stays theirs, so that asking twice finds nothing twice; but
         # a small piece of a large part, a knob that a panel took along, is found.
         swallowed = np.bincount(ids[mask], minlength=len(held)) < _SWALLOWED * held
@@ -225,12 +236,6 @@ def _same_shape(work: _Work) -> list[RegionOffer]:
         if free.sum() > 0.5 * mask.sum():
             out += work.offer(free, NEW_PART)
     return out
-
-
-def _mirror(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.similar import mirrored
-
-    return work.offer(mirrored(work.encoded, work.mask), NEW_PART)
 
 
 def _grow(work: _Work) -> list[RegionOffer]:

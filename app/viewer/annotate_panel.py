@@ -67,7 +67,7 @@ _NOTHING = {
     "split": "The part is one piece",
     "same shape": "Nothing else looks like this part",
     "leftovers": "There are no crumbs",
-    "mirror": "Nothing lies on the other side",
+    "mirror": "Nothing lies on the other side, or it is a part already",
     "propose": "Nothing more shows by itself: click on a part",
     NEXT_MASK: "There is no other mask: click on the part first",
     "merge": "That is the chosen part itself: choose the part to keep, then click the other",

@@ -100,6 +100,8 @@ def test_merge_split_mirror_and_leftovers(chest):
     assert (one_side < 0).all() or (one_side > 0).all()
     ((part, _, elements),) = run(chest, both[:1], ToolRequest("mirror", 1))
     assert part == NEW_PART and np.isin(np.flatnonzero(right), elements).mean() > 0.8
+    # What mirrors it is a part already: asked again, nothing is taken from that.
+    assert run(chest, both, ToolRequest("mirror", 1)) == []
     crumb = np.linalg.norm(points - (0.0, 0.0, 0.365), axis=1) < 0.012
     items = [region(chest, points[:, 2] > 0.31, 1), region(chest, left | crumb, 2)]
     found = run(chest, items, ToolRequest("leftovers", 1))
