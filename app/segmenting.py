@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
@@ -28,6 +29,8 @@ T = TypeVar("T")
 TOOL_SECONDS = 120.0
 _LITTLE = 0.03
 """Of the part: a click that changes less was in vain."""
+_MASKS_KEPT = 50
+"""Masks that were shown, of which it is known which they are."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,8 @@ class Segmenting:
         self.shares: dict[int, float] = {}
         self.in_vain = 0
         self._answered: tuple[Click | RegionRef, ...] = ()
-        self._mask_shown: MaskShown | None = None
+        # Undo comes back to those before, and Tab goes on from there.
+        self._masks_shown: deque[MaskShown] = deque(maxlen=_MASKS_KEPT)
         self._obj = obj
         self._labels_ref: str | None = None
         self._lock = threading.Lock()
@@ -245,8 +249,7 @@ class Segmenting:
 
     def mask_shown(self, doc: Document, part: int) -> MaskShown | None:
         """Which of the masks for the last click ``part`` shows; None where nobody asked for one."""
-        shown = self._mask_shown
-        return shown if shown is not None and shown.fits(doc, part) else None
+        return next((m for m in reversed(self._masks_shown) if m.fits(doc, part)), None)
 
     def _show_mask(self, offer: tool_tasks.MaskOffer, replaces: int, part: int, who: str) -> int:
         obj = self._obj
@@ -256,7 +259,8 @@ class Segmenting:
             )
             obj.do(cmd.ApplyTool(tool_tasks.NEXT_MASK, regions, replaces), who)
         if offer.total > 1:
-            self._mask_shown = MaskShown(obj.document.prompts, part, offer.number, offer.total)
+            shown = MaskShown(obj.document.prompts, part, offer.number, offer.total)
+            self._masks_shown.append(shown)
         return offer.total - 1
 
     def _cut_faces(self, offer: tool_tasks.FaceCutOffer, tool: str, who: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from app.segmenting import MaskShown, Segmenting
 from app.segmenting_tasks import SegmentationAnswer
-from app.tool_tasks import MaskOffer, ToolRequest
+from app.tool_tasks import MaskOffer, RegionOffer, ToolRequest
 from model.segmentation.prompts import Click
 from sessions.document import Document, RegionRef
 
@@ -92,6 +92,36 @@ def test_a_new_server_goes_on_from_the_mask_that_is_there(
     )  # fmt: skip
     assert Segmenting(obj).use_tool(ToolRequest("next mask", 1, turn), "who") == 3
     assert asked[0].turn == wanted
+
+
+def test_after_undo_the_next_mask_is_the_one_after_what_is_shown(obj: Any) -> None:
+    obj.document, obj.asset = Document(prompts=(click(0),)), SimpleNamespace(folder=Path())
+    obj.need_asset = lambda: obj.asset
+    asked: list[int] = []
+
+    def submit(*args: Any, **_: Any) -> Any:
+        asked.append(args[-1].turn)
+        region = RegionOffer(1, f"{asked[-1]:x}" * 64, 3)
+        return SimpleNamespace(result=lambda seconds: MaskOffer([region], asked[-1], 6))
+
+    def do(command: Any, who: str) -> None:
+        (region,) = command.regions
+        mask = RegionRef(1, region.elements, True, 3, "next mask")
+        obj.document = Document(prompts=(click(0), mask))
+
+    obj.do, obj.bench = do, SimpleNamespace(
+        workspace=Path(), config=SimpleNamespace(segmenter="default"),
+        segmentation=SimpleNamespace(submit=submit),
+    )  # fmt: skip
+    desk, steps = Segmenting(obj), []
+    for _ in range(3):
+        desk.use_tool(ToolRequest("next mask", 1, 1), "who")
+        steps.append(obj.document)
+    obj.document = steps[1]  # undo
+    shown = desk.mask_shown(obj.document, 1)
+    assert shown is not None and shown.number == 2
+    desk.use_tool(ToolRequest("next mask", 1, 1), "who")
+    assert asked == [1, 2, 3, 3]
 
 
 def test_the_mask_shown_is_told_until_something_else_is_said() -> None:
