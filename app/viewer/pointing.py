@@ -172,7 +172,8 @@ class Pointing:
     def set_tool(self, tool: Tool) -> None:
         """What a drag draws; the same tool again goes back to clicks."""
         self.tool = "click" if tool == self.tool else tool
-        self.armed, self._places = "", []
+        self.armed, self._places, self._shifted = "", [], False
+        self._app.scene.overlays.show_places(())
         self._app.invalidate()
 
     def arm(self, what: Armed) -> None:
