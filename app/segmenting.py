@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from app import segmenting_tasks, tool_tasks
 from app.display_tasks import OpenedAsset
+from app.job import Job
 from app.segmenting_tasks import StoredRegion
 from model.errors import CommandError
 from model.segmentation.prompts import MAX_PARTS, Click
@@ -190,6 +191,7 @@ class Segmenting:
 
         Raises:
             CommandError: where the tool can't work on what there is, or that changed meanwhile.
+            Cancelled: where somebody stopped it.
         """
         obj = self._obj
         asset, doc = obj.need_asset(), obj.document
@@ -200,15 +202,19 @@ class Segmenting:
         empty = _never_used(doc)
         used = {p.id for p in doc.parts} - empty
         request = replace(request, free_part=_free(used))
-        offers = obj.bench.segmentation.submit(
+        job = obj.bench.segmentation.submit(
             tool_tasks.use_tool,
             asset.folder,
             obj.bench.workspace,
             obj.bench.config.segmenter,
             kept,
             request,
+            on_progress=obj.jobs.progress("tool"),
             priority=12,
-        ).result(TOOL_SECONDS)
+        )
+        obj.jobs.follow("tool", job, self._tool_ended)
+        obj.changed()
+        offers = job.result(TOOL_SECONDS)
         if _worked_on(obj.document) != _worked_on(doc):
             # By another tab: prompts at the end, elements and free numbers are others now.
             raise CommandError("something else was changed meanwhile: use the tool again")
@@ -238,6 +244,10 @@ class Segmenting:
             gone.add(request.other)
         obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, tuple(sorted(gone))), who)
         return len(offers)
+
+    def _tool_ended(self, job: Job[tool_tasks.Offer]) -> None:
+        self._obj.jobs.drop("tool", job)
+        self._obj.changed()
 
     def _turn(self, doc: Document, request: tool_tasks.ToolRequest, replaces: int) -> int:
         """The number of the mask that is ``turn`` on from the one shown."""

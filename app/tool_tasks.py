@@ -15,6 +15,7 @@ from app.segmenting_tasks import StoredRegion, prompts_of, session_of
 from app.tasks import Recent, arrays_of, asset_of
 from model.errors import CommandError
 from model.geometry.asset import Asset
+from model.progress import Progress, no_progress
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
 from sessions.tool_commands import FaceCut
@@ -120,6 +121,7 @@ class _Work:
     workspace: Path
     session: Any
     prompts: Prompts
+    progress: Progress = no_progress
 
     @cached_property
     def labels(self) -> npt.NDArray[np.int16]:
@@ -159,6 +161,7 @@ def use_tool(
     segmenter: str,
     items: tuple[Click | StoredRegion, ...],
     request: ToolRequest,
+    progress: Progress = no_progress,
 ) -> Offer:
     """What a segmentation tool makes of the parts.
 
@@ -168,15 +171,15 @@ def use_tool(
     tool = TOOLS.get(request.tool)
     if tool is None:
         raise CommandError(f"no tool is called {request.tool!r}; there are {', '.join(TOOLS)}")
-    session = session_of(folder, segmenter)
+    session = session_of(folder, segmenter, progress)
     prompts = prompts_of(workspace, items)
-    return tool(_Work(request, folder, workspace, session, prompts))
+    return tool(_Work(request, folder, workspace, session, prompts, progress))
 
 
 def _propose(work: _Work) -> list[RegionOffer]:
     from model.segmentation.proposal import propose
 
-    labels = propose(work.encoded).labels
+    labels = propose(work.encoded, progress=work.progress).labels
     # What is a part already stays as it is; most of what is new lies beside it.
     taken = work.labels > BASE
     out: list[RegionOffer] = []

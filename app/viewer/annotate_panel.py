@@ -14,6 +14,7 @@ from app.viewer.quick_names import QuickNames
 from app.viewer.stage import may_be_a_room
 from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
+from model.progress import Cancelled
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document
@@ -253,7 +254,11 @@ class AnnotatePanel:
         app = self._app
         app.pointing.hover.forget()
         before = {p.part for p in self._document().prompts}
-        found = app.need_object().segmenting.use_tool(request, app.who)
+        try:
+            found = app.need_object().segmenting.use_tool(request, app.who)
+        except Cancelled:
+            app.notify(label, "Cancelled: nothing was changed", "gray")
+            return
         cut_off = {p.part for p in self._document().prompts} - before
         if request.tool in ("cut", "rectangle") and cut_off and not app.picking_out:
             app.choose_part(min(cut_off))  # what is named next is what was cut off

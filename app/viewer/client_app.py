@@ -117,7 +117,8 @@ class ClientApp:
         self.cancel_button = gui.add_button(
             "Cancel", icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
         )
-        self.cancel_button.on_click(lambda _: self.act(self.commands.cancel))
+        # At once: the tab's actions may be waiting for what is to be stopped.
+        self.cancel_button.on_click(lambda _: self.commands.cancel())
         history = gui.add_button_group("History", ("Undo", "Redo"))
         history.on_click(
             lambda e: self.act(

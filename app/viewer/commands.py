@@ -64,9 +64,11 @@ class Commands:
         self._app.need_object().predict(self._app.who, here=True)
 
     def cancel(self) -> None:
-        """Stop what runs."""
-        for what in ("predict", "save", "segment", "room"):
-            self._app.need_object().jobs.cancel(what)
+        """Stop what runs. May be called on any thread."""
+        obj = self._app.object
+        if obj is not None:
+            for what in ("predict", "save", "segment", "room", "tool"):
+                obj.jobs.cancel(what)
 
     def accept(self) -> None:
         """Accept the object; its asset is written first."""

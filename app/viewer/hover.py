@@ -135,7 +135,7 @@ class Hover:
             and app.stage == "Annotate"
             and not app.pointing.armed
             and app.pointing.tool == "click"
-            and not {"open", "encode", "segment", "room"} & set(obj.busy)
+            and not {"open", "encode", "segment", "room", "tool"} & set(obj.busy)
         )
 
     def _clear(self) -> None:

@@ -27,6 +27,7 @@ _BUSY = {
     "room": "Working on the scan",
     "segment": "Segmenting",
     "encode": "Preparing for clicks",
+    "tool": "Working",
 }
 
 
@@ -123,7 +124,9 @@ class Redraw:
         jobs = dict(obj.busy)  # they end while this is drawn
         shown = [w for w in _BUSY if w in jobs]
         stoppable = {"predict", "save", "room"} & set(jobs)
-        fraction, busy = 0.0, ""
+        if jobs.get("tool", (0.0, ""))[0]:  # only what takes seconds says how far it is
+            stoppable.add("tool")
+        done, busy = max((jobs[w][0] for w in stoppable), default=0.0), ""
         if shown:
             fraction, message = jobs[shown[0]]
             percent = "" if stoppable or not fraction else f"{100 * fraction:.0f} % "
@@ -151,7 +154,7 @@ class Redraw:
         put(self._app.again_button, "visible", obj.problem is not None)
         put(self._app.off_button, "visible", obj.problem is not None and desk is None)
         put(self._app.progress, "visible", bool(stoppable))
-        put(self._app.progress, "value", round(100 * fraction, 1))
+        put(self._app.progress, "value", round(100 * done, 1))
         put(self._app.cancel_button, "visible", bool(stoppable))
 
     def _draw_scene(self, obj: OpenObject) -> None:

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from model.progress import Progress, no_progress
 from model.resources import static_assets
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
@@ -85,7 +86,9 @@ def shipped_part_scorer() -> Mlp | None:
     return load_mlp(path, PART_FEATURE_NAMES) if path.is_file() else None
 
 
-def spoken_of(solver: ObjectSolver, asked: npt.NDArray[np.integer]) -> Spoken:
+def spoken_of(
+    solver: ObjectSolver, asked: npt.NDArray[np.integer], progress: Progress = no_progress
+) -> Spoken:
     """The masks that a first click on each of some cells may mean, the likeliest of each.
 
     Features are, of the cells that speak of a mask, the means of the hypotheses' features and of
@@ -97,8 +100,9 @@ def spoken_of(solver: ObjectSolver, asked: npt.NDArray[np.integer]) -> Spoken:
     Args:
         solver: with lines on fronts, see :func:`.scorers.solver_of`.
         asked: (A,) cells.
+        progress: told after each of them.
     """
-    said = answers_of(solver, asked, _ANSWERS)
+    said = answers_of(solver, asked, _ANSWERS, progress=progress)
     summed = np.zeros((len(said.masks), len(MOVING_FEATURE_NAMES)), np.float32)
     np.add.at(summed, said.of, said.features)
     speaks = np.zeros((len(asked), len(said.masks)), bool)
@@ -111,10 +115,15 @@ def spoken_of(solver: ObjectSolver, asked: npt.NDArray[np.integer]) -> Spoken:
 
 
 def answers_of(
-    solver: PartSolver, asked: npt.NDArray[np.integer], most: int, *, of_a_part: bool = True
+    solver: PartSolver,
+    asked: npt.NDArray[np.integer],
+    most: int,
+    *,
+    of_a_part: bool = True,
+    progress: Progress = no_progress,
 ) -> Answers:
     """What first clicks on some cells (A,) may mean, the ``most`` likeliest of each; ``of_a_part``
-    as in :meth:`.PartSolver.answer`.
+    as in :meth:`.PartSolver.answer`; ``progress`` is told after each cell.
     """
     number: dict[bytes, int] = {}
     masks: list[Bool] = []
@@ -131,6 +140,7 @@ def answers_of(
         by += [row] * len(best)
         described.append(answer.features[best])
         scores.append(answer.scores[best])
+        progress((row + 1) / len(asked), "looking for parts")
     return Answers(
         np.stack(masks),
         np.array(by),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.progress import Progress, no_progress
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups
@@ -39,7 +40,9 @@ _BODY = 0.6
 """Share of the object above which the largest part is the base."""
 
 
-def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
+def propose(
+    session: DefaultSession, seeds: int = 160, progress: Progress = no_progress
+) -> PartSegmentation:
     """A first guess of all parts, to start from.
 
     Each of many spread cells says what a first click on it might mean. Of an object a network
@@ -49,12 +52,13 @@ def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
 
     Args:
         seeds: cells asked.
+        progress: told after each of them.
     """
     cells = session.encoding.cells
     asked = spread(cells.center, seeds)
     scorer = shipped_part_scorer()
     if scorer is None or session.encoding.room is not None:
-        chosen = _agreed(session, asked)
+        chosen = _agreed(session, asked, progress)
     else:
         solver = session.solver
         if not isinstance(solver, ObjectSolver) or solver.fronts is None:
@@ -64,7 +68,7 @@ def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
         # The part scorer learned from what this one says.
         solver = solver.with_first(shipped_scorers()[0])
         assert isinstance(solver, ObjectSolver)
-        spoken = spoken_of(solver, asked)
+        spoken = spoken_of(solver, asked, progress)
         rows = parts_apart(scorer(spoken.features), spoken.common, WORTH)
         chosen = sorted(spoken.masks[rows], key=lambda m: -float(cells.size[m].sum()))
     of_cell = np.zeros(len(cells), np.int16)
@@ -75,14 +79,16 @@ def propose(session: DefaultSession, seeds: int = 160) -> PartSegmentation:
     return PartSegmentation(labels[:-1].astype(np.int16), "default")
 
 
-def _agreed(session: DefaultSession, asked: npt.NDArray[np.int64]) -> list[Bool]:
+def _agreed(
+    session: DefaultSession, asked: npt.NDArray[np.int64], progress: Progress
+) -> list[Bool]:
     """(C,) masks, the largest first, of the highest expected overlap with what cells mean.
 
     A mask counts where most of its own cells agree on it. Small ones may lie on large ones; other
     overlaps are refused. The largest is left out where it covers most of what there is.
     """
     size = session.encoding.cells.size
-    masks, likely = _answers(session, asked)
+    masks, likely = _answers(session, asked, progress)
     common, overlap = overlaps(masks, size)
     chosen = [masks[i] for i in _tiling(masks[:, asked].T * (likely @ overlap), common)]
     chosen.sort(key=lambda m: -float(size[m].sum()))
@@ -91,9 +97,11 @@ def _agreed(session: DefaultSession, asked: npt.NDArray[np.int64]) -> list[Bool]
     return chosen
 
 
-def _answers(session: DefaultSession, asked: npt.NDArray[np.int64]) -> tuple[Bool, Float]:
+def _answers(
+    session: DefaultSession, asked: npt.NDArray[np.int64], progress: Progress
+) -> tuple[Bool, Float]:
     """(M, C) the likeliest masks of all asked cells, and (A, M) how likely each is for a cell."""
-    said = answers_of(session.solver, asked, _ANSWERS, of_a_part=False)
+    said = answers_of(session.solver, asked, _ANSWERS, of_a_part=False, progress=progress)
     likely = np.zeros((len(asked), len(said.masks)), np.float32)
     first = np.flatnonzero(np.diff(said.by, prepend=-1))
     power = np.exp((said.scores - said.scores[first][said.by]) / _TEMPERATURE)

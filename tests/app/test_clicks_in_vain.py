@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,7 +26,12 @@ def obj() -> Any:
     asset = SimpleNamespace(element=np.arange(0, ELEMENTS, 2, dtype=np.int32), area=None)
     done: list[Any] = []
     return SimpleNamespace(
-        document=Document(), asset=asset, need_asset=lambda: asset, do=lambda c, who: done.append(c)
+        document=Document(),
+        asset=asset,
+        need_asset=lambda: asset,
+        do=lambda c, who: done.append(c),
+        jobs=Mock(),
+        changed=lambda: None,
     )
 
 

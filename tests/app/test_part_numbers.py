@@ -1,15 +1,22 @@
-"""Tools number new parts: the lowest number that nothing was ever said of."""
+"""Tools number new parts, the lowest number that nothing was ever said of; they can be stopped."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from threading import Thread
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
+from app.job import Job
+from app.running_jobs import RunningJobs
 from app.segmenting import Segmenting
 from app.tool_tasks import FaceCutOffer, MaskOffer, RegionOffer, ToolRequest
 from model.errors import CommandError
+from model.progress import Cancelled
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick, AddPart, NamePart, SetFrame
 from sessions.describe import describe
@@ -30,6 +37,8 @@ def desk(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
             workspace=None,
             config=SimpleNamespace(segmenter="default"),
         ),
+        jobs=Mock(),
+        changed=lambda: None,
     )
     state = SessionState()
 
@@ -42,6 +51,13 @@ def desk(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
         do(command)
     obj.do = do
     return Segmenting(obj), obj
+
+
+def wait(until: Callable[[], object]) -> None:
+    end = time.monotonic() + 10
+    while not until():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_new_parts_take_the_numbers_of_empty_ones() -> None:
@@ -74,3 +90,27 @@ def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile
         with pytest.raises(CommandError, match="meanwhile"):
             segmenting.use_tool(ToolRequest(tool, 2), "tester")
         assert obj.document.label == describe(meanwhile)
+
+
+def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None:
+    segmenting, obj = desk([], AddPart(1))
+    jobs = obj.jobs = RunningJobs("the chest", lambda: None)
+    job: Job[Any] = Job(lambda job: job._end("cancelled"), 1, "tool", (int, (), {}), None, None)
+    obj.bench.segmentation.submit = lambda *a, **k: job
+    ended: list[Exception] = []
+
+    def use() -> None:
+        try:
+            segmenting.use_tool(ToolRequest("propose", 2), "tester")
+        except Cancelled as error:
+            ended.append(error)
+
+    tab = Thread(target=use)
+    tab.start()
+    wait(lambda: "tool" in jobs)
+    jobs.progress("tool")(0.4, "looking for parts")
+    assert jobs.busy == {"tool": (0.4, "looking for parts")}
+    jobs.cancel("tool")
+    tab.join(10)
+    wait(lambda: not jobs.busy)
+    assert len(ended) == 1 and obj.document.prompts == ()

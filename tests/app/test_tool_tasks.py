@@ -14,6 +14,7 @@ from app.scene_shapes import drawn_parts
 from app.segmenting_tasks import StoredRegion
 from app.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.errors import CommandError
+from model.progress import Cancelled
 from model.segmentation.prompts import Click
 
 LID = (0.05, 0.02, 0.365)
@@ -136,6 +137,22 @@ def test_all_parts_leaves_alone_what_is_a_part_already(chest):
         np.sort(np.concatenate([first, *(e for _, _, e in again)])),
         np.sort(np.concatenate([e for _, _, e in guessed])),
     )
+
+
+def test_all_parts_says_how_far_it_is_and_can_be_stopped(chest):
+    opened, workspace = chest
+    told: list[float] = []
+
+    def progress(fraction: float, message: str) -> None:
+        told.append(fraction)
+        if len(told) == 5:
+            raise Cancelled(message)
+
+    with pytest.raises(Cancelled):
+        use_tool(
+            opened.folder, workspace, "default", (), ToolRequest("propose", 1), progress=progress
+        )
+    assert len(told) == 5 and told == sorted(told) and 0 < told[0] < told[-1] < 0.2
 
 
 def test_masks_go_round_and_begin_with_the_answer(chest):
