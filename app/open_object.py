@@ -28,6 +28,7 @@ from model.gate.report import GateReport
 from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 from model.remote.http_predictor import BackendError
+from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.state import Document, SessionState
@@ -83,6 +84,15 @@ class OpenObject(Watched):
     def labels(self) -> npt.NDArray[np.int16] | None:
         """(D,) part of each displayed element; None where nothing is segmented."""
         return self.segmenting.labels
+
+    def part_of(self, element: int) -> int | None:
+        """The part that holds an element of the source, be it displayed or not; None where nothing
+        is segmented.
+        """
+        record = self.document.segmentation
+        if record is None:
+            return None
+        return max(int(self.bench.store.get_array(record.labels)[element]), BASE)
 
     @property
     def checks(self) -> list[JointCheck]:

@@ -6,8 +6,6 @@ import datetime
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from app.accepting import accept
 from app.judging import LookFirstError
 from app.pointer_messages import tell_page
@@ -186,13 +184,10 @@ class Commands:
             app.set_stage("Joints")
 
     def choose_joint_at(self, element: int) -> None:
-        """The joint whose part holds a displayed element's source element."""
-        obj = self._app.need_object()
-        if obj.labels is None or obj.asset is None:
-            return
-        shown = np.flatnonzero(obj.asset.element == element)
-        if len(shown):
-            self.choose_joint_of(int(obj.labels[shown[0]]))
+        """The joint whose part holds an element of the source."""
+        part = self._app.need_object().part_of(element)
+        if part is not None:
+            self.choose_joint_of(part)
 
     def choose_joint_of(self, part: int | None) -> None:
         """The joint that moves a part, where there is one."""

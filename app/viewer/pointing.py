@@ -319,15 +319,12 @@ class Pointing:
         return 3 if self.armed == "cut" and self._shifted else 2
 
     def _merge_at(self, element: int) -> None:
-        app, obj = self._app, self._app.need_object()
         self.armed = ""
-        if obj.labels is None or obj.asset is None:
-            return
-        shown = np.flatnonzero(obj.asset.element == element)
-        if len(shown):
-            self.merge(int(obj.labels[shown[0]]))
+        part = self._app.need_object().part_of(element)
+        if part is not None:
+            self.merge(part)
         else:
-            app.notify("Merge", "Click nearer to the middle of the part", "gray")
+            self._app.notify("Merge", "There are no parts yet: click on one first", "gray")
 
     def merge(self, other: int) -> None:
         """Part ``other`` joins the chosen one."""

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
+from app.open_object import OpenObject
+from app.viewer.commands import Commands
 from app.viewer.pointing import Pointing
+from sessions.store import Store
 
 
 def test_a_cut_that_was_begun_leaves_no_mark_when_something_is_drawn_instead() -> None:
@@ -21,3 +28,35 @@ def test_a_cut_that_was_begun_leaves_no_mark_when_something_is_drawn_instead() -
     assert marks[-1] == ((0.0, 0.0, 0.0),)
     pointing.set_tool("lasso")
     assert (pointing.tool, pointing.armed, marks[-1]) == ("lasso", "", ())
+
+
+def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> None:
+    """Of a large scan only some points are drawn, but each can be clicked on."""
+    store = Store(tmp_path)
+    ref = store.put_array(np.array([0, 0, 2, 2, -1], np.int16))
+    obj: Any = SimpleNamespace(
+        document=SimpleNamespace(segmentation=SimpleNamespace(labels=ref), tree=None),
+        bench=SimpleNamespace(store=store),
+        asset=SimpleNamespace(element=np.array([0, 2])),
+        labels=np.array([0, 2], np.int16),
+    )
+    obj.part_of = partial(OpenObject.part_of, obj)
+    asked: list[Any] = []
+    app: Any = SimpleNamespace(
+        part=1,
+        need_object=lambda: obj,
+        notify=lambda *said: asked.append(said),
+        annotate_panel=SimpleNamespace(use=lambda request, label: asked.append(request.other)),
+    )
+    pointing, commands = Pointing(app), Commands(app)
+    for element in (3, 2, 4):
+        pointing._merge_at(element)
+    assert asked == [2, 2, 0]
+    chosen: list[int | None] = []
+    commands.choose_joint_of = chosen.append  # type: ignore[method-assign]
+    commands.choose_joint_at(3)
+    assert chosen == [2]
+    obj.document.segmentation = None
+    pointing._merge_at(3)
+    assert asked[-1][0] == "Merge" and "no parts yet" in asked[-1][1]
+    store.close()
