@@ -167,7 +167,7 @@ class Segmenting:
             not isinstance(last, Click)
             or doc.prompts[:-1] != said
             or before is None
-            or self._agreed(before, last)
+            or self._agreed(last)
         ):
             self.in_vain = 0
             return
@@ -175,10 +175,12 @@ class Segmenting:
         little = len(before) == len(now) and (before != now).sum() < _LITTLE * part
         self.in_vain = self.in_vain + 1 if little else 0
 
-    def _agreed(self, labels: npt.NDArray[np.int16], click: Click) -> bool:
-        """Whether a click said what was shown already."""
-        shown = np.flatnonzero(self._obj.need_asset().element == click.element)
-        return len(shown) > 0 and bool((labels[shown[0]] == click.part) == click.positive)
+    def _agreed(self, click: Click) -> bool:
+        """Whether a click said what the answer before it said already."""
+        if click.element is None:
+            return False
+        part = self._obj.part_of(click.element)
+        return part is not None and (part == click.part) == click.positive
 
     def _show(self, ref: str, labels: npt.NDArray[np.int16]) -> None:
         asset = self._obj.asset  # None where the object is read anew meanwhile

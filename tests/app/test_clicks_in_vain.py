@@ -39,12 +39,18 @@ def click(element: int, positive: bool = True) -> Click:
     return Click((0.0, 0.0, 0.0), 1, positive, element)
 
 
+def kept(obj: Any, held: int) -> None:
+    """The answer is on record: the first ``2 * held`` elements are part 1, displayed or not."""
+    obj.part_of = lambda element: int(element < 2 * held)
+
+
 def answered(desk: Segmenting, obj: Any, prompts: tuple[Any, ...], held: int) -> None:
     """The segmenter answers ``prompts``: the first ``held`` displayed elements are part 1."""
     obj.document = Document(prompts=prompts)
     labels = np.zeros(ELEMENTS // 2, np.int16)
     labels[:held] = 1
     desk._keep(SegmentationAnswer(obj.document.key, "a" * 64, labels, {1: held}, "default", 0.0))
+    kept(obj, held)
 
 
 def test_clicks_that_bring_little_are_counted(obj: Any) -> None:
@@ -64,6 +70,9 @@ def test_a_click_that_confirms_was_not_in_vain(obj: Any) -> None:
     answered(desk, obj, (click(0),), 200)
     answered(desk, obj, (click(0), click(20)), 200)
     answered(desk, obj, (click(0), click(20), click(900, positive=False)), 200)
+    assert desk.in_vain == 0
+    # Nor are those on points of a large scan that are not displayed.
+    answered(desk, obj, (click(0), click(20), click(900, positive=False), click(21)), 200)
     assert desk.in_vain == 0
 
 
