@@ -278,14 +278,16 @@ class AnnotatePanel:
         self._app.invalidate()
 
     def _prompt_action(self, action: str) -> None:
-        prompts = self._document().prompts
-        if not prompts:
-            return
-        if action == "Last":
-            last = prompt_entries(prompts)[-1]
-            self._app.do(cmd.RemovePrompt(last.index, last.count))
+        app, prompts = self._app, self._document().prompts
+        mine = [entry for entry in prompt_entries(prompts) if entry.part == app.part]
+        if action == "All" and prompts:
+            app.do(cmd.ClearPrompts())
+        elif not mine:
+            app.notify("Remove", "This part has no prompts" if prompts else "None yet", "gray")
+        elif action == "Last":  # of those that are listed
+            app.do(cmd.RemovePrompt(mine[-1].index, mine[-1].count))
         else:
-            self._app.do(cmd.ClearPrompts(self._app.part if action == "Of this part" else None))
+            app.do(cmd.ClearPrompts(app.part))
 
     # --- drawing
 

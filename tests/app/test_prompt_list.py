@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 from app.tool_tasks import NEXT_MASK, TOOLS
-from app.viewer.annotate_panel import TOOL_ROWS
+from app.viewer.annotate_panel import TOOL_ROWS, AnnotatePanel
 from app.viewer.prompt_list import prompt_entries
 from app.viewer.review_panel import what_happened
 from model.kinematics.joint import Joint
 from model.segmentation.prompts import Click
-from sessions.commands import ResetJoint, SetJoint
+from sessions.commands import ClearPrompts, RemovePrompt, ResetJoint, SetJoint
 from sessions.document import Document, PartInfo, RegionRef
 from sessions.tool_commands import ApplyTool, ToolRegion
 
@@ -49,3 +52,22 @@ def test_the_history_speaks_as_the_screens_do():
     assert what_happened(doc, proposed) == "all parts, 2 parts"
     assert what_happened(doc, SetJoint(joint)) == "change the joint of part 2"
     assert what_happened(doc, ResetJoint("link_1")) == "reset the joint of door 1"
+
+
+def test_what_is_removed_is_of_the_part_whose_prompts_are_listed():
+    prompts = tuple(Click((0.0, 0.0, 0.0), part) for part in (1, 1, 2))
+    done: list[object] = []
+    app = SimpleNamespace(part=1, do=done.append, notify=lambda *said: done.append(said[1]))
+    panel: Any = SimpleNamespace(_app=app, _document=lambda: SimpleNamespace(prompts=prompts))
+
+    def press(part: int, action: str) -> object:
+        app.part = part
+        AnnotatePanel._prompt_action(panel, action)
+        return done[-1]
+
+    assert press(1, "Last") == RemovePrompt(1, 1)
+    assert press(2, "Last") == RemovePrompt(2, 1)
+    assert press(3, "Last") == press(3, "Of this part") == "This part has no prompts"
+    assert press(1, "Of this part") == ClearPrompts(1)
+    assert press(3, "All") == ClearPrompts()
+    assert len(done) == 6
