@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import viser
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 OTHER = "other…"
 LEAVE_OUT = "Leave out floor and walls"
 PROMPTS_SHOWN = 12
-PARTS_SHOWN = 40
+PARTS_SHOWN = 200
 
 TOOL_ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     (
@@ -366,7 +367,7 @@ class AnnotatePanel:
 
     def _draw_parts(self, doc: Document, shares: dict[int, float]) -> None:
         app = self._app
-        ids = sorted({0, app.part, *(p.id for p in doc.parts)})[:PARTS_SHOWN]
+        ids = parts_listed((p.id for p in doc.parts), app.part)
         for part in [p for p in self._buttons if p not in ids]:
             self._buttons.pop(part).remove()
         gui = app.client.gui
@@ -414,6 +415,12 @@ class AnnotatePanel:
             remove = cmd.RemovePrompt(entry.index, entry.count)
             button.on_click(lambda _, remove=remove: app.act(lambda: app.do(remove)))
             self._prompt_buttons.append((button, entry))
+
+
+def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:
+    """The parts that have a button: the first ``PARTS_SHOWN``, always with the chosen one."""
+    ids = sorted({BASE, chosen, *parts})
+    return ids if len(ids) <= PARTS_SHOWN else sorted({*ids[: PARTS_SHOWN - 1], chosen})
 
 
 def _percent(share: float) -> str:

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.tool_tasks import NEXT_MASK, TOOLS
-from app.viewer.annotate_panel import TOOL_ROWS, AnnotatePanel
+from app.viewer.annotate_panel import TOOL_ROWS, AnnotatePanel, parts_listed
 from app.viewer.prompt_list import prompt_entries
 from app.viewer.review_panel import what_happened
 from model.kinematics.joint import Joint
@@ -71,3 +71,11 @@ def test_what_is_removed_is_of_the_part_whose_prompts_are_listed():
     assert press(1, "Of this part") == ClearPrompts(1)
     assert press(3, "All") == ClearPrompts()
     assert len(done) == 6
+
+
+def test_the_chosen_part_has_a_button_however_many_there_are():
+    remote = range(58)  # the keys of a remote control
+    assert parts_listed(remote, 57) == list(remote)
+    assert parts_listed((), 3) == [0, 3]
+    many = parts_listed(range(1, 900), 850)
+    assert len(many) == 200 and many[:3] == [0, 1, 2] and many[-1] == 850
