@@ -192,7 +192,8 @@ class Segmenting:
         """Let a segmentation tool work; the number of regions that came of it.
 
         Raises:
-            CommandError: where the tool can't work on what there is, or that changed meanwhile.
+            CommandError: where the tool can't work on what there is, that changed meanwhile, or
+                the server has too much to do.
             Cancelled: where somebody stopped it.
         """
         obj = self._obj
@@ -216,7 +217,13 @@ class Segmenting:
         )
         obj.jobs.follow("tool", job, self._tool_ended)
         obj.changed()
-        offers = job.result(TOOL_SECONDS)
+        try:
+            offers = job.result(TOOL_SECONDS)
+        except TimeoutError as error:
+            job.cancel()
+            raise CommandError(
+                f"the server has too much to do: after {TOOL_SECONDS:.0f} s this was given up"
+            ) from error
         if _worked_on(obj.document) != _worked_on(doc):
             # By another tab: prompts at the end, elements and free numbers are others now.
             raise CommandError("something else was changed meanwhile: use the tool again")

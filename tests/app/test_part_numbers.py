@@ -114,3 +114,14 @@ def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None
     tab.join(10)
     wait(lambda: not jobs.busy)
     assert len(ended) == 1 and obj.document.prompts == ()
+
+
+def test_a_tool_that_finds_no_time_is_given_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    segmenting, obj = desk([], AddPart(1))
+    stopped: list[Any] = []
+    job: Job[Any] = Job(stopped.append, 1, "tool", (int, (), {}), None, None)
+    obj.bench.segmentation.submit = lambda *a, **k: job
+    monkeypatch.setattr("app.segmenting.TOOL_SECONDS", 0.01)
+    with pytest.raises(CommandError, match="too much to do"):
+        segmenting.use_tool(ToolRequest("grow", 1), "tester")
+    assert stopped == [job]
