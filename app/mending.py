@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -15,16 +14,14 @@ from model.evaluation.joint_metrics import (
     point_to_line,
 )
 from model.evaluation.tree_metrics import chain, path
-from model.kinematics.articulated_object import ArticulatedObject
+from model.geometric.retyping import retyped
+from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from sessions.commands import SetJoint, SetRoot
 from sessions.live import LiveSession
 
 WHO = "scripted annotator"
-DEFAULT_LIMITS = {"revolute": (0.0, math.pi / 2)}
-"""What the app gives a joint whose type is changed; a slide gets 0.3 diagonals."""
-SLIDE = 0.3
 
 
 class Mender:
@@ -94,10 +91,9 @@ class Mender:
 
     def _mend_joint(self, true: Joint, child: str) -> None:
         if self.tree.joint_of[child].type != true.type:
-            lower, upper = DEFAULT_LIMITS.get(true.type, (None, None))
-            if true.type == "prismatic":
-                lower, upper = 0.0, round(SLIDE * self.diagonal, 3)
-            self._change(child, type=true.type, lower=lower, upper=upper)
+            # As on the screen the geometry says where a joint of that type is.
+            parts = SegmentedObject(self.truth.name, self.truth.parts, self.truth.category)
+            self._do(SetJoint(retyped(parts, self.tree, child, true.type)))
         if axis_angle(true.axis, self.tree.joint_of[child].axis) > self.limits.axis:
             self._change(child, axis=true.axis)
         origin = self.tree.joint_of[child].origin

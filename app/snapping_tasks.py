@@ -1,4 +1,5 @@
-"""A joint snapped to a feature of its part: the box's axes and edges, a contact, the free range."""
+"""A joint brought to what its part shows: box axes and edges, a contact, the free range, another
+type."""
 
 from __future__ import annotations
 
@@ -8,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from app.part_tasks import PartSource, parts_of
+from app.part_tasks import PartSource, parts_of, segmented_object
 from model.errors import CommandError
 from model.gate.words import moving_chain
 from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
+from model.kinematics.joint import Joint, JointType
 from model.kinematics.tree import KinematicTree
 
 SWEEP_POINTS = 3000
@@ -62,6 +63,13 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
     # A contact tells the axis less exactly than barrels that the joint's own is parallel to.
     found = on_barrels(replace(touching, axis=joint.axis), *both) or on_barrels(touching, *both)
     return found or touching
+
+
+def retype_joint(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:
+    """The joint of ``child`` as one of another type: :func:`model.geometric.retyping.retyped`."""
+    from model.geometric.retyping import retyped
+
+    return retyped(segmented_object(source), tree, child, kind)
 
 
 def _surface_points(part: Part) -> npt.NDArray[np.float64]:

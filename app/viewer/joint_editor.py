@@ -32,7 +32,6 @@ _THERE = {
     "Centre": "The origin is the middle of the part's box",
     "free range": "The range ends where the part would collide",
 }
-DEFAULT_LIMITS = {"revolute": (0.0, math.pi / 2), "prismatic": (0.0, 0.3)}
 
 
 class JointEditor:
@@ -124,15 +123,21 @@ class JointEditor:
             self._app.set_joint(replace(joint, **changes))
 
     def set_type(self, kind: Any) -> None:
-        """Give the chosen joint another type, with limits that such a joint usually has."""
-        joint = self._need_joint()
+        """Give the chosen joint another type, with the axis, origin and limits that it then has:
+        as predicted where the prediction was of that type, else as the geometry says."""
+        obj, joint = self._app.need_object(), self._need_joint()
+        doc = obj.document
         if kind == joint.type:
             return
-        lower, upper = DEFAULT_LIMITS.get(kind, (None, None))
-        asset = self._app.need_object().asset
-        if kind == "prismatic" and asset is not None:
-            upper = round(0.3 * asset.diagonal, 3)
-        self._app.set_joint(replace(joint, type=kind, lower=lower, upper=upper))
+        predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
+        if predicted is not None and (predicted.type, predicted.parent) == (kind, joint.parent):
+            self._app.set_joint(replace(predicted, name=joint.name))
+            return
+        assert doc.tree is not None
+        job = self._app.bench.prediction.submit(
+            snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=15
+        )
+        self._app.set_joint(job.result(SNAP_SECONDS))
 
     def next_type(self) -> None:
         """The next type in the list (T)."""

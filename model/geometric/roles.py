@@ -6,7 +6,7 @@ import numpy as np
 
 from model.geometric.context import Assembly, PartContext
 from model.geometric.looks import Looks, look
-from model.geometric.motion_scores import motion_scores, passes_sibling
+from model.geometric.motion_scores import Scores, motion_scores, passes_sibling
 from model.geometric.motion_words import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
 from model.geometric.vocabulary import mechanism_of
 
@@ -31,9 +31,7 @@ def guess_mechanisms(
         else:
             unnamed[i] = look(PartContext(assembly, i))
     for i, looks in unnamed.items():
-        scores = motion_scores(PartContext(assembly, i), looks, unnamed)
-        for usual in CATEGORY_MOTIONS.get(assembly.category, ()):
-            scores[usual] = scores.get(usual, 0.0) + CATEGORY_BONUS
+        scores = mechanism_scores(PartContext(assembly, i), looks, unnamed)
         best = max(scores, key=lambda m: scores[m])
         values = np.array(list(scores.values()))
         weights = np.exp(1.5 * (values - values.max()))
@@ -41,6 +39,18 @@ def guess_mechanisms(
         reasons[i] = f"looks like a part that {MOTION_WORDS[best]}"
         sureness[i] = float(0.9 * weights.max() / weights.sum())
     return mechanisms, reasons, sureness
+
+
+def mechanism_scores(part: PartContext, looks: Looks, unnamed: dict[int, Looks]) -> Scores:
+    """How much a part looks like each mechanism, what its category usually does included.
+
+    Args:
+        unnamed: the cues of all parts without a name, by index; this part's too.
+    """
+    scores = motion_scores(part, looks, unnamed)
+    for usual in CATEGORY_MOTIONS.get(part.category, ()):
+        scores[usual] = scores.get(usual, 0.0) + CATEGORY_BONUS
+    return scores
 
 
 MOTION_WORDS: dict[Mechanism, str] = {

@@ -1,0 +1,133 @@
+"""The joint that a part would have if it moved another way than it was taken to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from model.gate.words import moving_chain
+from model.geometric.context import Assembly, PartContext
+from model.geometric.edge_limits import from_zero
+from model.geometric.looks import look
+from model.geometric.mechanisms import find_front, propose
+from model.geometric.motion_words import SLIDING, TURNING, Mechanism
+from model.geometric.predictor import joints_of
+from model.geometric.roles import guess_mechanisms, mechanism_scores, named_mechanism
+from model.geometric.scene import Scene, make_scene
+from model.kinematics.articulated_object import SegmentedObject
+from model.kinematics.joint import Joint, JointType, canonical_axis_sign
+from model.kinematics.tree import KinematicTree
+
+SLIDES: tuple[Mechanism, ...] = ("slide_out", "slide_along", "lift", "press")
+SPINS: tuple[Mechanism, ...] = ("spin", "swivel", "screw")
+TURNS: tuple[Mechanism, ...] = (
+    "hinge",
+    "flap",
+    "drop",
+    "temple",
+    "pivot",
+    "swing",
+    "lever",
+    "toggle",
+    "tilt",
+)
+MECHANISMS_OF: dict[JointType, tuple[Mechanism, ...]] = {
+    "prismatic": SLIDES,
+    "revolute": (*TURNS, *SPINS),
+    "continuous": SPINS,
+}
+"""What may move a part by a joint of that type."""
+NAMED = 1.0
+"""Score for the way in which a part of that name would slide, or turn, if it did."""
+TURN, SLIDE = math.pi / 2, 0.3
+"""Range where nothing says more: radians, and the object's diagonals."""
+
+
+def retyped(
+    segmented: SegmentedObject, tree: KinematicTree, child: str, kind: JointType, seed: int = 0
+) -> Joint:
+    """The joint of ``child`` as one of another type, where the geometry says such a joint is.
+
+    Axis, origin and limits are those of the likeliest motion of that type; name, parent and child
+    stay. A joint that turns keeps its line where it only gets or loses its limits, and so does one
+    that moves no part of its own.
+
+    Args:
+        segmented: parts, object frame, metres. tree: the joints as they are; they say what hangs
+            on what.
+        child: a part's link, or the helper link of a part with several joints.
+        kind: the new type.
+    """
+    joint = tree.joint_of[child]
+    if kind == joint.type:
+        return joint
+    usual = TURN if kind != "prismatic" else SLIDE * _diagonal(segmented)
+    # The ratio to a joint that it follows means nothing to another type.
+    bare = replace(joint, type=kind, lower=0.0, upper=usual, mimic=None, give_way=False)
+    if kind == "fixed" or (joint.rotates and bare.rotates):
+        return bare
+    parts = {p.link for p in segmented.parts}
+    moved = moving_chain(tree, child, parts.__contains__)[-1]
+    if moved not in parts:
+        return bare
+    scene = make_scene(segmented, seed)
+    assembly = _assembly(scene, tree)
+    links = [s.link for s in scene.shapes]
+    part = links.index(moved)
+    if part == assembly.root:
+        return bare
+    context = PartContext(assembly, part)
+    mechanisms, _, _ = guess_mechanisms(assembly)
+    mechanisms[part] = _mechanism(context, kind)
+    assembly.front, assembly.front_certainty = find_front(assembly, mechanisms)
+    best = from_zero(context, propose(context, mechanisms[part])[0])
+    if best.type == "fixed":
+        return bare
+    [found] = joints_of(scene, links, part, context.parent, replace(best, travel=None))
+    limits = found if found.type == kind else bare
+    return canonical_axis_sign(
+        replace(bare, axis=found.axis, origin=found.origin, lower=limits.lower, upper=limits.upper)
+    )
+
+
+def _diagonal(segmented: SegmentedObject) -> float:
+    return float(np.linalg.norm(np.ptp(segmented.bounds, axis=0)))
+
+
+def _assembly(scene: Scene, tree: KinematicTree) -> Assembly:
+    """What hangs on what as the tree has it; helper links are passed over."""
+    index = {s.link: i for i, s in enumerate(scene.shapes)}
+    parent = []
+    for link in index:
+        above = link
+        while above in tree.joint_of:
+            above = tree.joint_of[above].parent
+            if above in index:
+                break
+        parent.append(index[above] if above in index and above != link else -1)
+    root = index.get(tree.root, parent.index(-1))
+    parent = [k if k >= 0 else root for k in parent]
+    parent[root] = -1
+    return Assembly(scene, root, parent)
+
+
+def _mechanism(context: PartContext, kind: JointType) -> Mechanism:
+    """The likeliest way in which the part moves by such a joint: by its name, else its looks."""
+    fit = MECHANISMS_OF[kind]
+    said = named_mechanism(context)
+    if said in fit:
+        return said
+    others = [PartContext(context.assembly, i) for i in range(len(context.scene))]
+    unnamed = {
+        i: look(other)
+        for i, other in enumerate(others)
+        if i != context.assembly.root and (i == context.part or named_mechanism(other) is None)
+    }
+    scores = mechanism_scores(context, unnamed[context.part], unnamed)
+    if said is not None:
+        other = (SLIDING if kind == "prismatic" else TURNING).get(said)
+        if other is not None:
+            scores[other] = scores.get(other, 0.0) + NAMED
+    return max(fit, key=lambda m: scores.get(m, 0.0))
