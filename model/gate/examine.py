@@ -29,6 +29,8 @@ rails and lids on threads stay below it."""
 LIFTS, PULLED = 0.25, 0.4
 """Share of the way over which what is lifted off on purpose keeps to its holder: lids, caps; and
 plugs and deep rims, which are worth a look."""
+UPWARD = 0.5
+"""Upright share of a slide's direction from which it lifts its part."""
 SLIDE_LIMIT, SLIDE_ABSURD = 1.2, 3.0
 """Travel of a slide in diagonals: longer than the object, and nonsense."""
 TURNS_LIMIT = 2 * math.pi * 1.01
@@ -240,21 +242,38 @@ def detached_finding(scene: Scene, joint: Joint) -> Finding | None:
     if growth[k] <= OFF * scene.diagonal:
         return None
     q, holder = float(held.q[k]), scene.titled(held.holder)
-    said = f"Comes off {holder}: {length(float(growth[k]))} away at {value(joint, q)}."
     verdict: Verdict = "broken"
+    lifted = False
     if not joint.rotates:
         # A lid goes away from what it lies on all the while; a drawer that falls out has slid
         # along its rails first.
         kept = 1.0 - float(growth[k]) / abs(q)
-        if kept < PULLED:
-            said = f"Lifts off {holder}: {length(float(growth[k]))} away at {value(joint, q)}."
+        lifted = kept < PULLED
+        if lifted:
             near = kept < LIFTS and growth[k] < 0.5 * scene.diagonal
             verdict = "fine" if near else "look"
     if verdict == "broken" and not _closed(scene, joint, held.holder):
         verdict = "look"  # a scan doesn't show the rails inside
     at = tuple(float(v) for v in held.where[k])
     gap = float(growth[k])
+    how = _way_off(scene, joint, held.holder, q, lifted)
+    said = f"{how} {holder}: {length(gap)} away at {value(joint, q)}."
     return Finding("detached", verdict, said, gap, {joint.name: q}, at, held.holder)  # type: ignore[arg-type]
+
+
+def _way_off(scene: Scene, joint: Joint, holder: str, q: float, lifted: bool) -> str:
+    """How a part leaves what holds it: a drawer slides out of it, a lid is lifted off."""
+    if joint.rotates:
+        return "Comes off"
+    if math.copysign(1.0, q) * joint.axis[2] > UPWARD:
+        return "Lifts off" if lifted else "Comes off"
+    part, around = (scene.surfaces.get(k) for k in (joint.child, holder))
+    if part is not None and around is not None:
+        low, high = around.bounds
+        inside = ((part.points >= low) & (part.points <= high)).all(axis=1).mean()
+        if inside > 0.5:
+            return "Slides out of"
+    return "Slides off"
 
 
 def _closed(scene: Scene, joint: Joint, holder: str) -> bool:

@@ -113,6 +113,7 @@ def test_a_drawer_that_falls_out_has_its_limit_shortened():
     found = report.of("drawer")
     assert (found.verdict, found.worst.kind) == ("broken", "detached")
     assert found.worst.q == {"drawer": pytest.approx(0.7)}
+    assert found.sentence.startswith("Slides out of carcass")
     after = mended(bad, report, "drawer", "limits")
     assert 0.2 < after.tree.by_name["drawer"].upper < 0.45
     assert judge(after).verdict == "fine"
@@ -124,6 +125,22 @@ def test_a_lid_that_is_lifted_off_is_fine():
     report = judge(two(Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.15), pot, lid))
     assert report.verdict == "fine"
     assert report.of("j").sentence.startswith("Lifts off")
+
+
+@pytest.mark.parametrize(
+    ("front", "axis", "said"),
+    [
+        (0.01, (0, -1, 0), "Slides out of base"),
+        (-0.02, (0, -1, 0), "Slides off base"),
+        (0.01, (0, 0, -1), "Slides out of base"),
+    ],
+)
+def test_what_leaves_level_or_downwards_is_not_lifted(front, axis, said):
+    """A drawer's front in its hole, and one before it: a scan shows no more of a drawer."""
+    sides = [box([0, 0, 0], [0.02, 0.4, 0.3]), box([0.58, 0, 0], [0.6, 0.4, 0.3])]
+    panel = part("link_1", box([0.021, front, 0.01], [0.579, front + 0.018, 0.29]))
+    slide = Joint("j", "prismatic", "link_0", "link_1", axis, lower=0, upper=0.5)
+    assert judge(two(slide, part("link_0", *sides), panel)).of("j").sentence.startswith(said)
 
 
 def kettle(rim: float) -> ArticulatedObject:
