@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,8 @@ from sessions.store import ObjectRecord
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
+
+INTERRUPTED = "Its server ended while it was saved, or another one still saves it: Y accepts it"
 
 
 class OpenObject(Watched):
@@ -103,6 +106,11 @@ class OpenObject(Watched):
     def predicting(self) -> bool:
         """Whether a prediction is under way."""
         return "predict" in self.jobs
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was being accepted when this server started, and isn't decided since."""
+        return self.bench.was_interrupted(replace(self.record, seq=self.state.seq))
 
     def source(self, document: Document | None = None) -> PartSource:
         """The parts of the document as the workers cut them.
@@ -193,10 +201,8 @@ class OpenObject(Watched):
             self.segmenting.take_source_parts(asset)
             if asset.category:
                 self.do(cmd.SetCategory(asset.category), "source file")
-        if self.bench.was_interrupted(self.bench.store.object(self.record.id)):
-            self.tell(
-                "Not accepted", "The server ended while it was saved: accept it again", "yellow"
-            )
+        if self.interrupted:
+            self.tell("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:
             self.tell("Opened with a remark", warning, "yellow")
         self.bench.geometry.submit(picking_tasks.prepare_picking, asset.folder)

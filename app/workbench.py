@@ -173,7 +173,8 @@ class Workbench:
                 self._open.pop(i).let_go()
 
     def was_interrupted(self, record: ObjectRecord) -> bool:
-        """Whether the server before ended while it accepted the object as it is now."""
+        """Whether an acceptance of the object as it is now was begun before this server started,
+        and isn't decided: its server ended, or is still at it."""
         return self._interrupted.get(record.id) == record.seq
 
     def on_queue(self, listener: Listener) -> Callable[[], None]:
@@ -200,6 +201,13 @@ class Workbench:
         self.hub.follow(last)
         with self._lock:
             stale = [i for i in self._ids if last.get(i, 0) > self._records[i].seq]
+        if self._interrupted:
+            begun = self.store.accepting()
+            over = [i for i in self._interrupted if i not in begun]
+            for object_id in over:  # by another server that was at it, or again by this one
+                del self._interrupted[object_id]
+            if over:
+                self._tell_queue()
         for object_id in stale:
             self.queue_changed(object_id)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.open_object import OpenObject
+from app.open_object import INTERRUPTED, OpenObject
 from app.titles import in_words, joint_title, part_title
 from app.viewer import palette
 from app.viewer.gate_view import GateView
@@ -130,13 +130,15 @@ class ReviewPanel:
             report,
             "save" in obj.busy,
             self.gate.looked_at(obj) is not None,
+            obj.interrupted,
         )
         if now == self._drawn:
             return
         if self._drawn is not None and self._drawn[0] != obj.record.id:
             self.clear()
         self._drawn = now
-        put(self._summary, "content", summary(doc))
+        cut_off = f"**{INTERRUPTED}.**\n\n" if obj.interrupted and "save" not in obj.busy else ""
+        put(self._summary, "content", cut_off + summary(doc))
         decided = doc.review.state in DECIDED
         broken = report is not None and report.verdict == "broken" and not decided
         put(self._override, "visible", broken)

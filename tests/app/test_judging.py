@@ -302,10 +302,12 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         again = bench.object(record.id)
         again.watch(lambda: None, lambda *note: notes.append(note))
         judged(again)
-        assert any(n[0] == "Not accepted" and "accept it again" in n[1] for n in notes)
+        assert again.interrupted
+        assert any(n[0] == "Not accepted yet" and "Y accepts it" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
         wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
-        assert not bench.was_interrupted(*bench.records()) and not bench.store.accepting()
+        assert not again.interrupted and not bench.store.accepting()
+        assert not bench.was_interrupted(*bench.records())
         folder = Path(again.document.saved.folder)
     finally:
         bench.close()
@@ -330,3 +332,25 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         assert not bench.was_interrupted(*bench.records())
     finally:
         bench.close()
+
+
+def test_what_another_server_is_saving_is_told_until_that_ends(
+    cupboard: OpenObject, tmp_path: Path
+) -> None:
+    """Also where it ends without a decision, as when it is cancelled."""
+    store = Store(tmp_path)
+    (known,) = store.open_objects([(Path(cupboard.record.path), None, "cupboard")])
+    store.accepting_begins(known.id, known.seq)
+    config = replace(cupboard.bench.config, workspace=tmp_path)
+    bench = Workbench(config, Store(tmp_path), [Path(cupboard.record.path)])
+    try:
+        told: list[None] = []
+        bench.on_queue(lambda: told.append(None))
+        bench.follow()
+        assert bench.was_interrupted(*bench.records()) and not told
+        store.accepting_ends(known.id)
+        bench.follow()
+        assert not bench.was_interrupted(*bench.records()) and told
+    finally:
+        bench.close()
+        store.close()
