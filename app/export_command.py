@@ -106,6 +106,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
         ArtiworldError: where the asset can't be read or written.
     """
     from app.headless import part_of
+    from model.exporters.about import write_about
     from model.exporters.physics import physics_of
     from model.exporters.readback import read_back
     from model.exporters.registry import BUILT_IN, load_exporter, write_object
@@ -123,14 +124,16 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
         start = 0.5 + 0.5 * i / len(task.folders)
         span = part_of(progress, start, 0.5 + 0.5 * (i + 1) / len(task.folders))
         files = write_object(obj, load_exporter(name), folder, physics=physics, progress=span)
+        said = [*notes, *(losses_of(obj) if name == "urdf" else ())]
+        about = write_about(folder, task.asset, name, said)
         entry: dict[str, Any] = {
             "format": name,
             "folder": str(folder),
             "files": [
-                {"file": os.path.relpath(f, folder), "bytes": f.stat().st_size} for f in files
+                {"file": os.path.relpath(f, folder), "bytes": f.stat().st_size}
+                for f in (*files, about)
             ],
         }
-        said = [*notes, *(losses_of(obj) if name == "urdf" else ())]
         if task.check and name in BUILT_IN:
             back = read_back(name, files[0], obj)
             entry |= {"readers": list(back.readers), "problems": list(back.problems)}

@@ -486,6 +486,11 @@ def test_what_was_changed_on_reading_a_urdf_is_told(cupboards, tmp_path, capfd):
     main(["export", *given, "--format", "urdf,sdf", "--out", str(tmp_path / "o"), "--no-collision"])
     told = " ".join(capfd.readouterr().out.split())
     assert told.count("axis of length 2 was normalised") == 2
+    about = json.loads((tmp_path / "o" / "good" / "sdf" / "artiworld.json").read_text())
+    assert (about["format"], about["asset"]) == ("sdf", "good")
+    assert any("axis of length 2" in note for note in about["notes"])
+    assert about["predictor"].startswith("hybrid")
+    assert str(tmp_path) not in json.dumps(about), "an export names no folders of this machine"
 
 
 def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_path, capfd):
