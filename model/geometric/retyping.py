@@ -39,6 +39,8 @@ MECHANISMS_OF: dict[JointType, tuple[Mechanism, ...]] = {
     "continuous": SPINS,
 }
 """What may move a part by a joint of that type."""
+ROCKER = 0.6
+"""Size over the object's from which nothing is a rocker: it is a front that opens."""
 NAMED = 1.0
 """Score for the way in which a part of that name would slide, or turn, if it did."""
 TURN, SLIDE = math.pi / 2, 0.3
@@ -130,4 +132,6 @@ def _mechanism(context: PartContext, kind: JointType) -> Mechanism:
         other = (SLIDING if kind == "prismatic" else TURNING).get(said)
         if other is not None:
             scores[other] = scores.get(other, 0.0) + NAMED
+    if context.shape.size > ROCKER:
+        scores["toggle"] = 0.0
     return max(fit, key=lambda m: scores.get(m, 0.0))

@@ -10,6 +10,7 @@ import pytest
 from archetypes import THINGS, Thing
 
 from model.geometric.retyping import retyped
+from model.kinematics.articulated_object import SegmentedObject
 from model.kinematics.joint import Joint, Mimic
 from model.kinematics.tree import KinematicTree
 
@@ -65,6 +66,18 @@ def test_a_drawer_taken_for_a_door_comes_out_to_the_front() -> None:
     assert drawer.axis == pytest.approx((-1, 0, 0), abs=1e-6)
     assert drawer.lower == 0.0
     assert drawer.upper == pytest.approx(0.8 * 0.45, abs=0.05), "within its rails"
+
+
+def test_a_large_front_opens_and_does_not_rock() -> None:
+    """One that fills half of a cupboard, alone in it."""
+    made = THINGS["cabinet"]()
+    kept = [p for p in made.segmented(names=False).parts if p.link in ("link_base", "link_drawer")]
+    tree = KinematicTree(("link_base", "link_drawer"), (mistaken(made).joint_of["link_drawer"],))
+    slide = replace(tree.joint_of["link_drawer"], type="prismatic", axis=(-1, 0, 0), upper=0.3)
+    front = retyped(
+        SegmentedObject("cupboard", tuple(kept)), tree.with_joint(slide), "link_drawer", "revolute"
+    )
+    assert front.lower == 0.0 and front.upper is not None and front.upper > 1.0
 
 
 def test_a_joint_that_turns_keeps_its_line_without_limits() -> None:
