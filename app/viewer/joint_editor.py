@@ -253,4 +253,5 @@ def _differs(a: Any, b: Any) -> bool:
 
 def _put_vector(box: Any, value: tuple[float, ...], tolerance: float) -> None:
     if differs(tuple(box.value), value, tolerance):
-        box.value = tuple(round(v, 4) for v in value)
+        # A trace of the other side would be shown as "-0.000".
+        box.value = tuple(0.0 if abs(v) < tolerance else round(v, 4) for v in value)

@@ -66,7 +66,7 @@ def tree_text(tree: KinematicTree, doc: Document, checks: list[JointCheck]) -> s
         line = f"{'  ' * depth[link]}- **{title}**"
         if joint is not None:
             sure = sure_text(doc, link)
-            line += f" {joint.type} {range_text(joint)}"
+            line += f" {joint.type} {range_text(joint)}" if joint.limited else f" {joint.type}"
             line += f" · {sure} sure" if sure.endswith("%") else f" · {sure}" if sure else ""
             line += " · locked" if link in doc.locked else ""
             line += " · ⚠ odd range" if range_doubts(joint) else ""

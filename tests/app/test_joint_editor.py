@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from app import snapping_tasks
-from app.viewer.joint_editor import JointEditor
+from app.viewer.joint_editor import JointEditor, _put_vector
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -55,3 +55,9 @@ def test_the_predicted_type_comes_back_as_predicted(app: Any) -> None:
     app.joint = replace(DRAWER, parent="link_2")
     JointEditor(cast(Any, app)).set_type("revolute")
     assert app.asked, "the prediction is of a joint on another part"
+
+
+def test_an_axis_is_shown_without_a_trace_of_the_other_side() -> None:
+    box = SimpleNamespace(value=(0.0, 0.0, 1.0))
+    _put_vector(box, (-1.0, -4e-5, -0.0), 5e-4)
+    assert [str(v) for v in box.value] == ["-1.0", "0.0", "0.0"]

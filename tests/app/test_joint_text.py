@@ -103,7 +103,7 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     assert "helper" not in said
     assert said.splitlines()[1:3] == [
         f"  - **{first}** prismatic 0 to 100 mm · 71 % sure",
-        f"    - **{second}** continuous turns freely · 71 % sure",
+        f"    - **{second}** continuous · 71 % sure",
     ]
     cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
     obj = ArticulatedObject("chair", cloud, tree)
