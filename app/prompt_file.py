@@ -30,6 +30,8 @@ from sessions.checks import NAME_LIMIT
 from sessions.text import clean_text
 
 FORMAT = 1
+BESIDE = ".prompts.json"
+"""Behind the name of an asset's file: clicks that are kept beside it."""
 MAX_BYTES = 64 * 2**20
 FAR_OF_DIAGONAL = 0.05
 """A click further from the surface than this share of the object's diagonal is a mistake."""
@@ -52,6 +54,12 @@ class PromptFile:
     prompts: Prompts
     names: Mapping[int, str]
     category: str | None = None
+
+
+def beside(path: Path) -> Path | None:
+    """The clicks that are kept beside an asset's file, or None."""
+    kept = path.with_name(path.stem + BESIDE)
+    return kept if path.is_file() and kept.is_file() else None
 
 
 def read_prompts(path: str | Path) -> PromptFile:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from app.options import add_json, count
 from model.predictors import DEFAULT
+
+if TYPE_CHECKING:
+    from model.scenes.assets import AssetIndex
+    from model.scenes.clicked import ObjectClicks
+    from model.scenes.scene import Scene
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +32,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             help="a scene: a description, or GLB, USD or PLY with its geometry",
         )
         add("--assets", type=Path, action="append", default=[], metavar="DIR",
-            help="folder of the scene's 3D assets; may be repeated")  # fmt: skip
+            help="folder of the scene's 3D assets; may be repeated (default: the scene's "
+                 "folder)")  # fmt: skip
         add("--format", metavar="NAME", help="of the scene (default: told by the file)")
         add_json(command)
         _add_finder(command)
@@ -134,12 +142,13 @@ def _convert(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     from app.headless import check_output
     from model.errors import ConfigurationError
     from model.predictors import check_predictor
-    from model.scenes.assets import index_assets
     from model.scenes.convert import ConvertSettings, convert_scene
     from model.scenes.registry import read_scene
+    from model.segmentation.registry import check_segmenter
 
     check_output(args.out, args.scene.parent, *args.assets)
     check_predictor(args.predictor)
+    check_segmenter(args.segmenter)
     if not args.time_limit > 0:
         raise ConfigurationError(f"--time-limit {args.time_limit} must be above 0 seconds")
     finder = _finder(args, show)
@@ -147,12 +156,32 @@ def _convert(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     scene = read_scene(args.scene, args.format)
     settings = ConvertSettings(
         args.jobs, args.predictor, args.seed, args.keep_limits, args.collision, args.time_limit,
-        args.formats, _clicked(args), args.ray,
+        args.formats, _clicked(args), partial(_kept, args.segmenter), args.ray,
     )  # fmt: skip
     summary = convert_scene(
-        scene, index_assets(args.assets), args.out, finder, settings, show.progress
+        scene, _assets(scene, args.assets), args.out, finder, settings, show.progress
     )
     return summary | _usage(args, finder)
+
+
+def _assets(scene: Scene, folders: Sequence[Path]) -> AssetIndex:
+    """The assets in the folders that were named, else in the scene's own, as ``serve`` does."""
+    from model.scenes.assets import index_assets
+    from model.scenes.embedded import holds_geometry
+
+    return index_assets(folders or (() if holds_geometry(scene) else (scene.path.parent,)))
+
+
+def _kept(segmenter: str, asset: Path) -> ObjectClicks | None:
+    """The clicks that are kept beside an asset."""
+    from app.prompt_file import beside, read_prompts
+    from model.scenes.clicked import ObjectClicks
+
+    kept = beside(asset)
+    if kept is None:
+        return None
+    file = read_prompts(kept)
+    return ObjectClicks(file.prompts, file.names, file.category, segmenter, in_scene=False)
 
 
 def _clicked(args: argparse.Namespace) -> dict[str, Any]:
@@ -162,9 +191,7 @@ def _clicked(args: argparse.Namespace) -> dict[str, Any]:
     from app.prompt_file import read_prompts
     from model.errors import ConfigurationError
     from model.scenes.clicked import ObjectClicks
-    from model.segmentation.registry import check_segmenter
 
-    check_segmenter(args.segmenter)
     out: dict[str, Any] = {}
     for id, path in args.clicks:
         if id in out:
@@ -227,7 +254,6 @@ def _inspect(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     from dataclasses import asdict
     from tempfile import TemporaryDirectory
 
-    from model.scenes.assets import index_assets
     from model.scenes.convert import decide
     from model.scenes.embedded import unpack
     from model.scenes.registry import read_scene
@@ -237,7 +263,7 @@ def _inspect(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     scene = read_scene(args.scene, args.format)
     with TemporaryDirectory() as folder:
         inside = unpack(scene, Path(folder))
-        outcomes = decide(scene, index_assets(args.assets), finder, inside)
+        outcomes = decide(scene, _assets(scene, args.assets), finder, inside)
     held = set(inside.files.values())
     objects = [
         {"id": o.obj.id, "description": o.obj.description, "category": o.obj.category,

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app import part_tasks, room_tasks, segmenting_tasks, tasks
+from app.prompt_file import beside
 from model.errors import CommandError
 from model.geometry.asset import Asset
 from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
@@ -29,9 +30,6 @@ from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
-
-PROMPTS = ".prompts.json"
-"""Clicks kept beside an asset."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -250,8 +248,8 @@ def prepare(
     asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions())
     if asset.source is not None and any(asset.source.shift):
         raise CommandError("its asset lies too far from its own origin to be worked on")
-    prompts = item.path.with_name(item.path.stem + PROMPTS)
-    if item.path.is_file() and prompts.is_file():
+    prompts = beside(item.path)
+    if prompts is not None:
         cut = _cut_by_prompts(prompts, item, asset, folder, workspace, segmenter)
     elif not reason and asset.element_part is not None:
         cut = _cut_by_source(asset, asset.element_part, workspace)

@@ -1,4 +1,4 @@
-"""An object of a scene cut into parts by clicks that were made in the scene."""
+"""An object of a scene cut into parts by clicks, made in the scene or kept beside its asset."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ class ObjectClicks:
     """What a person clicked on one object.
 
     Attributes:
-        prompts: positions in metres in the scene, +z up; elements, where a click or a region names
-            them, are the object's own.
+        prompts: positions in metres, +z up; elements, where a click or a region names them, are the
+            object's own.
         names: part → what it is.
         category: of the object, or None.
         segmenter: who answers.
+        in_scene: whether positions are the scene's; else the asset's own, before its scale.
     """
 
     prompts: Prompts
     names: Mapping[int, str] = field(default_factory=dict)
     category: str | None = None
     segmenter: str = "default"
+    in_scene: bool = True
 
     def key(self) -> list[object]:
         """Equal clicks have equal keys."""
@@ -68,13 +70,13 @@ def clicked_parts(path: Path, holder: SceneObject, clicks: ObjectClicks) -> Asse
     turn, at = placed.world_from_asset[:3, :3], placed.world_from_asset[:3, 3]
     items: list[Click | Region] = list(clicks.prompts.items)
     where = np.array([c.position for c in clicks.prompts.clicks]).reshape(-1, 3)
-    local = (where - at) @ turn / placed.scale
+    local = (where - at) @ turn / placed.scale if clicks.in_scene else where
     away = KDTree(asset.element_centers).query(local)[0] if len(local) else np.zeros(0)
     if len(away) and away.max() > FAR * asset.diagonal:
         worst = int(away.argmax())
         raise PromptError(
             f"clicks[{worst}] at {where[worst].tolist()} is {away[worst]:.3g} m away from it; "
-            "give positions in the scene, metres, +z up"
+            f"give positions in {'the scene' if clicks.in_scene else 'its frame'}, metres, +z up"
         )
     moved = iter(local.tolist())
     for i, item in enumerate(items):

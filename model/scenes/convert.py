@@ -74,6 +74,8 @@ class ConvertSettings:
         seconds: time limit an asset.
         formats: what the scene is written as besides MJCF.
         clicks: object's id → clicks that cut it into parts; such an object is articulated.
+        asset_clicks: the clicks that are kept beside an asset's file, or None; they cut it where it
+            is articulated and ``clicks`` has none.
         ray: address of a Ray cluster that does the work, whose machines all see ``out`` and the
             assets under the same paths; None for processes of this machine.
     """
@@ -86,6 +88,7 @@ class ConvertSettings:
     seconds: float = 1800.0
     formats: tuple[str, ...] = ()
     clicks: Mapping[str, ObjectClicks] = field(default_factory=dict)
+    asset_clicks: Callable[[Path], ObjectClicks | None] = lambda _: None
     ray: str | None = None
 
 
@@ -260,22 +263,28 @@ def _make_jobs(outcomes: Sequence[Outcome], settings: ConvertSettings) -> dict[s
         try:
             if o.path not in digests:
                 digests[o.path] = asset_digest(o.path)
+            job = asset_job(o, digests[o.path], settings)
         except ArtiworldError as error:
             o.state, o.reason, o.path = FAILED, str(error), None
             continue
-        job = asset_job(o, digests[o.path], settings)
         o.key = job.key
         made.setdefault(job.key, job)
     return made
 
 
 def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
-    """The job for an object with an asset whose files have that digest."""
+    """The job for an object with an asset whose files have that digest.
+
+    Raises:
+        InputFileError: where the clicks beside its asset can't be read.
+    """
     assert o.path is not None
     x, y, z = (round(float(v), 9) for v in o.obj.scale)
     fit = None if o.obj.fit is None else tuple(round(float(v), 9) for v in o.obj.fit)
     clicks = settings.clicks.get(o.obj.id)
     articulate = o.decision.articulable or clicks is not None
+    if clicks is None and articulate:
+        clicks = settings.asset_clicks(o.path)
     category = (o.decision.kind or o.obj.category) if articulate else None
     clicked = None
     if clicks is not None:
@@ -284,7 +293,9 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
     collision = settings.collision and o.obj.solid
     told = [WRITTEN, digest, x, y, z, fit, articulate, category, collision, settings.formats]
     if clicks is not None:
-        told += [clicks.key(), o.obj.world_from_object.tolist(), o.obj.anchor]
+        told.append(clicks.key())
+    if clicks is not None and clicks.in_scene:
+        told += [o.obj.world_from_object.tolist(), o.obj.anchor]
     told += [settings.predictor, settings.seed] if articulate else []
     short = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:12]
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]

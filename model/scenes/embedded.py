@@ -61,14 +61,24 @@ def unpack(scene: Scene, folder: Path) -> Unpacked:
     Raises:
         InputFileError: where the file can't be read any more, or the folder not written.
     """
-    from model.scenes.registry import load_reader
-
-    reader = load_reader(scene.reader)
-    if not isinstance(reader, GeometryReader):
+    reader = _geometry_reader(scene)
+    if reader is None:
         return Unpacked()
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     return reader.unpack(scene, folder)
+
+
+def holds_geometry(scene: Scene) -> bool:
+    """Whether the assets are inside of the scene's own file."""
+    return _geometry_reader(scene) is not None
+
+
+def _geometry_reader(scene: Scene) -> GeometryReader | None:
+    from model.scenes.registry import load_reader
+
+    reader = load_reader(scene.reader)
+    return reader if isinstance(reader, GeometryReader) else None
 
 
 def placed_frame(world: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

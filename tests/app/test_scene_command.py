@@ -20,7 +20,7 @@ from app.cli import main
 from model.exporters.asset_folder import load_object
 from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import read_asset, read_part_files
-from model.geometry.writers import write_cloud
+from model.geometry.writers import write_cloud, write_mesh
 from model.kinematics.urdf import read_urdf
 from model.scenes.registry import read_scene
 from tests.model.scenes import scenes_made as made
@@ -307,6 +307,39 @@ def test_one_bad_asset_never_ends_the_run(tmp_path: Path) -> None:
     assert entries["cabinet_1"]["state"] == "annotate"
     assert "one connected piece" in entries["cabinet_1"]["reason"]
     assert entries["cabinet_2"]["state"] == "predicted"
+
+
+def test_clicks_beside_an_asset_cut_it_as_in_the_browser(tmp_path: Path) -> None:
+    """Without --assets they are beside the scene, as for serve."""
+    mesh = made.boxes(
+        ((0.0, 0.0, 0.0), (0.02, 0.5, 0.8)), *(((0.0, 0.0, z), (0.4, 0.5, z + 0.02))
+        for z in np.linspace(0, 0.78, 13)), ((0.405, 0.0, 0.0), (0.42, 0.5, 0.8)),
+    )  # fmt: skip
+    click = {"position": [0.42, 0.2, 0.3], "part": 1}
+    told = {"parts": [{"id": 1, "name": "door"}], "clicks": [click]}
+    objects = []
+    for i, name in enumerate(("good", "bad", "still")):
+        write_mesh(mesh, tmp_path / f"{name}.ply")  # +z up
+        kept = json.dumps(told) if name != "bad" else "{"
+        (tmp_path / f"{name}.prompts.json").write_text(kept)
+        objects.append({
+            "id": name, "description": "rock" if name == "still" else "cabinet", "asset": name,
+            "position": [2.0 * i, 0, 0.5], "quaternion_wxyz": [0.6, 0, 0, 0.8],
+            "scale": [2, 1.5, 1], "anchor": "center",
+        })  # fmt: skip
+    scene = made.write_scene(tmp_path / "home.json", made.own(objects))
+    out = tmp_path / "out"
+    assert main(["scene", "convert", str(scene), "--out", str(out), "--jobs", "1", "--json"]) == 0
+    told_of = objects_of(out)
+    assert {k: v["state"] for k, v in told_of.items()} == {
+        "good": "predicted", "bad": "failed", "still": "static",
+    }  # fmt: skip
+    assert "bad.prompts.json" in told_of["bad"]["reason"]
+    door = load_object(out / told_of["good"]["asset_folder"]).parts[1]
+    assert door.name == "door" and door.mesh is not None
+    # The panel alone, at its size in the scene.
+    assert np.allclose(np.sort(np.ptp(door.mesh.vertices, axis=0)), [0.03, 0.75, 0.8], atol=1e-6)
+    assert len(door.mesh.faces) == 12
 
 
 def test_a_scan_stands_on_the_floor_and_not_on_its_stray_points(tmp_path: Path) -> None:
