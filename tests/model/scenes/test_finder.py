@@ -37,6 +37,12 @@ def finder() -> LexiconFinder:
         ("a built-in oven", "oven"),
         ("side by side refrigerator", "refrigerator"),
         ("floor to ceiling cabinet", "cabinet"),
+        # As nodes are called by those who made a scene, and by what exported it.
+        ("cabinet_white_02", "cabinet"),
+        ("Kitchen_Cabinet_Wood.001", "cabinet"),
+        ("SM_Dishwasher_LOD0", "dishwasher"),
+        ("washing_machine_mesh", "washing machine"),
+        ("oven_lowpoly_v2", "oven"),
     ],
 )
 def test_found(finder: LexiconFinder, text: str, kind: str) -> None:
@@ -48,7 +54,8 @@ def test_found(finder: LexiconFinder, text: str, kind: str) -> None:
 @pytest.mark.parametrize(
     "text",
     ["oven mitt", "banana", "a rug under the cabinet", "dining table", "wooden chair", "", "pan",
-     "door mat", "picture of a fridge", "vase"],
+     "door mat", "picture of a fridge", "vase", "oven_mitt_white", "cabinet_handle_metal",
+     "white_mesh", "wood"],
 )  # fmt: skip
 def test_left_rigid_with_a_reason(finder: LexiconFinder, text: str) -> None:
     (decision,) = finder.find([ObjectDescription(text)])
