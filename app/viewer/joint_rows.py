@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.scene_rows import Work
 from app.titles import joint_title, moved_part
 from app.viewer import palette
-from app.viewer.joint_text import range_text, sure_text
+from app.viewer.joint_text import range_text, sure_text, sureness
 from app.viewer.widgets import put
 from sessions.document import Document
 
@@ -15,7 +16,11 @@ if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
 SHOWN = 12
-"""Joints with buttons; the others are counted."""
+"""Joints with buttons, the least sure ones; the others are counted."""
+
+
+JointLine = tuple[str, str, palette.Rgb]
+"""Name, words and colour of a joint."""
 
 
 class JointRows:
@@ -42,24 +47,36 @@ class JointRows:
         put(self._folder, "visible", bool(lines))
         gui, app = self._app.client.gui, self._app
         with self._folder:
-            for name, line, color in lines[:SHOWN]:
+            for name, line, color in [] if doc is None else least_sure(doc, lines):
                 button = gui.add_button(line, color=color, hint="Play it")
                 button.on_click(lambda _, name=name: app.act(lambda: app.in_scene.play_joint(name)))
                 self._rows.append(button)
             if len(lines) > SHOWN:
-                self._rows.append(gui.add_markdown(f"… and {len(lines) - SHOWN} more."))
+                self._rows.append(gui.add_markdown(f"… and {len(lines) - SHOWN} surer ones."))
 
 
-def joint_lines(doc: Document) -> list[tuple[str, str, palette.Rgb]]:
+def least_sure(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
+    """The lines that are shown, in their order: what wants a look is among them."""
+    joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
+    sure = [
+        1.0 if j.child in doc.edited_joints else sureness(doc, j.child) or 0.0 for j in joints
+    ]  # fmt: skip
+    kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
+    return [lines[i] for i in sorted(kept)]
+
+
+def joint_lines(doc: Document) -> list[JointLine]:
     """Name, words and colour of every joint that moves; a part may have several."""
-    out: list[tuple[str, str, palette.Rgb]] = []
+    out: list[JointLine] = []
     if doc.tree is None:
         return out
     for joint in (j for j in doc.tree.joints if j.moves):
         part = moved_part(doc.tree, joint.child)
         sure = sure_text(doc, joint.child)
         edited = " ✎" if joint.child in doc.edited_joints else ""
-        words = [joint_title(doc, joint.child)[:40] + edited, joint.type, range_text(joint), sure]
+        # "Turns freely" says the type, and a long line would be cut at its end, which counts most.
+        kind = "" if joint.type == "continuous" else joint.type
+        words = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
         number = part.removeprefix("link_")
         color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
         out.append((joint.name, " · ".join(w for w in words if w), color))

@@ -33,11 +33,16 @@ def sure_text(doc: Document, child: str) -> str:
     """How sure the prediction of a joint is; what a person edited is no prediction."""
     if child in doc.edited_joints:
         return "edited"
+    sure = sureness(doc, child)
+    return "" if sure is None else f"{100 * sure:.0f} %"
+
+
+def sureness(doc: Document, child: str) -> float | None:
+    """How sure the prediction of a joint is, 0..1; None where nothing was predicted."""
     known = {} if doc.prediction is None else doc.prediction.confidence
     # All joints of a part are one prediction.
     part = child if doc.tree is None else moved_part(doc.tree, child)
-    sure = known.get(child, known.get(part))
-    return "" if sure is None else f"{100 * sure:.0f} %"
+    return known.get(child, known.get(part))
 
 
 def range_doubts(joint: Joint) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from app.titles import in_words, joint_title, moved_part, part_title
+from app.viewer.joint_rows import joint_lines, least_sure
 from app.viewer.joint_text import joint_note, range_text, tree_text
 from model.errors import KinematicsError
 from model.gate.words import interval, title
@@ -113,3 +114,16 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     both = KinematicTree(tree.links, (rises, turns, replace(lever, parent="helper_1")))
     doc = replace(doc, tree=both)
     assert [joint_title(doc, j.child) for j in both.joints] == ["helper_1", "seat 1", "lever 2"]
+
+
+def test_of_many_joints_the_least_sure_are_shown() -> None:
+    links = tuple(f"link_{i}" for i in range(16))
+    joints = tuple(
+        Joint(f"j{i}", "continuous", "link_0", f"link_{i}", (0, 0, 1)) for i in range(1, 16)
+    )
+    tree = KinematicTree(links, joints)
+    sure = {link: 0.9 for link in links[1:]} | {"link_15": 0.4, "link_14": 0.5}
+    doc = Document(tree=tree, prediction=Prediction(tree, confidence=sure))
+    shown = [name for name, _, _ in least_sure(doc, joint_lines(doc))]
+    assert shown == [f"j{i}" for i in (*range(1, 11), 14, 15)]
+    assert joint_lines(doc)[14][1] == "part 15 · turns freely · 40 %"
