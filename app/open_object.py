@@ -128,7 +128,7 @@ class OpenObject(Watched):
             doc.segmentation.labels,
             names,
             doc.category,
-            self.asset.name,
+            self.record.name,  # a working copy's folder is called after its content, too
         )
 
     @property

@@ -278,7 +278,7 @@ class Accepting:
         assert work.drawn is not None and work.item.copy is not None
         return PartSource(
             work.drawn.folder, self._desk.bench.workspace, work.drawn.labels, doc.part_names,
-            doc.category, work.item.copy.name,
+            doc.category, work.name,
         )  # fmt: skip
 
     def _save(

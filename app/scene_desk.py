@@ -20,7 +20,7 @@ from app.review_order import confidence
 from app.running_jobs import RunningJobs
 from app.scene_accepting import Accepting
 from app.scene_picking import Picking
-from app.scene_rows import SHOWN, Row, Status, Work, drawn_by
+from app.scene_rows import SHOWN, Row, Status, Work, drawn_by, names_for
 from app.scene_saving import Saving
 from app.scene_shapes import DrawnParts, Shape
 from app.scene_tasks import OpenedScene, Prepared, SceneItem
@@ -234,13 +234,15 @@ class SceneDesk(Watched):
                 if item.copy is not None and self.articulable(item):
                     wanted.setdefault(item.copy, item)
             fresh = [item for copy, item in wanted.items() if copy not in self._work_of]
+            names = names_for(fresh, self.works.values())
             records = self.bench.store.open_objects(
-                (item.copy, None, item.copy.name.rpartition("-")[0]) for item in fresh if item.copy
-            )
+                (item.copy, None, name)
+                for item, name in zip(fresh, names, strict=True) if item.copy
+            )  # fmt: skip
             for item, record in zip(fresh, records, strict=True):
                 assert item.copy is not None
                 live = self.bench.hub.session(record.id)
-                work = Work(record.id, item, live)
+                work = Work(record.id, item, live, record.name)
                 work.ids = [i.obj.id for i in self.items.values() if i.copy == item.copy]
                 self.works[work.id] = self._work_of[item.copy] = work
                 live.subscribe(lambda state, command: self.go_on())

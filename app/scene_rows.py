@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, count
 from typing import Literal
 
 from app.scene_shapes import DrawnParts
@@ -31,6 +32,7 @@ class Work:
         item: the first object with it.
         ids: of the objects in the scene.
         live: its session.
+        name: of its session, and of the object in saved files.
         reason: why it is left for the annotator, or what failed, else "".
         prepared: whether it was looked at.
         drawn: its parts as the browser shows them, or None.
@@ -40,6 +42,7 @@ class Work:
     id: int
     item: SceneItem
     live: LiveSession
+    name: str
     ids: list[str] = field(default_factory=list)
     reason: str = ""
     prepared: bool = False
@@ -50,6 +53,17 @@ class Work:
     def document(self) -> Document:
         """What is decided now."""
         return self.live.state.present
+
+
+def names_for(items: Iterable[SceneItem], works: Iterable[Work]) -> list[str]:
+    """A name for each new working copy, after its asset: another size of it is ``kettle_2``."""
+    taken, out = {work.name for work in works}, []
+    for item in items:
+        stem = "object" if item.copy is None else item.copy.name.rpartition("-")[0]
+        new = chain([stem], (f"{stem}_{n}" for n in count(2)))
+        out.append(next(name for name in new if name not in taken))
+        taken.add(out[-1])
+    return out
 
 
 @dataclass(frozen=True)

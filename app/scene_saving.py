@@ -152,7 +152,7 @@ class Saving:
             raise CommandError(f"{work.item.obj.id} is still being prepared; save in a moment")
         source = PartSource(
             work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names,
-            doc.category, work.item.copy.name if work.item.copy else work.item.obj.id,
+            doc.category, work.name,
         )  # fmt: skip
         folder = doc.saved.folder if state == "accepted" and doc.saved is not None else None
         said = f"accepted by {doc.review.by}" if state == "accepted" else ""
