@@ -12,11 +12,21 @@ from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
 from model.errors import ArtiworldError
+from model.geometric.vocabulary import mechanism_of
 from model.geometry.asset import Asset
+from model.geometry.cleaning import cleaned, to_mesh
+from model.geometry.formats.gltf import consistent, joined, open_gltf
 from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
 from model.geometry.point_cloud import PointCloud
-from model.geometry.readers import FOLDER_SUFFIXES, MOBILITY, read_asset, read_part_files
+from model.geometry.readers import (
+    FOLDER_SUFFIXES,
+    MOBILITY,
+    default_up_axis,
+    read_asset,
+    read_part_files,
+    turned_up,
+)
 from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
 from model.kinematics.articulated_object import Part, SegmentedObject, remarks_of
@@ -24,6 +34,7 @@ from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_reader import read_urdf_model
 from model.scenes.scene import FloatArray, SceneObject
+from model.scenes.values import maybe_text
 
 MOST_PIECES = 12
 """Connected pieces up to which they pass for parts; beyond, they are screws and panels."""
@@ -50,7 +61,7 @@ class AssetParts:
 
 
 def known_parts(path: Path) -> AssetParts:
-    """Parts by the asset's links, part files, or connected pieces, in this order.
+    """Parts by the asset's links, part files, named meshes, or connected pieces, in this order.
 
     Raises:
         LeftForAnnotator: where none of these tells at least two parts.
@@ -63,7 +74,8 @@ def known_parts(path: Path) -> AssetParts:
             return _of_urdf(UrdfFolders(path.parent).load(path.name), path / "object.urdf")
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
-    return _pieces(read_unshifted(path))
+    named = _named_meshes(path) if path.suffix.lower() in (".glb", ".gltf") else None
+    return named or _pieces(read_unshifted(path))
 
 
 def read_unshifted(path: Path) -> Asset:
@@ -169,6 +181,25 @@ def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     found = _at_least_two(truth.object.parts, "links of its URDF")
     # Not those on merged links: that fixed links are one part is no change.
     return replace(found, truth=truth.object.tree, notes=read_urdf_model(path).notes)
+
+
+def _named_meshes(path: Path) -> AssetParts | None:
+    """The meshes of a glTF file, where a name says that one moves; else they may be materials."""
+    gltf = open_gltf(path)
+    with consistent(path):
+        found = [(name, joined(p)) for name, p in gltf.placed() if any(len(q.faces) for q in p)]
+    tells = {mechanism_of(name, None)[0] for name, _ in found} - {None, "fixed"}
+    if not tells or not 2 <= len(found) <= MOST_PIECES:
+        return None
+    turn = turned_up(default_up_axis(path))
+    clean = [(maybe_text(name), cleaned(path, piece, turn, 1.0)) for name, piece in found]
+    return AssetParts(
+        tuple(
+            Part(f"link_{i}", to_mesh(p), name=n, remarks=(*gltf.warnings, *p.warnings))
+            for i, (n, p) in enumerate(clean)
+        ),
+        "its named meshes",
+    )
 
 
 def _pieces(asset: Asset) -> AssetParts:

@@ -123,7 +123,23 @@ class Gltf:
 
     def scene(self) -> Loaded:
         """All meshes of the scene in the root's frame."""
-        pieces: list[Loaded] = []
+        pieces = [p for _, primitives in self.placed() for p in primitives]
+        if not pieces:
+            raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
+        return replace(joined(pieces), warnings=self.warnings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was left out of the meshes that were read so far."""
+        told = list(dict.fromkeys(self._materials.warnings))
+        if self._materials.left:
+            told.append(left_out(self._materials.left))
+        return tuple(told)
+
+    def placed(self) -> list[tuple[str, list[Loaded]]]:
+        """Each node with a mesh: its name, or its mesh's, and its primitives in the root's
+        frame."""
+        out: list[tuple[str, list[Loaded]]] = []
         corners = visited = 0
         stack: list[tuple[int, Array, int]] = [(n, np.eye(4), 0) for n in self.roots()]
         nodes = self.tree.get("nodes") or []
@@ -135,19 +151,14 @@ class Gltf:
                 raise InputFileError(self.path, "its nodes form a cycle", "export it again")
             world = parent @ node_matrix(node)
             if "mesh" in node:
-                for piece in self.mesh(node["mesh"]):
-                    pieces.append(piece.moved(world))
-                    corners += piece.faces.size + len(piece.vertices)
+                pieces = [piece.moved(world) for piece in self.mesh(node["mesh"])]
+                corners += sum(p.faces.size + len(p.vertices) for p in pieces)
+                name = node.get("name") or self.tree["meshes"][node["mesh"]].get("name")
+                out.append((name if isinstance(name, str) else "", pieces))
             if corners > MAX_VALUES:
                 raise InputFileError(self.path, "its nodes repeat too many triangles")
             stack.extend((c, world, depth + 1) for c in reversed(node.get("children") or []))
-        if not pieces:
-            raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
-        out = joined(pieces)
-        warnings = list(dict.fromkeys(self._materials.warnings))
-        if self._materials.left:
-            warnings.append(left_out(self._materials.left))
-        return replace(out, warnings=tuple(warnings))
+        return out
 
     def roots(self) -> list[int]:
         """Nodes of the default scene, the last one first."""
