@@ -17,6 +17,7 @@ from typing import Any
 from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
 from model.errors import InputFileError
+from model.geometry.formats.mtl import MaterialFiles
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import load_part
@@ -78,8 +79,9 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
     folder = Path(folder)
     model = read_urdf_model(folder / "mobility.urdf")
     names = _semantic_names(folder)
+    files = MaterialFiles(folder)  # textures lie in images/, beside the meshes' folder
     parts = {
-        link: replace(load_part(link, visuals), name=None)
+        link: replace(load_part(link, visuals, files), name=None)
         for link, visuals in model.by_link.items()
     }
     if not parts:

@@ -10,6 +10,7 @@ from typing import Any
 from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
 from model.errors import InputFileError
+from model.geometry.formats.mtl import MaterialFiles
 from model.kinematics.urdf_meshes import load_part
 from model.kinematics.urdf_reader import read_urdf_model
 
@@ -56,8 +57,9 @@ class UrdfFolders:
         path = self._path(object_id)
         model = read_urdf_model(path, root=self.root)
         # A visual's name is the file's own; what a part is called is told by object.json alone.
+        files = MaterialFiles(path.parent)
         parts = {
-            link: replace(load_part(link, visuals), name=None)
+            link: replace(load_part(link, visuals, files), name=None)
             for link, visuals in model.by_link.items()
         }
         if not parts:

@@ -89,6 +89,7 @@ def read_asset(
     up_axis: UpAxis | None = None,
     unit_scale: float = 1.0,
     max_bytes: int = DEFAULT_MAX_BYTES,
+    files: MaterialFiles | None = None,
     progress: Progress = no_progress,
 ) -> Asset:
     """Open a file, a folder of part meshes, or a PartNet-Mobility folder.
@@ -98,6 +99,8 @@ def read_asset(
         up_axis: the source's up axis; by default told by the format, see the module's text.
         unit_scale: metres per source unit.
         max_bytes: refuse larger files.
+        files: of a single OBJ file: where its materials and textures may lie, read once for
+            several such files; by default its own folder.
         progress: called between the steps.
 
     Returns:
@@ -117,7 +120,7 @@ def read_asset(
             if (path / MOBILITY).is_file():
                 return _read_mobility(path, up_axis, unit_scale, max_bytes, progress)
             return _read_folder(path, up_axis, unit_scale, max_bytes, progress)
-        return _read_file(path, up_axis, unit_scale, max_bytes, progress)
+        return _read_file(path, up_axis, unit_scale, max_bytes, files, progress)
     except GeometryError as error:
         raise InputFileError(path, str(error), "the file is damaged or holds no object") from None
     except MemoryError:
@@ -152,10 +155,11 @@ def _load(path: Path, max_bytes: int, files: MaterialFiles | None = None) -> Loa
 
 
 def _read_file(
-    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
-) -> Asset:
+    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int,
+    files: MaterialFiles | None, progress: Progress,
+) -> Asset:  # fmt: skip
     progress(0.0, f"reading {path.name}")
-    loaded = _load(path, max_bytes)
+    loaded = _load(path, max_bytes, files)
     up = up_axis or default_up_axis(path)
     progress(0.7, "checking")
     return _asset(path, path.stem, loaded, _digest([path]), up, unit_scale)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.errors import InputFileError
+from model.geometry.formats.mtl import MaterialFiles
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import Part
@@ -18,8 +19,13 @@ SECTIONS = 32
 """Sides of a cylinder."""
 
 
-def load_part(link: str, visuals: Sequence[UrdfVisual]) -> Part:
+def load_part(
+    link: str, visuals: Sequence[UrdfVisual], files: MaterialFiles | None = None
+) -> Part:  # fmt: skip
     """All the geometry of a link in one part, object frame.
+
+    Args:
+        files: of the URDF's folder; textures of the meshes in it may lie beside their folder.
 
     Raises:
         InputFileError: for a file that is missing or can't be read.
@@ -28,7 +34,7 @@ def load_part(link: str, visuals: Sequence[UrdfVisual]) -> Part:
     clouds: list[PointCloud] = []
     remarks: list[str] = []
     for visual in visuals:
-        mesh, cloud = _load(visual, remarks)
+        mesh, cloud = _load(visual, remarks, files)
         if mesh is not None:
             meshes.append(moved_mesh(mesh, visual.object_from_geometry))
         if cloud is not None:
@@ -44,7 +50,9 @@ def load_part(link: str, visuals: Sequence[UrdfVisual]) -> Part:
     )
 
 
-def _load(visual: UrdfVisual, remarks: list[str]) -> tuple[Mesh | None, PointCloud | None]:
+def _load(
+    visual: UrdfVisual, remarks: list[str], files: MaterialFiles | None
+) -> tuple[Mesh | None, PointCloud | None]:
     """The geometry; what was passed over on reading it is added to ``remarks``."""
     if visual.file is None:
         assert visual.primitive is not None
@@ -56,7 +64,8 @@ def _load(visual: UrdfVisual, remarks: list[str]) -> tuple[Mesh | None, PointClo
     from model.geometry.readers import read_asset
 
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
-    asset = read_asset(visual.file, up_axis="z")
+    inside = files is not None and visual.file.resolve().is_relative_to(files.root.resolve())
+    asset = read_asset(visual.file, up_axis="z", files=files if inside else None)
     remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
     if mesh is not None and visual.color is not None and _plain(mesh):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from model.datasets.merging import rigid_groups
 from model.datasets.part_export import export_parts
@@ -108,6 +109,20 @@ def test_the_urdf_counts_where_the_other_description_differs(folder: Path) -> No
     assert truth.object.tree.joint_of["link_0"].type == "revolute"
     said = [n for n in truth.notes if "mobility_v2" in n]
     assert len(said) == 2 and "slider" in said[0] and "another range" in said[1]
+
+
+def test_textures_lie_beside_the_meshes_folder(folder: Path) -> None:
+    (folder / "images").mkdir()
+    Image.new("RGB", (4, 4), (200, 30, 10)).save(folder / "images" / "texture_1.jpg")
+    (folder / "textured_objs" / "cap.mtl").write_text("newmtl m\nmap_Kd ../images/texture_1.jpg\n")
+    (folder / "textured_objs" / "cap.obj").write_text(
+        "mtllib cap.mtl\nv 0 1 0\nv 1 1 0\nv 0 1 1\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\n"
+        "f 1/1 2/2 3/3\n"
+    )
+    parts = read_partnet_mobility(folder).object.parts
+    (cap,) = (p for p in parts if p.mesh is not None and len(p.mesh.faces) == 1)
+    assert cap.mesh is not None and any(m.texture is not None for m in cap.mesh.materials)
+    assert not any(p.remarks for p in parts)
 
 
 def test_names_can_be_kept_back(folder: Path) -> None:
