@@ -75,7 +75,7 @@ any case."""
 _TOLD, _TOLD_APART = 1.5, 3
 """Evidence of a line that tells a rectangle from another, and how many squares apart their sides
 are at least: a door's window is nearly as large as the door."""
-_KEPT, _LAYERS = 16, 8
+_KEPT, _LAYERS, _CLICKED = 16, 8, 64
 _BINS = 4
 """To the reach of a front."""
 _SHIFT, _BEFORE_BINS = 2, 16
@@ -90,6 +90,9 @@ _KNOB, _KNOB_MOST = 4, 0.1
 """Squares that a knob or handle has at least, and what share of the front it is at most."""
 _SHADE, _HIDDEN = 2, 0.05
 """Squares round a handle that it shades or hides, and what they count in a line."""
+_BAR, _ROUND = 3.0, 3.0
+"""How many times as long as wide a bar is that is clicked on its side, and how near to that, in the
+front's reach, the front lies all round."""
 _ROUND_BAR = 2
 """How far beyond that the front round a bar reaches, in squares."""
 _LARGER = 4.0
@@ -305,25 +308,34 @@ class Fronts:
         self._graph, self._strength = graph, strength
         colors = nodes.colors
         self._lab = None if colors is None else lab_colors(colors)
+        self._middle = (self._at.min(0) + self._at.max(0)) / 2
         self._side = NODES_A_SQUARE * graph.spacing
         diagonal = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
         self._reach = max(_DEEP * diagonal, _DEEP_SPACINGS * graph.spacing)
         unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
         self._turn = unit @ axes.T
-        self._sides: dict[tuple[int, int], _Side] = {}
+        self._sides: dict[tuple[int, int], _Side | None] = {}
+        self._of: OrderedDict[tuple[int], list[Front]] = OrderedDict()
         self._layers: OrderedDict[tuple[int, int, int], _Layer | None] = OrderedDict()
         self._fronts: OrderedDict[tuple[int, int, int, int], Front | None] = OrderedDict()
 
     def of(self, cell: int) -> list[Front]:
         """The fronts that a cell lies on or stands before, the nearest first.
 
-        Nothing where the cell faces along no main direction.
+        Nothing where the cell faces along no main direction, unless it is a handle's.
         """
+        key = (cell,)
+        return _kept(self._of, key, self._found, _CLICKED)
+
+    def _found(self, key: tuple[int]) -> list[Front]:
+        (cell,) = key
         axis = int(np.abs(self._turn[cell]).argmax())
         if abs(self._turn[cell, axis]) < _ALONG:
-            return []
+            return self._behind_bar(cell, -1)
         outward = self._outward(cell, axis)
         side = self._side_of(axis, outward)
+        if side is None:
+            return []
         own = side.bin_of(outward * float(self._center[cell, axis]))
         # The same for all that lie on it, and whatever was clicked before: where most of it is.
         bins = [side.peak(own - _SHIFT, own + _SHIFT)]
@@ -331,7 +343,49 @@ class Fronts:
         if side.held(behind) > _LARGER * side.held(bins[0]):
             bins.append(behind)
         fronts = [self._front(cell, axis, outward, depth) for depth in bins]
-        return [f for f in fronts if f is not None]
+        there = [f for f in fronts if f is not None]
+        if any(self._bar_before(front, cell) for front in there):
+            return there
+        return there + self._behind_bar(cell, axis)
+
+    def _behind_bar(self, cell: int, faces: int) -> list[Front]:
+        """The front before which a bar stands of which ``cell`` is a side.
+
+        Args:
+            faces: the direction along which the cell faces, -1: none.
+        """
+        for axis in range(3):
+            if axis == faces:
+                continue
+            for outward in (1, -1):
+                side = self._side_of(axis, outward)
+                if side is None:
+                    continue
+                own = side.bin_of(outward * float(self._center[cell, axis]))
+                behind = side.peak(own - _BEFORE_BINS, own - _SHIFT - 1)
+                # Handles are outside.
+                if behind < 0 or side.middle(behind) < outward * self._middle[axis]:
+                    continue
+                if not self._alone_before(cell, axis, outward, side.middle(behind)):
+                    continue
+                front = self._front(cell, axis, outward, behind)
+                bar = None if front is None else self._bar_before(front, cell)
+                if front is not None and bar is not None and bar.length >= _BAR:
+                    return [front]
+        return []
+
+    def _alone_before(self, cell: int, axis: int, outward: int, depth: float) -> bool:
+        """Whether a front at ``depth`` is all round a cell, and not much else is as high above."""
+        across = [k for k in range(3) if k != axis]
+        apart = self._center[:, across] - self._center[cell, across]
+        near = np.flatnonzero((np.abs(apart) < _ROUND * self._reach).all(1))
+        deep = outward * self._center[near, axis] - depth
+        size, out = self._cells.size[near], _STANDS_OUT * self._reach
+        front = np.abs(deep) < out
+        if size[deep > out].sum() > size[front].sum():
+            return False
+        beside = apart[near[front]] > 0
+        return len(np.unique(2 * beside[:, 0] + beside[:, 1])) == 4
 
     def _outward(self, cell: int, axis: int) -> int:
         """To which side along an axis a cell faces, as nearly all that lies at its depth says: a
@@ -362,11 +416,13 @@ class Fronts:
         own = inside & ~behind & (deep > 0) & (deep < _BEFORE * front.reach)
         return Bar(own, behind, float(front.length[number])) if behind.any() else None
 
-    def _side_of(self, axis: int, outward: int) -> _Side:
+    def _side_of(self, axis: int, outward: int) -> _Side | None:
+        """None where nothing faces there."""
         if (axis, outward) not in self._sides:
             facing = outward * self._turn[:, axis] > _ALONG
-            depth = outward * self._center[facing, axis]
-            self._sides[axis, outward] = _Side(depth, self._cells.size[facing], self._reach / _BINS)
+            depth, size = outward * self._center[facing, axis], self._cells.size[facing]
+            made = _Side(depth, size, self._reach / _BINS) if facing.any() else None
+            self._sides[axis, outward] = made
         return self._sides[axis, outward]
 
     def _front(self, cell: int, axis: int, outward: int, depth: int) -> Front | None:
@@ -384,7 +440,9 @@ class Fronts:
     def _layer(self, key: tuple[int, int, int]) -> _Layer | None:
         axis, outward, bin_ = key
         across = (1, 2) if axis == 0 else (0, 2) if axis == 1 else (0, 1)
-        depth = self._sides[axis, outward].middle(bin_)
+        found = self._side_of(axis, outward)
+        assert found is not None
+        depth = found.middle(bin_)
         near = np.abs(outward * self._at[:, axis] - depth) < self._reach
         chosen = np.flatnonzero(near)
         if len(chosen) < _LEAST_SIDE**2:

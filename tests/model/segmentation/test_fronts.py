@@ -198,6 +198,19 @@ def test_a_handle_neither_cuts_a_drawer_nor_is_clicked_alone(refrigerator, spot)
         assert min(mask.sum() for mask in alone) < 0.1 * taken.sum(), "Tab has the handle"
 
 
+@pytest.mark.parametrize("name,part,spot", [
+    ("oven", 1, (-0.1, -0.36, 0.71)), ("oven", 1, (-0.07, -0.38, 0.73)),
+    ("refrigerator", 2, (0.039, -0.388, 1.419)), ("refrigerator", 2, (0.041, -0.407, 0.97)),
+    ("refrigerator", 1, (-0.066, -0.419, 0.976)),
+])  # fmt: skip
+def test_a_bar_is_clicked_on_any_of_its_sides(request, name, part, spot) -> None:
+    """Its top, its underside and its edges don't face as the door behind it does."""
+    asset, labels, session = request.getfixturevalue(name)
+    click = click_on(asset, labels == part, spot)
+    taken = session.segment(Prompts((click,))).labels == 1
+    assert iou(taken, labels == part) > 0.6
+
+
 def test_a_handle_of_a_door_is_set_apart_by_a_click_with_another_number(refrigerator) -> None:
     """It takes no half of the door along."""
     asset, labels, session = refrigerator
