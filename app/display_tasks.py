@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from app.segmenting_tasks import source_regions
 from app.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.geometry.asset import Asset, ElementKind, UpAxis
 from model.geometry.point_cloud import PointCloud
+from model.kinematics.articulated_object import Prediction
 from model.progress import Progress, no_progress
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
@@ -33,6 +34,8 @@ class OpenedAsset:
         glb_order: (D,) displayed face of each triangle of ``glb``; None for a cloud.
         part_names: names by part id where the source was already cut into parts.
         source_parts: these parts, part → reference of its stored elements and their number.
+        source_labels: reference of the stored (E,) labels that say the same.
+        source_joints: the joints that the source tells of these parts.
     """
 
     name: str
@@ -54,6 +57,8 @@ class OpenedAsset:
     glb_order: npt.NDArray[np.int32] | None = None
     part_names: tuple[str, ...] = ()
     source_parts: dict[int, tuple[str, int]] = field(default_factory=dict)
+    source_labels: str | None = None
+    source_joints: Prediction | None = None
     category: str | None = None
     warnings: tuple[str, ...] = ()
     front: tuple[float, float, float] = (0.0, -1.0, 0.0)
@@ -84,12 +89,27 @@ def open_asset(
     asset, folder = working_copy(path, workspace, options, progress)
     progress(0.8, "Preparing the picture")
     as_it_came = options.left_out is None and not options.face_cuts
-    return _opened(asset, folder, path, source_regions(asset, workspace) if as_it_came else {})
+    opened = _opened(asset, folder, path)
+    if asset.element_part is None or not as_it_came:
+        return opened
+    return replace(
+        opened,
+        source_parts=source_regions(asset, workspace),
+        source_labels=arrays_of(workspace).put(asset.element_part.astype(np.int16)),
+        source_joints=_source_joints(asset, path),
+    )
 
 
-def _opened(
-    asset: Asset, folder: Path, path: Path, source_parts: dict[int, tuple[str, int]]
-) -> OpenedAsset:
+def _source_joints(asset: Asset, path: Path) -> Prediction | None:
+    from model.geometry.readers import urdf_of
+
+    if asset.tree is None:
+        return None
+    urdf = urdf_of(path) if path.is_dir() else path
+    return Prediction.of_file(path.name if urdf is None else urdf.name, asset.tree)
+
+
+def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
     from model.geometry.display import display_asset
     from model.geometry.glb import face_order, mesh_to_glb
 
@@ -116,7 +136,6 @@ def _opened(
         glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
         glb_order=None if mesh is None else face_order(mesh),
         part_names=part_names,
-        source_parts=source_parts,
         category=category,
         warnings=(*asset.warnings, *remarks),
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]

@@ -21,7 +21,7 @@ from app.jobs import Job, JobFailed
 from app.judging import JointCheck, Judging
 from app.part_tasks import PartSource
 from app.running_jobs import RunningJobs
-from app.segmenting import Segmenting
+from app.segmenting import SOURCE, Segmenting
 from app.tasks import ReadOptions, Stamp, stamp_if_there
 from app.watched import Watched
 from model.errors import ArtiworldError, CommandError
@@ -54,6 +54,7 @@ class OpenObject(Watched):
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
         self._frame: tuple[Any, ...] | None = None
+        self._anew = False
         self._failed_on: Stamp | None = None
         self.jobs = RunningJobs(f"object {record.id}", self.changed)
         self._lock = threading.RLock()
@@ -161,6 +162,8 @@ class OpenObject(Watched):
             now = (frame, None if self.problem is None else stamp_if_there(self.record.path))
             if self.problem is not None and not again and now == (self._frame, self._failed_on):
                 return
+            # Whoever has it read in another frame begins afresh, with what the source says.
+            self._anew = self._frame is not None and self._frame[:2] != frame[:2]
             self._frame, self.problem = frame, None
             self._failed_on = stamp_if_there(self.record.path)
             self.asset = None
@@ -197,10 +200,11 @@ class OpenObject(Watched):
         with self._lock:
             self.asset = asset
         self.bench.note_broken(self.record.id, False)
-        if self.state.seq == 0:
+        first, doc = self.state.seq == 0, self.document
+        if first and asset.category:
+            self.do(cmd.SetCategory(asset.category), SOURCE)
+        if first or (self._anew and not doc.prompts and doc.tree is None):
             self.segmenting.take_source_parts(asset)
-            if asset.category:
-                self.do(cmd.SetCategory(asset.category), "source file")
         if self.interrupted:
             self.tell("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:

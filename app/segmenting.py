@@ -16,7 +16,7 @@ from app.display_tasks import OpenedAsset
 from app.job import Job
 from app.segmenting_tasks import StoredRegion
 from model.errors import CommandError
-from model.segmentation.prompts import MAX_PARTS, Click
+from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
 from sessions.state import needed_jobs
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 TOOL_SECONDS = 120.0
+SOURCE = "source file"
+"""Who is told to have decided what an opened file says."""
 _LITTLE = 0.03
 """Of the part: a click that changes less was in vain."""
 _MASKS_KEPT = 50
@@ -73,6 +75,7 @@ class Segmenting:
         self._masks_shown: deque[MaskShown] = deque(maxlen=_MASKS_KEPT)
         self._obj = obj
         self._labels_ref: str | None = None
+        self._told = False
         self._lock = threading.Lock()
 
     def forget(self) -> None:
@@ -94,15 +97,36 @@ class Segmenting:
         obj.start("encode", job, lambda _: None)
 
     def take_source_parts(self, asset: OpenedAsset) -> None:
-        """Parts that the source file was cut into become regions, which the person can edit."""
+        """Parts that the source file was cut into become regions, which the person can edit, and
+        the joints that it tells become the tree to begin with.
+
+        The base's elements are claimed as well: the segmenter has nothing to guess.
+        """
         obj = self._obj
-        for part, (ref, count) in asset.source_parts.items():
-            name = asset.part_names[part] if part < len(asset.part_names) else None
-            if part:
-                obj.do(cmd.AddPart(part, name), "source file")
-                obj.do(cmd.AddRegion(part, ref, True, count, "source"), "source file")
-            elif name:
-                obj.do(cmd.NamePart(0, name), "source file")
+        names = dict(enumerate(asset.part_names))
+        if BASE in asset.source_parts and names.get(BASE):
+            obj.do(cmd.NamePart(BASE, names[BASE]), SOURCE)
+        if asset.source_labels is None or not any(asset.source_parts):
+            return
+        regions = tuple(
+            ToolRegion(part, ref, True, count, names.get(part) or None)
+            for part, (ref, count) in asset.source_parts.items()
+        )
+        counts = {part: count for part, (_, count) in asset.source_parts.items()}
+        labels = asset.source_labels
+        self._told = True  # the segmenter isn't asked in between
+        try:
+            obj.do(cmd.ApplyTool("source", regions), SOURCE)
+            key = obj.document.key
+            obj.do(cmd.RecordSegmentation(key, labels, "source", 0.0, counts), SOURCE)
+        finally:
+            self._told = False
+        joints = asset.source_joints
+        if joints is not None:
+            obj.do(cmd.RecordPrediction(joints, labels), SOURCE)
+            moving = sum(j.moves for j in joints.tree.joints) if joints.tree else 0
+            what = f"{moving} joint{'s'[: moving != 1]} of {joints.file}; P predicts anew"
+            obj.tell("Opened with its joints", what)
 
     def ask(self) -> None:
         """Answer the prompts where they changed, and show the labels that belong to them."""
@@ -111,6 +135,8 @@ class Segmenting:
         assert asset is not None
         key = doc.key
         record = doc.segmentation
+        if self._told:
+            return
         if needed_jobs(obj.state):
             job = obj.bench.segmentation.submit(
                 segmenting_tasks.segment,

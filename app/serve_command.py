@@ -20,7 +20,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
     add("paths", nargs="*", type=Path, metavar="PATH",
-        help="files or folders to open, or one scene (default: the bundled examples)")  # fmt: skip
+        help="meshes, scans, URDFs or folders to open, or one scene "
+             "(default: the bundled examples)")  # fmt: skip
     add("--assets", type=Path, action="append", default=[], metavar="DIR",
         help="open PATH as a scene with the assets in this folder; may be repeated "
              "(a scene description without it: those beside it)")  # fmt: skip
@@ -124,12 +125,14 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
         ConfigurationError, InputFileError: where ``--assets`` can't belong to what is named.
     """
     from model.geometry.readers import SUFFIXES
+    from model.kinematics.urdf_model import is_urdf
     from model.scenes.registry import recognised
 
     first: Path | None = args.paths[0] if args.paths else None
     if not (args.assets or args.scene) and (
-        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or not recognised(first)
-    ):
+        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or is_urdf(first)
+        or not recognised(first)
+    ):  # fmt: skip
         return None
     if first is None or len(args.paths) > 1 or first.is_dir():
         raise ConfigurationError("a scene is opened alone: give one scene file, and its --assets")

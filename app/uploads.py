@@ -36,6 +36,8 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
 
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
+    if suffix == ".urdf":
+        raise InputFileError(safe, "its meshes didn't come along", "zip it with their folder")
     if suffix != ".zip" and suffix not in SUFFIXES:
         known = ", ".join(sorted(SUFFIXES))
         raise InputFileError(

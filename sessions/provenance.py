@@ -126,6 +126,7 @@ def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:
     made = next((e for e in reversed(kept) if isinstance(e.command, RecordPrediction)), None)
     return {
         "backend": prediction.backend,
+        "file": prediction.file,
         "seed": prediction.seed,
         "seconds": prediction.seconds,
         "problems": list(prediction.problems),

@@ -239,6 +239,10 @@ class JointEditor:
         put(self._free, "visible", joint.limited)
         put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
+        told = doc.prediction is not None and doc.prediction.file is not None
+        put(
+            self._reset, "label", "Reset to the file's joint" if told else "Reset to the prediction"
+        )
         put(self._reset, "visible", joint.child in doc.edited_joints)
         put(self._note, "content", joint_note(joint, doc, obj.checks))
 

@@ -244,8 +244,9 @@ class JointsPanel:
 
 
 def _settled(doc: Document) -> bool:
-    """Whether a person has changed or locked a joint."""
-    return bool(doc.locked or doc.edited_joints)
+    """Whether a person has changed or locked a joint, or a file tells them."""
+    told = doc.prediction is not None and doc.prediction.file is not None
+    return bool(told or doc.locked or doc.edited_joints)
 
 
 def _range(joint: Joint) -> tuple[float, float]:

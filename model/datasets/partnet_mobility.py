@@ -78,7 +78,7 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
     """
     folder = Path(folder)
     model = read_urdf_model(folder / "mobility.urdf")
-    names = _semantic_names(folder)
+    names = semantic_names(folder)
     files = MaterialFiles(folder)  # textures lie in images/, beside the meshes' folder
     parts = {
         link: replace(load_part(link, visuals, files), name=None)
@@ -157,7 +157,7 @@ def _json(path: Path) -> object:
         raise InputFileError(path, f"not JSON: {error}") from None
 
 
-def _semantic_names(folder: Path) -> dict[str, str]:
+def semantic_names(folder: Path) -> dict[str, str]:
     """``link_k`` → part name, from semantics.txt, else from mobility_v2.json."""
     path = folder / "semantics.txt"
     if path.exists():

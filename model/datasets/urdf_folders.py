@@ -45,7 +45,7 @@ class UrdfFolders:
 
     def category(self, object_id: str) -> str | None:
         """See :class:`~model.datasets.protocol.Dataset`."""
-        said = _description(self._path(object_id)).get("category")
+        said = description_beside(self._path(object_id)).get("category")
         return said if isinstance(said, str) else None
 
     def load(self, object_id: str) -> GroundTruth:
@@ -64,7 +64,7 @@ class UrdfFolders:
         }
         if not parts:
             raise InputFileError(path, "no link has a mesh", "at least one is needed")
-        names = _description(path).get("names")
+        names = description_beside(path).get("names")
         named = {
             link: str(name)
             for link, name in (names if isinstance(names, dict) else {}).items()
@@ -102,7 +102,12 @@ def urdf_files(root: Path) -> dict[str, Path]:
     return out
 
 
-def _description(path: Path) -> dict[str, Any]:
+def description_beside(path: Path) -> dict[str, Any]:
+    """What the ``object.json`` beside a URDF says; nothing where there is none.
+
+    Raises:
+        InputFileError: where it can't be read.
+    """
     file = path.parent / DESCRIPTION
     try:
         said = json.loads(file.read_text(encoding="utf-8"))

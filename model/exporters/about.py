@@ -68,6 +68,16 @@ def write_about(folder: Path, asset: Path, name: str, notes: Sequence[str]) -> P
     return path
 
 
+def category_told(folder: Path) -> tuple[str | None, bool]:
+    """The category in an export's ``artiworld.json``, and whether the folder is such an export."""
+    try:
+        said = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None, False
+    category = said.get("category") if isinstance(said, dict) else None
+    return category if isinstance(category, str) else None, isinstance(said, dict)
+
+
 def _entry(kept: Mapping[str, Any], key: str) -> dict[str, Any]:
     value = kept.get(key)
     return value if isinstance(value, dict) else {}

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from model.errors import GeometryError
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
+from model.kinematics.tree import KinematicTree
 
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 ElementKind = Literal["face", "point"]
@@ -50,6 +51,8 @@ class Asset:
         element_part: (E,) int32 part of each element where the source was already cut into parts
             (a folder of part meshes), else None.
         part_names: names of those parts in order.
+        tree: how those parts move where the source tells it: the joints of ``link_<part>`` and of
+            helpers, else None.
         category: the object's category where the source tells it.
         warnings: what was passed over on reading (a missing texture, NaN points), for people.
     """
@@ -62,6 +65,7 @@ class Asset:
     part_names: tuple[str, ...] = ()
     category: str | None = None
     warnings: tuple[str, ...] = ()
+    tree: KinematicTree | None = None
 
     def __post_init__(self) -> None:
         if self.mesh is None and self.cloud is None:

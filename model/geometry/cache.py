@@ -1,7 +1,8 @@
 """Assets on disk as memory-mapped arrays, so that processes share them and reopening is instant.
 
-A folder holds ``asset.json`` (format version 2), one ``.npy`` file an array, and the textures.
-Version 1 lacks metallic and roughness: such copies are made again from their source.
+A folder holds ``asset.json`` (format version 3), one ``.npy`` file an array, and the textures.
+Version 1 lacks metallic and roughness, version 2 the joints that a source tells: such copies are
+made again from their source.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from model.errors import GeometryError, InputFileError
+from model import codec
+from model.errors import GeometryError, InputFileError, KinematicsError
 from model.geometry.asset import Asset, Source
 from model.geometry.formats.textures import TextureError, encode, open_texture
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.kinematics.tree import KinematicTree
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _META = "asset.json"
 _MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
 _CLOUD = ("points", "normals", "colors")
@@ -61,6 +64,7 @@ def _write(asset: Asset, folder: Path) -> None:
         "category": asset.category,
         "part_names": list(asset.part_names),
         "warnings": list(asset.warnings),
+        "tree": codec.write(asset.tree, "tree"),
         "source": None,
         "mesh": None,
         "cloud": asset.cloud is not None,
@@ -150,6 +154,7 @@ def load_asset(folder: str | Path) -> Asset:
         OSError,
         EOFError,
         GeometryError,
+        KinematicsError,
         TextureError,
     ) as error:
         raise InputFileError(
@@ -178,6 +183,7 @@ def _read(folder: Path, meta: dict[str, Any]) -> Asset:
         tuple(meta["part_names"]),
         meta["category"],
         tuple(meta["warnings"]),
+        None if meta["tree"] is None else codec.read(KinematicTree, meta["tree"], "tree"),
     )
 
 

@@ -2,8 +2,8 @@
 
 Up axis by default: glTF and GLB are +y up by their standard; a single OBJ file is taken as +y up,
 as modelling tools write it; PLY, STL, PCD, NPZ and text are +z up. Folders of part meshes lie in
-one object frame that is +z up already, whatever their format, except for glTF. A folder with a
-``mobility.urdf`` is in the URDF's frame, +z up.
+one object frame that is +z up already, whatever their format, except for glTF. A URDF, by itself
+or as a folder with its meshes, is in its root link's frame, +z up.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from model.errors import ConfigurationError, GeometryError, InputFileError
+from model.errors import ConfigurationError, GeometryError, InputFileError, KinematicsError
 from model.geometry.asset import Asset, Source, UpAxis
 from model.geometry.cleaning import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 from model.geometry.formats.gltf import read_gltf
@@ -27,7 +27,6 @@ from model.geometry.formats.pcd import read_pcd
 from model.geometry.formats.ply import read_ply
 from model.geometry.formats.stl import read_stl
 from model.geometry.formats.text import read_text
-from model.geometry.formats.urdf_rest import read_urdf_rest
 from model.geometry.part_folder import (
     Manifest,
     find_manifest,
@@ -35,6 +34,7 @@ from model.geometry.part_folder import (
     natural_key,
 )
 from model.kinematics.articulated_object import Part, SegmentedObject
+from model.kinematics.urdf_model import URDF_SUFFIX, is_urdf, named_meshes
 from model.progress import Progress, no_progress
 
 _READERS: dict[str, Callable[[Path, int], Loaded]] = {
@@ -43,13 +43,15 @@ _READERS: dict[str, Callable[[Path, int], Loaded]] = {
     ".pts": read_text, ".asc": read_text, ".txt": read_text, ".csv": read_text, ".npz": read_npz,
 }  # fmt: skip
 SUFFIXES: tuple[str, ...] = tuple(_READERS)
-"""Suffixes of the files that can be opened."""
+"""Suffixes of the meshes and clouds that can be opened."""
 
 _TOO_COMMON = (".txt", ".csv", ".npz")  # in a folder these are rarely clouds
 FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in _TOO_COMMON)
 """Suffixes that are picked up when a folder is searched."""
 
 MOBILITY = "mobility.urdf"
+_WHOLE_FOLDER = (MOBILITY, "object.urdf")
+"""URDFs that stand for their folder, which is called after the object."""
 _Y_UP = (".glb", ".gltf")
 
 _WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
@@ -92,7 +94,7 @@ def read_asset(
     files: MaterialFiles | None = None,
     progress: Progress = no_progress,
 ) -> Asset:
-    """Open a file, a folder of part meshes, or a PartNet-Mobility folder.
+    """Open a file, a URDF with its meshes, or a folder of part meshes.
 
     Args:
         path: what to open.
@@ -117,11 +119,14 @@ def read_asset(
         raise ConfigurationError(f"unit scale {unit_scale} must be a positive number of metres")
     try:
         if path.is_dir():
-            if (path / MOBILITY).is_file():
-                return _read_mobility(path, up_axis, unit_scale, max_bytes, progress)
+            urdf = urdf_of(path)
+            if urdf is not None:
+                return _read_urdf(path, urdf, up_axis, unit_scale, max_bytes, progress)
             return _read_folder(path, up_axis, unit_scale, max_bytes, progress)
+        if path.suffix.lower() == URDF_SUFFIX:
+            return _read_urdf(path, path, up_axis, unit_scale, max_bytes, progress)
         return _read_file(path, up_axis, unit_scale, max_bytes, files, progress)
-    except GeometryError as error:
+    except (GeometryError, KinematicsError) as error:
         raise InputFileError(path, str(error), "the file is damaged or holds no object") from None
     except MemoryError:
         raise InputFileError(path, "doesn't fit into memory", "thin the scan first") from None
@@ -138,10 +143,24 @@ def refusal(path: Path) -> InputFileError | None:
         size_of(path)
     except InputFileError as error:
         return error
-    if path.suffix.lower() in _READERS:
+    if path.suffix.lower() in (*_READERS, URDF_SUFFIX):
         return None
     what = f"files of type {path.suffix!r}" if path.suffix else "files without a suffix"
-    return InputFileError(path, f"{what} can't be opened", f"use one of {', '.join(SUFFIXES)}")
+    return InputFileError(
+        path, f"{what} can't be opened", f"use one of {', '.join((*SUFFIXES, URDF_SUFFIX))}"
+    )
+
+
+def urdf_of(folder: Path) -> Path | None:
+    """The URDF that tells what is in a folder; None where its part meshes do, or nothing does.
+
+    It is one that stands for its folder (``mobility.urdf``, ``object.urdf``), else the only one.
+    """
+    named = next((folder / n for n in _WHOLE_FOLDER if (folder / n).is_file()), None)
+    if named is not None or is_part_folder(folder, FOLDER_SUFFIXES):
+        return named
+    found = [p for p in folder.iterdir() if is_urdf(p)]
+    return found[0] if len(found) == 1 else None
 
 
 def _load(path: Path, max_bytes: int, files: MaterialFiles | None = None) -> Loaded:
@@ -176,21 +195,27 @@ def _asset(path: Path, name: str, loaded: Loaded, sha256: str, up: UpAxis, scale
     return Asset(name, cloud=cloud, source=source, warnings=loaded.warnings)
 
 
-def _read_mobility(
-    folder: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
-) -> Asset:
-    urdf = folder / MOBILITY
-    progress(0.0, f"reading {folder.name}/{MOBILITY}")
-    files = MaterialFiles(folder)
+def _read_urdf(
+    path: Path, urdf: Path, up_axis: UpAxis | None, scale: float, max_bytes: int,
+    progress: Progress,
+) -> Asset:  # fmt: skip
+    from model.datasets.opened import open_urdf
 
-    def read_mesh(path: Path) -> Loaded | None:
-        loaded = _load(path, max_bytes, files)
-        return loaded if len(loaded.faces) else None
-
-    loaded, paths = read_urdf_rest(urdf, read_mesh)
-    digest = _digest([urdf, *paths, *files.paths])
-    progress(0.8, "checking")
-    return _asset(folder, folder.name, loaded, digest, up_axis or "z", unit_scale)
+    progress(0.0, f"reading {urdf.name}")
+    matrix = turned_up(up_axis or "z")
+    matrix[:3, :3] *= scale
+    found = open_urdf(urdf, matrix, max_bytes, progress)
+    return Asset(
+        path.name if path.is_dir() else path.stem,
+        mesh=found.mesh,
+        cloud=found.cloud,
+        source=Source(path, _digest(found.files), up_axis or "z", scale),
+        element_part=found.element_part,
+        part_names=found.part_names,
+        category=found.category,
+        warnings=found.notes,
+        tree=found.tree,
+    )
 
 
 def _read_parts(
@@ -274,8 +299,9 @@ def read_part_files(
 def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     """What can be opened among ``paths``: files as they are, folders searched in depth.
 
-    A folder with a ``mobility.urdf``, an ``object.json`` or ``link_*`` meshes is one item. A file
-    that is named directly is always in, so that opening it can say what is wrong with it.
+    A folder with a ``mobility.urdf``, an ``object.urdf``, an ``object.json`` or ``link_*`` meshes
+    is one item. Meshes that a URDF in the folder is made of are none. A file that is named
+    directly is always in, so that opening it can say what is wrong with it.
 
     Raises:
         InputFileError: where a path doesn't exist or a folder holds nothing that can be opened.
@@ -284,11 +310,10 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     for path in map(Path, paths):
         if not path.exists():
             raise InputFileError(path, "no such file or folder", "check the path")
-        found = _search(path, set()) if path.is_dir() else [path]
+        found = _without_pieces(_search(path, set())) if path.is_dir() else [path]
         if not found:
-            raise InputFileError(
-                path, "nothing in it can be opened", f"looked for {', '.join(FOLDER_SUFFIXES)}"
-            )
+            looked = ", ".join((*FOLDER_SUFFIXES, URDF_SUFFIX))
+            raise InputFileError(path, "nothing in it can be opened", f"looked for {looked}")
         out.extend(found)
     return list(dict.fromkeys(out))
 
@@ -299,21 +324,37 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
     if real in seen:  # a link back up, or another name of a folder
         return []
     seen.add(real)
-    if (folder / MOBILITY).is_file() or is_part_folder(folder, FOLDER_SUFFIXES):
+    if any((folder / n).is_file() for n in _WHOLE_FOLDER):
         return [folder]
     out: list[Path] = []
     try:
         entries = sorted(folder.iterdir(), key=natural_key)
     except OSError:
         return []
+    if is_part_folder(folder, FOLDER_SUFFIXES):
+        return [folder, *(p for p in entries if is_urdf(p))]
     for entry in entries:
         if entry.name.startswith("."):
             continue
         if entry.is_dir():
             out.extend(_search(entry, seen))
-        elif entry.suffix.lower() in FOLDER_SUFFIXES and entry.is_file():
+        elif entry.suffix.lower() in (*FOLDER_SUFFIXES, URDF_SUFFIX) and entry.is_file():
             out.append(entry)
     return out
+
+
+def _without_pieces(found: list[Path]) -> list[Path]:
+    """Without the meshes, and the folders of part meshes, that a URDF among ``found`` names."""
+    pieces = {m for p in found if is_urdf(p) for m in named_meshes(p)}
+    if not pieces:
+        return found
+
+    def is_piece(path: Path) -> bool:
+        if not path.is_dir():
+            return path.resolve() in pieces
+        return urdf_of(path) is None and any(m.parent == path.resolve() for m in pieces)
+
+    return [p for p in found if not is_piece(p)]
 
 
 def _digest(paths: Sequence[Path]) -> str:

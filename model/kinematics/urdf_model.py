@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from xml.sax.saxutils import unescape
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +51,7 @@ class UrdfModel:
         visuals: geometry in the file's order.
         notes: what was changed on reading, for people.
         rescaled: those of the notes that tell of an axis whose length wasn't 1: it means the same.
+        renamed: those that tell of a link that became a helper by name alone.
         faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
         swapped: joints whose lower limit was written above the upper one; here they are in order.
     """
@@ -60,6 +64,7 @@ class UrdfModel:
     faulty: tuple[str, ...] = ()
     swapped: tuple[str, ...] = ()
     rescaled: tuple[str, ...] = ()
+    renamed: tuple[str, ...] = ()
 
     @cached_property
     def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:
@@ -85,9 +90,19 @@ class UrdfModel:
         return ArticulatedObject(self.name, tuple(parts), self.tree)
 
 
+URDF_SUFFIX = ".urdf"
 PACKAGE = "package.xml"
 """What marks the folder of a ROS package."""
 _LEVELS = 4
+MAX_BYTES = 64 * 2**20
+"""No honest URDF is larger; its meshes lie beside it."""
+_FILENAME = re.compile(r"""filename\s*=\s*["']([^"'<>]{1,1000})["']""")
+
+
+def is_urdf(path: Path) -> bool:
+    """Whether ``path`` is a file that is called a URDF, and none of a system's hidden ones."""
+    name = path.name
+    return path.suffix.lower() == URDF_SUFFIX and not name.startswith(".") and path.is_file()
 
 
 def package_root(path: Path) -> Path:
@@ -98,6 +113,24 @@ def package_root(path: Path) -> Path:
     own = path.absolute().parent
     above = (own, *own.parents)[:_LEVELS]
     return next((folder for folder in above if (folder / PACKAGE).is_file()), path.parent)
+
+
+def named_meshes(path: Path) -> list[Path]:
+    """The files that a URDF names as meshes, resolved and without reading it as XML.
+
+    For telling what belongs together; none where it can't be read.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            return []
+        text = path.read_text("utf-8", "replace")
+    except OSError:
+        return []
+    root, out = package_root(path), []
+    for name in dict.fromkeys(_FILENAME.findall(text)):
+        with contextlib.suppress(ReferenceRefused, OSError):
+            out.append(resolve_mesh(unescape(name), path.parent, root).resolve())
+    return out
 
 
 def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:

@@ -17,7 +17,13 @@ from model.geometry.formats.references import ReferenceRefused
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, JointType, Mimic
 from model.kinematics.tree import KinematicTree, tree_problems
-from model.kinematics.urdf_model import UrdfModel, UrdfVisual, package_root, resolve_mesh
+from model.kinematics.urdf_model import (
+    MAX_BYTES,
+    UrdfModel,
+    UrdfVisual,
+    package_root,
+    resolve_mesh,
+)
 from model.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -25,8 +31,8 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-MAX_BYTES = 64 * 2**20
-"""No honest URDF is larger; its meshes lie beside it."""
+MOST_LINKS = 5000
+"""More are no object; checking that they are a tree would take minutes."""
 LARGEST = 1e6
 """Metres of a size, an offset or a limit; with more, numbers are damaged and sums overflow."""
 _MOVING: dict[str, JointType] = {
@@ -35,6 +41,13 @@ _MOVING: dict[str, JointType] = {
     "prismatic": "prismatic",
 }
 _TO_FIXED = ("planar", "floating")
+_REMEDIES = {
+    "at least one link": "of a xacro file, give the URDF that xacro makes of it",
+    " roots instead of one": "join what stands apart by fixed joints",
+    "cycle: ": "each link but one hangs on another one by one joint",
+    "leads outside": "keep the meshes in its folder, or a package.xml in the one that holds both",
+    "is an absolute path": "write it as seen from the URDF",
+}
 
 
 def read_urdf(
@@ -89,6 +102,7 @@ class _Reader:
         self.faulty: list[str] = []
         self.swapped: list[str] = []
         self.rescaled: list[str] = []
+        self.renamed: list[str] = []
         self.problems: list[str] = []
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
@@ -101,6 +115,10 @@ class _Reader:
             if color is not None and material.get("name"):
                 self.colors[material.get("name", "")] = color
         links = [self._name(e, "link") for e in robot.findall("link")]
+        most = max(len(links), len(robot.findall("joint")))
+        if most > MOST_LINKS:
+            what = f"has {most:,} links or joints"
+            raise InputFileError(self.path, what, f"an object has {MOST_LINKS:,} at most")
         locals_: dict[str, npt.NDArray[np.float64]] = {}
         joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
         geometry = self._geometry(robot)
@@ -128,12 +146,14 @@ class _Reader:
             for v in geometry
         )
         name = robot.get("name") or self.path.stem
-        told = (tuple(v) for v in (self.notes, self.faulty, self.swapped, self.rescaled))
-        return UrdfModel(self.path, name, tree, visuals, *told)
+        said = (self.notes, self.faulty, self.swapped, self.rescaled, self.renamed)
+        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said))
 
     def _raise(self) -> None:
         if self.problems:
-            raise InputFileError(self.path, "; ".join(dict.fromkeys(self.problems)))
+            said = "; ".join(dict.fromkeys(self.problems))
+            remedies = [remedy for word, remedy in _REMEDIES.items() if word in said]
+            raise InputFileError(self.path, said, "; ".join(remedies))
 
     # -- values ----------------------------------------------------------------------------------
 
@@ -381,7 +401,8 @@ class _Reader:
                 while new in links or new in out.values():
                     new, i = f"{base}_{i}", i + 1
                 out[link] = new
-                self.notes.append(f"link {link!r} has no geometry; it became the helper {new!r}")
+                self.renamed.append(f"link {link!r} has no geometry; it became the helper {new!r}")
+                self.notes += self.renamed[-1:]
         return out
 
 
@@ -413,7 +434,9 @@ def _parse(path: Path) -> Element:
     except defusedxml.DefusedXmlException as error:
         raise InputFileError(path, "declares a DTD or entities", "remove them") from error
     except (ParseError, ValueError, LookupError) as error:
-        raise InputFileError(path, f"is not well-formed XML ({error})") from error
+        raise InputFileError(
+            path, f"is not well-formed XML ({error})", "a URDF is an XML file"
+        ) from error
     if robot.tag != "robot":
         raise InputFileError(path, f"begins with <{robot.tag}>", "a URDF begins with <robot>")
     return robot

@@ -163,7 +163,7 @@ def test_xml_entities_are_refused(tmp_path: Path) -> None:
         '<robot name="r"><link name="a"><visual><origin xyz="0.01, 0 0"/><geometry>'
         '<box size="1 1 1"/></geometry></visual></link></robot>'
     )
-    with pytest.raises(InputFileError, match="not three numbers"):
+    with pytest.raises(InputFileError, match="blanks between"):
         read_asset(tmp_path)
 
 

@@ -1,0 +1,133 @@
+"""A URDF in the app: its joints are the first tree, predicted anew on request, and saved."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+
+from app.accepting import accept
+from app.config import ServeConfig
+from app.open_object import OpenObject
+from app.serve_command import _scene_of
+from app.tasks import stamp
+from app.viewer.joint_text import joint_note
+from app.workbench import Workbench
+from model.geometry.readers import read_asset
+from sessions import commands as cmd
+from sessions.store import Store
+from tests.app.test_open_objects import wait
+
+NOW = "2026-01-01T00:00:00.000000Z"
+URDF = """<robot name="r"><link name="body"><visual><geometry>
+<mesh filename="meshes/body.ply"/></geometry></visual></link>
+<link name="door"><visual><geometry><mesh filename="meshes/door.ply"/></geometry></visual></link>
+<joint name="hinge" type="revolute"><origin xyz="-0.3 -0.151 0"/><axis xyz="0 0 -1"/>
+<parent link="body"/><child link="door"/><limit lower="0" upper="1.2"/></joint></robot>"""
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    folder = tmp_path / "cupboard"
+    (folder / "meshes").mkdir(parents=True)
+    body = trimesh.creation.box(bounds=[[-0.3, -0.13, 0], [0.3, 0.15, 0.4]])
+    body.export(folder / "meshes" / "body.ply")
+    # Seen from the joint.
+    door = trimesh.creation.box(bounds=[[0, 0, 0], [0.6, 0.02, 0.4]])
+    door.export(folder / "meshes" / "door.ply")
+    (folder / "cupboard.urdf").write_text(URDF)
+    return folder / "cupboard.urdf"
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Callable[[Path], OpenObject]]:
+    benches: list[Workbench] = []
+
+    def begin(path: Path, *, parts: bool = True) -> OpenObject:
+        workspace = tmp_path / "workspace"
+        bench = Workbench(ServeConfig(workspace=workspace), Store(workspace), [path])
+        benches.append(bench)
+        obj = bench.object(bench.records()[0].id)
+        wait(lambda: obj.labels is not None if parts else obj.asset, "it is open")
+        wait(lambda: not obj.jobs, "nothing is under way")
+        return obj
+
+    yield begin
+    for bench in benches:
+        bench.close()
+
+
+def kinds(obj: OpenObject) -> list[str]:
+    return [e.kind for e in obj.bench.store.history(obj.record.id)]
+
+
+def test_its_joints_are_there_at_once_and_the_segmenter_is_not_asked(opened, urdf: Path) -> None:
+    obj = opened(urdf)
+    doc = obj.document
+    assert [(p.id, p.name) for p in doc.parts] == [(0, "body"), (1, "door")]
+    assert doc.tree is not None and doc.tree.joint_of["link_1"].upper == 1.2
+    assert doc.prediction is not None and doc.prediction.file == "cupboard.urdf"
+    assert doc.segmentation is not None and doc.segmentation.counts == {0: 12, 1: 12}
+    assert not doc.prediction_stale and not doc.unsettled and not doc.edited_joints
+    assert kinds(obj) == ["name_part", "apply_tool", "record_segmentation", "record_prediction"]
+    said = joint_note(doc.tree.joint_of["link_1"], doc, [])
+    assert said == "*As cupboard.urdf tells it.*"
+
+
+def test_it_can_be_taken_back_and_is_not_taken_again(opened, urdf: Path) -> None:
+    obj = opened(urdf)
+    obj.do(cmd.Undo(), "tester")
+    assert obj.document.tree is None and obj.document.prompts
+    obj.do(cmd.Undo(), "tester")
+    assert not obj.document.prompts
+    obj.bench.close()
+    again = opened(urdf, parts=False)
+    assert again.document.tree is None and not again.document.prompts
+
+
+def test_p_predicts_anew_and_undo_brings_the_file_back(opened, urdf: Path) -> None:
+    obj = opened(urdf)
+    obj.predict("tester")
+    wait(lambda: obj.document.prediction.file is None, "another prediction")
+    assert obj.document.tree is not None and obj.document.prediction.backend
+    obj.do(cmd.Undo(), "tester")
+    assert obj.document.prediction is not None and obj.document.prediction.file == "cupboard.urdf"
+
+
+def test_read_in_another_frame_it_begins_with_its_joints_again(opened, urdf: Path) -> None:
+    obj = opened(urdf)
+    obj.do(cmd.SetFrame("z", 0.5), "tester")
+    wait(lambda: obj.document.tree is not None, "the tree in the other unit")
+    tree: Any = obj.document.tree
+    assert tree.joint_of["link_1"].origin[0] == pytest.approx(-0.15)
+
+
+def test_the_saved_asset_says_that_the_joints_came_from_the_file(opened, urdf: Path) -> None:
+    obj = opened(urdf)
+    wait(lambda: obj.judging.report is not None and not obj.jobs, "the gate")
+    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    wait(lambda: obj.document.saved, "it is saved")
+    folder = Path(obj.document.saved.folder)
+    told = json.loads((folder / "provenance.json").read_text())
+    assert (told["predictor"]["file"], told["predictor"]["by"]) == ("cupboard.urdf", "source file")
+    assert told["source"]["path"].endswith("cupboard.urdf") and told["edits"] == []
+    again = read_asset(folder)
+    assert again.tree is not None and again.tree.joint_of["link_1"].name == "hinge"
+    assert again.part_names == ("body", "door")
+
+
+def test_a_mesh_that_changed_is_read_again(urdf: Path) -> None:
+    before = stamp(urdf)
+    os.utime(urdf.parent / "meshes" / "door.ply", ns=(0, 0))
+    assert stamp(urdf) != before
+
+
+def test_a_urdf_is_no_scene(urdf: Path) -> None:
+    from argparse import Namespace
+
+    assert _scene_of(Namespace(paths=[urdf], assets=[], scene=False)) is None

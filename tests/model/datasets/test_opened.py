@@ -1,0 +1,225 @@
+"""Articulated objects of other people, opened with their parts, names and joints."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from model.errors import InputFileError
+from model.exporters.asset_folder import write_asset
+from model.exporters.physics import plain_physics
+from model.exporters.registry import load_exporter
+from model.geometry.asset import Asset
+from model.geometry.cache import load_asset, save_asset
+from model.geometry.mesh import Mesh
+from model.geometry.readers import find_assets, read_asset
+from model.kinematics.articulated_object import ArticulatedObject, Part
+from model.kinematics.joint import Joint
+from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf_reader import MOST_LINKS
+
+LIMIT = '<limit lower="0" upper="1.5"/>'
+
+
+def mesh_of(file: str) -> str:
+    return f'<visual><geometry><mesh filename="{file}"/></geometry></visual>'
+
+
+def link(
+    name: str, inner: str = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+) -> str:
+    return f'<link name="{name}">{inner}</link>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inner: str = LIMIT) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><origin xyz="1 0 0"/><axis xyz="0 0 1"/>'
+        f'<parent link="{parent}"/><child link="{child}"/>{inner}</joint>'
+    )
+
+
+def robot(folder: Path, *body: str, name: str = "robot") -> Path:
+    path = folder / f"{name}.urdf"
+    path.write_text(f'<robot name="r">{"".join(body)}</robot>')
+    return path
+
+
+def numbers(asset: Asset) -> list[int]:
+    assert asset.element_part is not None
+    return list(dict.fromkeys(asset.element_part.tolist()))
+
+
+def test_links_are_parts_and_joints_the_tree(tmp_path: Path) -> None:
+    path = robot(
+        tmp_path, link("handle"), link("cabinet"), link("door"), link("tcp", ""),
+        joint("hinge", "cabinet", "door"), joint("tip", "door", "tcp"),
+        joint("screw", "door", "handle", "fixed", ""),
+    )  # fmt: skip
+    asset = read_asset(path)
+    assert (asset.name, asset.part_names) == ("robot", ("cabinet", "door"))
+    assert numbers(asset) == [1, 0]  # elements come as in the file, the handle with its door
+    assert asset.tree is not None and asset.tree.links == ("link_0", "link_1")
+    (found,) = asset.tree.joints
+    assert (found.name, found.parent, found.child) == ("hinge", "link_0", "link_1")
+    assert found.origin == (1.0, 0.0, 0.0) and found.upper == 1.5
+    assert asset.warnings == ("joints that carry nothing were left out: tip",)
+    save_asset(asset, tmp_path / "kept")
+    assert load_asset(tmp_path / "kept").tree == asset.tree
+
+
+def test_joints_turn_and_grow_with_the_source(tmp_path: Path) -> None:
+    follows = '<limit lower="0" upper="1"/><mimic joint="slide" multiplier="2" offset="1"/>'
+    path = robot(
+        tmp_path, link("a"), link("b"), link("c"),
+        joint("slide", "a", "b", "prismatic"), joint("turn", "a", "c", inner=follows),
+    )  # fmt: skip
+    asset = read_asset(path, up_axis="y", unit_scale=0.01)
+    assert asset.tree is not None
+    slide, turn = asset.tree.joints
+    np.testing.assert_allclose(slide.axis, (0, -1, 0), atol=1e-12)
+    np.testing.assert_allclose(slide.origin, (0.01, 0, 0), atol=1e-12)
+    assert slide.upper == pytest.approx(0.015) and turn.upper == 1.0
+    assert turn.mimic is not None
+    assert (turn.mimic.multiplier, turn.mimic.offset) == (pytest.approx(200), 1.0)
+    assert np.ptp(asset.bounds, axis=0).max() < 0.03
+
+
+def test_an_empty_root_keeps_its_joints_and_no_part_is_the_base(tmp_path: Path) -> None:
+    asset = read_asset(
+        robot(tmp_path, link("world", ""), link("door"), joint("j", "world", "door"))
+    )
+    assert asset.tree is not None and asset.tree.root == "world"
+    assert (numbers(asset), asset.part_names) == ([1], ("", "door"))
+
+
+def test_where_nothing_moves_links_are_parts_without_joints(tmp_path: Path) -> None:
+    asset = read_asset(robot(tmp_path, link("a"), link("b"), joint("j", "a", "b", "fixed", "")))
+    assert (numbers(asset), asset.part_names, asset.tree) == ([0, 1], ("a", "b"), None)
+    single = read_asset(robot(tmp_path, link("a"), name="single"))
+    assert (single.element_part, single.part_names, single.tree) == (None, (), None)
+
+
+def test_links_called_alike_stay_apart(tmp_path: Path) -> None:
+    joints = joint("1", "x", "door") + joint("2", "x", "link_door")
+    asset = read_asset(robot(tmp_path, link("x"), link("door"), link("link_door"), joints))
+    assert (numbers(asset), asset.part_names) == ([0, 1, 2], ("x", "door", "door"))
+
+
+def box_part(name: str, at: float, what: str | None) -> Part:
+    box = trimesh.creation.box((0.2, 0.2, 0.2))
+    return Part(name, Mesh(np.asarray(box.vertices) + (at, 0, 0), np.asarray(box.faces)), name=what)
+
+
+@pytest.fixture
+def cabinet() -> ArticulatedObject:
+    parts = (box_part("link_0", 0, "body"), box_part("link_3", 0.21, "door"),
+             box_part("link_2", 0.42, None))  # fmt: skip
+    hinge = Joint("a", "revolute", "link_0", "link_3", (0, 0, 1), (0.1, 0, 0), lower=0, upper=1.2)
+    slide = Joint("b", "prismatic", "link_0", "link_2", (1, 0, 0), lower=0, upper=0.1)
+    tree = KinematicTree(("link_0", "link_2", "link_3"), (hinge, slide))
+    return ArticulatedObject("cabinet", parts, tree, "StorageFurniture")
+
+
+def check_cabinet(asset: Asset, cabinet: ArticulatedObject, *, category: str | None) -> None:
+    assert asset.part_names[0] == "body" and asset.part_names[2:] == ("", "door")
+    assert asset.category == category and asset.tree is not None
+    assert numbers(asset) == [0, 3, 2]
+    for told in cabinet.tree.joints:
+        got = asset.tree.joint_of[told.child]
+        assert (got.type, got.parent, got.lower, got.upper) == (
+            told.type, told.parent, told.lower, told.upper,
+        )  # fmt: skip
+        np.testing.assert_allclose(got.axis, told.axis, atol=1e-9)
+
+
+def test_a_saved_asset_opens_as_it_was_saved(tmp_path: Path, cabinet: ArticulatedObject) -> None:
+    folder = tmp_path / "cabinet-1"
+    write_asset(cabinet, folder, provenance={})
+    assert find_assets([tmp_path]) == [folder]
+    check_cabinet(read_asset(folder), cabinet, category="StorageFurniture")
+    assert read_asset(folder).name == "cabinet-1"
+
+
+def test_an_export_opens_with_the_names_of_its_visuals(
+    tmp_path: Path, cabinet: ArticulatedObject
+) -> None:
+    load_exporter("urdf").export(cabinet, tmp_path, physics=plain_physics(cabinet))
+    about = {"format": "urdf", "category": "StorageFurniture"}
+    (tmp_path / "artiworld.json").write_text(json.dumps(about))
+    check_cabinet(read_asset(tmp_path), cabinet, category="StorageFurniture")
+
+
+def test_names_and_category_of_an_object_json_count(tmp_path: Path) -> None:
+    path = robot(tmp_path, link("link_0"), link("link_1"), joint("j", "link_0", "link_1"))
+    said = {"category": "Box", "names": {"link_1": "lid"}}
+    (tmp_path / "object.json").write_text(json.dumps(said))
+    asset = read_asset(path)
+    assert (asset.part_names, asset.category) == (("", "lid"), "Box")
+
+
+def test_meshes_of_a_urdf_are_no_objects_of_their_own(tmp_path: Path) -> None:
+    package = tmp_path / "robot"
+    for name in ("urdf", "meshes", "scans"):
+        (package / name).mkdir(parents=True)
+    (package / "package.xml").write_text("<package/>")
+    for place in ("meshes/link_0.ply", "meshes/link_1.ply", "scans/chair.ply"):
+        trimesh.creation.box().export(package / place)
+    path = robot(
+        package / "urdf", link("a", mesh_of("package://robot/meshes/link_0.ply")),
+        link("b", mesh_of("../meshes/link_1.ply")), joint("j", "a", "b"),
+    )  # fmt: skip
+    assert find_assets([tmp_path]) == [package / "scans" / "chair.ply", path]
+    assert read_asset(package / "urdf").tree is not None  # the only URDF of its folder
+    robot(tmp_path, link("a"), name="other")
+    assert len(find_assets([tmp_path])) == 3
+
+
+OUTSIDE = "leads outside"
+BAD = {
+    "missing mesh": (link("a", mesh_of("no.obj")), "no.obj: the mesh of link 'a' isn't there"),
+    "cycle": (link("r") + link("a") + link("b") + joint("1", "a", "b") + joint("2", "b", "a"),
+              "cycle: .* hangs on another"),
+    "two roots": (link("a") + link("b"), "2 roots .* by fixed joints"),
+    "no links": ("", "at least one link.*xacro"),
+    "traversal": (link("a", mesh_of("../../etc/passwd")), OUTSIDE),
+    "package traversal": (link("a", mesh_of("package://../../etc/passwd")), OUTSIDE),
+    "absolute": (link("a", mesh_of("/etc/passwd")), "absolute path"),
+    "address": (link("a", mesh_of("http://example.org/a.obj")), "is an address"),
+    "no limits": (link("a") + link("b") + joint("j", "a", "b", inner=""), "needs <limit"),
+    "nan": (link("a") + link("b") + joint("j", "a", "b", inner='<limit upper="nan"/>'), "finite"),
+    "too many parts": ("".join(link(f"l{i}") for i in range(1001))
+                       + "".join(joint(f"j{i}", "l0", f"l{i}") for i in range(1, 1001)), "parts"),
+    "too many links": ("<link name='a'/>" * (MOST_LINKS + 1), "at most"),
+    "nothing seen": ("<link name='a'/>", "no link has a visual"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("body", "words"), BAD.values(), ids=BAD.keys())
+def test_errors_name_the_file_and_what_would_be_right(
+    tmp_path: Path, body: str, words: str
+) -> None:
+    with pytest.raises(InputFileError, match=words) as caught:
+        read_asset(robot(tmp_path, body))
+    assert str(caught.value).startswith(str(tmp_path))
+
+
+def test_entities_are_refused(tmp_path: Path) -> None:
+    bomb = '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="r">&b;</robot>'
+    (tmp_path / "robot.urdf").write_text(bomb)
+    with pytest.raises(InputFileError, match="entities"):
+        read_asset(tmp_path / "robot.urdf")
+
+
+def test_a_real_cabinet_opens_with_its_joints(shared_data: Path) -> None:
+    asset = read_asset(shared_data / "partnet_mobility" / "41083")
+    assert asset.tree is not None and asset.category == "StorageFurniture"
+    assert asset.part_names == (
+        "furniture_body", "rotation_door", "rotation_door", "drawer", "drawer",
+    )  # fmt: skip
+    door = asset.tree.joint_of["link_1"]
+    assert (door.type, door.upper) == ("revolute", pytest.approx(math.pi / 2))
