@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 
 from model.geometric.motion_words import (
@@ -107,3 +108,28 @@ def base_score(name: str | None, category: str | None) -> float:
     if mechanism is None:
         return score
     return score if mechanism == "fixed" else score - 2.0
+
+
+MOST_NAMED = 12
+"""Meshes of one file that their names can make parts of; more are screws and panels."""
+
+
+def named_parts(names: Sequence[str]) -> tuple[int, ...] | None:
+    """Part numbers of the meshes of one file, where a name says that one of them moves.
+
+    Without such a name they may be materials or boards.
+
+    Args:
+        names: of its meshes, in order.
+
+    Returns:
+        A number for each: 0 for the one that is most likely the base, unless all move, the others
+        from 1 on in order. None where the names don't tell parts.
+    """
+    tells = {mechanism_of(name, None)[0] for name in names} - {None, "fixed"}
+    if not tells or not 2 <= len(names) <= MOST_NAMED:
+        return None
+    scores = [base_score(name, None) for name in names]
+    base = scores.index(max(scores)) if max(scores) >= 0 else None
+    others = iter(range(1, len(names) + 1))
+    return tuple(0 if i == base else next(others) for i in range(len(names)))

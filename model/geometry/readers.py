@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from model.errors import ConfigurationError, GeometryError, InputFileError, KinematicsError
 from model.geometry.asset import Asset, Source, UpAxis
@@ -33,8 +34,9 @@ from model.geometry.part_folder import (
     is_part_folder,
     natural_key,
 )
+from model.geometry.parts import split
 from model.kinematics.articulated_object import Part, SegmentedObject
-from model.kinematics.urdf_model import URDF_SUFFIX, is_urdf, named_meshes
+from model.kinematics.urdf_model import PACKAGE, URDF_SUFFIX, is_urdf, named_meshes
 from model.progress import Progress, no_progress
 
 _READERS: dict[str, Callable[[Path, int], Loaded]] = {
@@ -154,12 +156,21 @@ def refusal(path: Path) -> InputFileError | None:
 def urdf_of(folder: Path) -> Path | None:
     """The URDF that tells what is in a folder; None where its part meshes do, or nothing does.
 
-    It is one that stands for its folder (``mobility.urdf``, ``object.urdf``), else the only one.
+    It is one that stands for its folder (``mobility.urdf``, ``object.urdf``), else the only one
+    there, or the only one in ``urdf/`` of a ROS package.
     """
     named = next((folder / n for n in _WHOLE_FOLDER if (folder / n).is_file()), None)
     if named is not None or is_part_folder(folder, FOLDER_SUFFIXES):
         return named
-    found = [p for p in folder.iterdir() if is_urdf(p)]
+    return _only_urdf(folder) or _urdf_of_package(folder)
+
+
+def _urdf_of_package(folder: Path) -> Path | None:
+    return _only_urdf(folder / "urdf") if (folder / PACKAGE).is_file() else None
+
+
+def _only_urdf(folder: Path) -> Path | None:
+    found = [p for p in folder.iterdir() if is_urdf(p)] if folder.is_dir() else []
     return found[0] if len(found) == 1 else None
 
 
@@ -190,9 +201,27 @@ def _asset(path: Path, name: str, loaded: Loaded, sha256: str, up: UpAxis, scale
     loaded = shifted(loaded, shift)
     source = Source(path, sha256, up, scale, shift)
     if is_solid(loaded):
-        return Asset(name, mesh=to_mesh(loaded), source=source, warnings=loaded.warnings)
+        parts, names = _named_parts(loaded)
+        return Asset(
+            name, mesh=to_mesh(loaded), source=source, element_part=parts, part_names=names,
+            warnings=loaded.warnings,
+        )  # fmt: skip
     cloud = to_cloud(loaded)
     return Asset(name, cloud=cloud, source=source, warnings=loaded.warnings)
+
+
+def _named_parts(loaded: Loaded) -> tuple[npt.NDArray[np.int32] | None, tuple[str, ...]]:
+    """Part of each face and names by part, where the file's meshes are called after parts."""
+    from model.geometric.vocabulary import named_parts
+
+    names, sizes = zip(*loaded.pieces, strict=True) if loaded.pieces else ((), ())
+    numbers = named_parts(names)
+    if numbers is None or sum(sizes) != len(loaded.faces):  # damaged faces were left out
+        return None, ()
+    plain = ("".join(c for c in name if c.isprintable()) for name in names)
+    called = dict(zip(numbers, plain, strict=True))
+    listed = tuple(called.get(i, "") for i in range(max(numbers) + 1))
+    return np.repeat(np.asarray(numbers, np.int32), sizes), listed
 
 
 def _read_urdf(
@@ -265,24 +294,27 @@ def _read_folder(
 
 
 def read_part_files(
-    folder: str | Path,
+    path: str | Path,
     *,
     up_axis: UpAxis | None = None,
     unit_scale: float = 1.0,
     max_bytes: int = DEFAULT_MAX_BYTES,
     progress: Progress = no_progress,
 ) -> SegmentedObject:
-    """Read a folder of part meshes or part clouds, all in one object frame.
+    """Read a folder of part meshes or part clouds, all in one object frame, or any other source
+    that tells its parts: a URDF, a glTF file whose meshes are called after parts.
 
-    The files are those of ``object.json`` where there is one, else ``link_*`` in natural order,
-    else all mesh and cloud files. Each link is called after its file's stem.
+    The files of a folder are those of ``object.json`` where there is one, else ``link_*`` in
+    natural order, else all mesh and cloud files. Each link is called after its file's stem.
 
     Raises:
-        InputFileError: where a part can't be used.
+        InputFileError: where a part can't be used, or a file tells no parts.
     """
-    folder = Path(folder)
-    manifest = find_manifest(folder, FOLDER_SUFFIXES)
-    parts, _ = _read_parts(folder, manifest, up_axis, unit_scale, max_bytes, progress)
+    path = Path(path)
+    if path.is_file() or (path.is_dir() and urdf_of(path) is not None):
+        return _read_told_parts(path, up_axis, unit_scale, max_bytes, progress)
+    manifest = find_manifest(path, FOLDER_SUFFIXES)
+    parts, _ = _read_parts(path, manifest, up_axis, unit_scale, max_bytes, progress)
     made = [
         Part(
             e.link,
@@ -293,7 +325,21 @@ def read_part_files(
         )
         for e, p in zip(manifest.entries, parts, strict=True)
     ]
-    return SegmentedObject(folder.name, tuple(made), manifest.category)
+    return SegmentedObject(path.name, tuple(made), manifest.category)
+
+
+def _read_told_parts(
+    path: Path, up_axis: UpAxis | None, scale: float, max_bytes: int, progress: Progress
+) -> SegmentedObject:
+    asset = read_asset(
+        path, up_axis=up_axis, unit_scale=scale, max_bytes=max_bytes, progress=progress
+    )
+    if asset.element_part is None:
+        raise InputFileError(
+            path, "doesn't tell its parts", "cut it with artiworld segment, or serve it"
+        )
+    parts = split(asset, asset.element_part, dict(enumerate(asset.part_names)))
+    return SegmentedObject(asset.name, parts, asset.category)
 
 
 def find_assets(paths: Iterable[str | Path]) -> list[Path]:
@@ -340,12 +386,16 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
             out.extend(_search(entry, seen))
         elif entry.suffix.lower() in (*FOLDER_SUFFIXES, URDF_SUFFIX) and entry.is_file():
             out.append(entry)
+    urdf = _urdf_of_package(folder)
+    if urdf is not None:  # the package is called after the object, its folder urdf/ isn't
+        return [folder, *(p for p in out if p not in (urdf, urdf.parent))]
     return out
 
 
 def _without_pieces(found: list[Path]) -> list[Path]:
     """Without the meshes, and the folders of part meshes, that a URDF among ``found`` names."""
-    pieces = {m for p in found if is_urdf(p) for m in named_meshes(p)}
+    urdfs = (urdf_of(p) if p.is_dir() else p for p in found)
+    pieces = {m for p in urdfs if p is not None and is_urdf(p) for m in named_meshes(p)}
     if not pieces:
         return found
 

@@ -12,20 +12,16 @@ from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
 from model.errors import ArtiworldError
-from model.geometric.vocabulary import mechanism_of
+from model.geometric.vocabulary import MOST_NAMED
 from model.geometry.asset import Asset
-from model.geometry.cleaning import cleaned, to_mesh
-from model.geometry.formats.gltf import consistent, joined, open_gltf
 from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
 from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import (
     FOLDER_SUFFIXES,
     MOBILITY,
-    default_up_axis,
     read_asset,
     read_part_files,
-    turned_up,
 )
 from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
@@ -34,9 +30,8 @@ from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_reader import read_urdf_model
 from model.scenes.scene import FloatArray, SceneObject
-from model.scenes.values import maybe_text
 
-MOST_PIECES = 12
+MOST_PIECES = MOST_NAMED
 """Connected pieces up to which they pass for parts; beyond, they are screws and panels."""
 
 
@@ -74,8 +69,11 @@ def known_parts(path: Path) -> AssetParts:
             return _of_urdf(UrdfFolders(path.parent).load(path.name), path / "object.urdf")
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
-    named = _named_meshes(path) if path.suffix.lower() in (".glb", ".gltf") else None
-    return named or _pieces(read_unshifted(path))
+    asset = read_unshifted(path)
+    if asset.element_part is not None and not path.is_dir():
+        named = split(asset, asset.element_part, dict(enumerate(asset.part_names)))
+        return AssetParts(named, "its named meshes")
+    return _pieces(asset)
 
 
 def read_unshifted(path: Path) -> Asset:
@@ -181,25 +179,6 @@ def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     found = _at_least_two(truth.object.parts, "links of its URDF")
     # Not those on merged links: that fixed links are one part is no change.
     return replace(found, truth=truth.object.tree, notes=read_urdf_model(path).notes)
-
-
-def _named_meshes(path: Path) -> AssetParts | None:
-    """The meshes of a glTF file, where a name says that one moves; else they may be materials."""
-    gltf = open_gltf(path)
-    with consistent(path):
-        found = [(name, joined(p)) for name, p in gltf.placed() if any(len(q.faces) for q in p)]
-    tells = {mechanism_of(name, None)[0] for name, _ in found} - {None, "fixed"}
-    if not tells or not 2 <= len(found) <= MOST_PIECES:
-        return None
-    turn = turned_up(default_up_axis(path))
-    clean = [(maybe_text(name), cleaned(path, piece, turn, 1.0)) for name, piece in found]
-    return AssetParts(
-        tuple(
-            Part(f"link_{i}", to_mesh(p), name=n, remarks=(*gltf.warnings, *p.warnings))
-            for i, (n, p) in enumerate(clean)
-        ),
-        "its named meshes",
-    )
 
 
 def _pieces(asset: Asset) -> AssetParts:

@@ -13,6 +13,7 @@ import trimesh
 
 from app.accepting import accept
 from app.config import ServeConfig
+from app.headless import predict
 from app.open_object import OpenObject
 from app.serve_command import _scene_of
 from app.tasks import stamp
@@ -22,6 +23,7 @@ from model.geometry.readers import read_asset
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.test_open_objects import wait
+from tests.model.geometry.test_named_meshes import glb
 
 NOW = "2026-01-01T00:00:00.000000Z"
 URDF = """<robot name="r"><link name="body"><visual><geometry>
@@ -131,3 +133,18 @@ def test_a_urdf_is_no_scene(urdf: Path) -> None:
     from argparse import Namespace
 
     assert _scene_of(Namespace(paths=[urdf], assets=[], scene=False)) is None
+
+
+def test_a_glb_whose_meshes_are_called_after_parts_opens_with_them(opened, tmp_path: Path) -> None:
+    path = glb(tmp_path / "cab.glb", "door", "body")
+    obj = opened(path)
+    assert obj.document.part_names == {0: "body", 1: "door"} and obj.document.tree is None
+    obj.do(cmd.Undo(), "tester")
+    assert not obj.document.prompts
+
+
+@pytest.mark.parametrize("source", ["urdf", "glb"])
+def test_predict_takes_what_tells_its_parts(source: str, urdf: Path, tmp_path: Path) -> None:
+    path = urdf if source == "urdf" else glb(tmp_path / "cab.glb", "body", "door")
+    told = predict(path, tmp_path / "out")
+    assert [p["name"] for p in told["parts"]] == ["body", "door"] and told["joints"]

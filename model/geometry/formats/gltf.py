@@ -123,10 +123,13 @@ class Gltf:
 
     def scene(self) -> Loaded:
         """All meshes of the scene in the root's frame."""
-        pieces = [p for _, primitives in self.placed() for p in primitives]
+        placed = self.placed()
+        pieces = [p for _, primitives in placed for p in primitives]
         if not pieces:
             raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
-        return replace(joined(pieces), warnings=self.warnings)
+        counts = ((name, sum(len(p.faces) for p in primitives)) for name, primitives in placed)
+        named = tuple((name, count) for name, count in counts if count)
+        return replace(joined(pieces), warnings=self.warnings, pieces=named)
 
     @property
     def warnings(self) -> tuple[str, ...]:

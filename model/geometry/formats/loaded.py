@@ -38,6 +38,8 @@ class Loaded:
         face_material: (F,) indices into ``materials``.
         materials: empty stands for one plain material.
         warnings: what was passed over, for people.
+        pieces: where the file is in pieces that have names, each one's name and number of faces,
+            in the faces' order; else empty.
     """
 
     vertices: Array
@@ -48,6 +50,7 @@ class Loaded:
     face_material: Array = field(default_factory=lambda: np.zeros(0, np.int32))
     materials: tuple[Material, ...] = ()
     warnings: tuple[str, ...] = ()
+    pieces: tuple[tuple[str, int], ...] = ()
 
     def moved(self, matrix: Array) -> Loaded:
         """Under the (4, 4) affine ``matrix``; faces are turned where it mirrors."""

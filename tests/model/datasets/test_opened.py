@@ -173,9 +173,12 @@ def test_meshes_of_a_urdf_are_no_objects_of_their_own(tmp_path: Path) -> None:
         package / "urdf", link("a", mesh_of("package://robot/meshes/link_0.ply")),
         link("b", mesh_of("../meshes/link_1.ply")), joint("j", "a", "b"),
     )  # fmt: skip
-    assert find_assets([tmp_path]) == [package / "scans" / "chair.ply", path]
-    assert read_asset(package / "urdf").tree is not None  # the only URDF of its folder
-    robot(tmp_path, link("a"), name="other")
+    assert find_assets([tmp_path]) == [package, package / "scans" / "chair.ply"]
+    for source in (package, package / "urdf", path):
+        asset = read_asset(source)
+        assert asset.tree is not None and asset.name == source.stem
+    other = robot(package / "urdf", link("a"), name="other")
+    assert set(find_assets([package / "urdf"])) == {path, other}
     assert len(find_assets([tmp_path])) == 3
 
 
