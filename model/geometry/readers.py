@@ -36,7 +36,13 @@ from model.geometry.part_folder import (
 )
 from model.geometry.parts import split
 from model.kinematics.articulated_object import Part, SegmentedObject
-from model.kinematics.urdf_model import PACKAGE, URDF_SUFFIX, is_urdf, named_meshes
+from model.kinematics.urdf_model import (
+    PACKAGE,
+    URDF_SUFFIX,
+    is_urdf,
+    named_meshes,
+    package_root,
+)
 from model.progress import Progress, no_progress
 
 _READERS: dict[str, Callable[[Path, int], Loaded]] = {
@@ -394,17 +400,20 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
 
 def _without_pieces(found: list[Path]) -> list[Path]:
     """Without the meshes, and the folders of part meshes, that a URDF among ``found`` names."""
-    urdfs = (urdf_of(p) if p.is_dir() else p for p in found)
-    pieces = {m for p in urdfs if p is not None and is_urdf(p) for m in named_meshes(p)}
-    if not pieces:
-        return found
+    urdfs = [urdf_of(p) if p.is_dir() else p for p in found]
+    outside = (  # what a URDF has in its own folder isn't found beside that folder
+        u for u, p in zip(urdfs, found, strict=True)
+        if u is not None and is_urdf(u) and (u == p or package_root(u) != u.parent)
+    )  # fmt: skip
+    pieces = {mesh for urdf in outside for mesh in named_meshes(urdf)}
+    homes = {mesh.parent for mesh in pieces}
 
-    def is_piece(path: Path) -> bool:
-        if not path.is_dir():
-            return path.resolve() in pieces
-        return urdf_of(path) is None and any(m.parent == path.resolve() for m in pieces)
+    def is_piece(path: Path, urdf: Path | None) -> bool:
+        if path.is_dir():
+            return urdf is None and path.absolute() in homes
+        return path.absolute() in pieces
 
-    return [p for p in found if not is_piece(p)]
+    return [p for p, urdf in zip(found, urdfs, strict=True) if not is_piece(p, urdf)]
 
 
 def _digest(paths: Sequence[Path]) -> str:

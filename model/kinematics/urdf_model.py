@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -93,6 +93,7 @@ class UrdfModel:
 URDF_SUFFIX = ".urdf"
 PACKAGE = "package.xml"
 """What marks the folder of a ROS package."""
+_PACKAGE_URI = "package://"
 _LEVELS = 4
 MAX_BYTES = 64 * 2**20
 """No honest URDF is larger; its meshes lie beside it."""
@@ -116,9 +117,10 @@ def package_root(path: Path) -> Path:
 
 
 def named_meshes(path: Path) -> list[Path]:
-    """The files that a URDF names as meshes, resolved and without reading it as XML.
+    """Where the meshes of a URDF may lie, absolute and inside its folder or package.
 
-    For telling what belongs together; none where it can't be read.
+    For telling what belongs together: neither is it read as XML, nor is the disk asked, so that
+    thousands are looked at in a moment. None where it can't be read.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -126,11 +128,19 @@ def named_meshes(path: Path) -> list[Path]:
         text = path.read_text("utf-8", "replace")
     except OSError:
         return []
-    root, out = package_root(path), []
+    own, root = os.path.abspath(path.parent), os.path.abspath(package_root(path))
+    found: dict[str, None] = {}
     for name in dict.fromkeys(_FILENAME.findall(text)):
-        with contextlib.suppress(ReferenceRefused, OSError):
-            out.append(resolve_mesh(unescape(name), path.parent, root).resolve())
-    return out
+        plain = unescape(name).strip().replace("\\", "/")
+        places = [(own, plain)]
+        if plain.startswith(_PACKAGE_URI):
+            whole = plain.removeprefix(_PACKAGE_URI)
+            places = [(at, t) for at in (root, own) for t in (whole.partition("/")[2], whole)]
+        for at, rest in places:
+            target = os.path.normpath(os.path.join(at, rest))
+            if rest and target.startswith(root + os.sep):
+                found[target] = None
+    return list(map(Path, found))
 
 
 def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
@@ -143,9 +153,9 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
         ReferenceRefused: for an empty, absolute or remote reference, or one that leaves ``root``.
     """
     text = filename.strip().replace("\\", "/")
-    if not text.startswith("package://"):
+    if not text.startswith(_PACKAGE_URI):
         return resolve(text, folder, root)
-    whole = text.removeprefix("package://")
+    whole = text.removeprefix(_PACKAGE_URI)
     texts = [text for text in (whole.partition("/")[2], whole) if text]
     inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
     if not inside:
