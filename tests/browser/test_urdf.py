@@ -1,0 +1,43 @@
+"""An articulated object that somebody else made, checked in a real browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+from browsing import Tab, wait_until
+
+pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+
+URDF = """<robot name="r"><link name="body"><visual><geometry>
+<mesh filename="body.ply"/></geometry></visual></link>
+<link name="door"><visual><geometry><mesh filename="door.ply"/></geometry></visual></link>
+<joint name="hinge" type="revolute"><origin xyz="-0.3 -0.151 0"/><axis xyz="0 0 -1"/>
+<parent link="body"/><child link="door"/><limit lower="0" upper="1.2"/></joint></robot>"""
+
+
+def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
+    tmp_path: Path, start: Any, open_tab: Any
+) -> None:
+    body = trimesh.creation.box(bounds=[[-0.3, -0.13, 0], [0.3, 0.15, 0.4]])
+    body.export(tmp_path / "body.ply")
+    trimesh.creation.box(bounds=[[0, 0, 0], [0.6, 0.02, 0.4]]).export(tmp_path / "door.ply")
+    (tmp_path / "cupboard.urdf").write_text(URDF)
+    tab: Tab = open_tab(start(tmp_path / "cupboard.urdf"))
+    app, page = tab.app, tab.page
+    wait_until(lambda: app.stage == "Joints", "its joints are shown")
+    page.get_by_text("As cupboard.urdf tells it.").wait_for()
+    wait_until(app.object.part_payloads, "the parts as they move")
+    page.evaluate("document.activeElement?.blur()")
+    tab.key(" ")
+    wait_until(lambda: app.motion.q.get("hinge", 0.0) > 0.1, "the door opens")
+    tab.key("r")
+    tab.key("f")
+    wait_until(lambda: tab.document.edited_joints == ("link_1",), "the axis is turned")
+    page.get_by_text("the grey arrow is the file's joint").wait_for()
+    page.get_by_role("button", name="Reset to the file's joint").click()
+    wait_until(lambda: not tab.document.edited_joints, "as in the file")
+    tab.key("p")
+    wait_until(lambda: tab.document.prediction.file is None, "predicted anew")
