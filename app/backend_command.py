@@ -10,6 +10,7 @@ import sys
 from app.login import Login
 from app.network import check_address, is_loopback, url
 from model.errors import ConfigurationError
+from model.installing import install_command
 from model.remote import TOKEN_VARIABLE, is_backend
 
 DEFAULT_PORT = 8090
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         from app.backend_server import Backend, BackendSettings
     except ImportError as error:
         raise ConfigurationError(
-            f"a backend needs {error.name}: pip install 'artiworld[backend]'"
+            f"a backend needs {error.name}: {install_command('artiworld[backend]')}"
         ) from error
     from app import backend_tasks
     from app.jobs import WorkerProcess

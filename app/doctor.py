@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from app.network import check_address
 from model.errors import ArtiworldError
+from model.installing import install_command
 from model.resources import static_assets
 
 Status = Literal["fine", "note", "wrong"]
@@ -88,7 +89,12 @@ def _packages() -> Iterator[Check]:
         needed = requires("artiworld") or []
         yield Check("artiworld", "fine", version("artiworld"))
     except PackageNotFoundError:
-        yield Check("artiworld", "wrong", "not installed", "run: pip install -e . (or: make run)")
+        yield Check(
+            "artiworld",
+            "wrong",
+            "not installed",
+            f"run: {install_command('-e', '.')} (or: make run)",
+        )
         return
     for line in needed:
         if "extra ==" in line.replace('"', "").replace("'", ""):
@@ -98,10 +104,10 @@ def _packages() -> Iterator[Check]:
         try:
             found = version(name)
         except PackageNotFoundError:
-            yield Check(name, "wrong", "not installed", f"run: pip install '{line}'")
+            yield Check(name, "wrong", "not installed", f"run: {install_command(line)}")
             continue
         if pinned is not None and found != pinned.group(1):
-            yield Check(name, "wrong", found, f"run: pip install '{line}'")
+            yield Check(name, "wrong", found, f"run: {install_command(line)}")
         else:
             yield Check(name, "fine", found)
 
@@ -112,7 +118,7 @@ def _optional() -> Iterator[Check]:
         try:
             yield Check(name, "fine", version(name))
         except PackageNotFoundError:
-            remedy = f"run: pip install 'artiworld[{extra}]'"
+            remedy = f"run: {install_command(f'artiworld[{extra}]')}"
             yield Check(name, "note", f"not installed ({use})", remedy)
     browser = next(
         filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -129,7 +135,7 @@ def _optional() -> Iterator[Check]:
 def _torch() -> Check:
     if importlib.util.find_spec("torch") is None:
         found = "torch is not installed; without it joints come from geometry alone"
-        return Check("gpu", "note", found, "run: pip install torch")
+        return Check("gpu", "note", found, f"run: {install_command('torch')}")
     try:
         import torch  # pyright: ignore[reportMissingImports]
 

@@ -32,6 +32,7 @@ from app.network import check_address, is_loopback
 from app.page import Page
 from app.upload_guard import UploadGuard
 from model.errors import ConfigurationError
+from model.installing import install_command
 
 VISER_VERSION = "1.1.1"
 MAX_MESSAGE_BYTES = 16 * 2**20
@@ -117,7 +118,7 @@ def guarded_server(
     if viser.__version__ != VISER_VERSION:
         raise ConfigurationError(
             f"viser {viser.__version__} is installed, but the guard of the web server is made for "
-            f"{VISER_VERSION}; run: pip install viser=={VISER_VERSION}"
+            f"{VISER_VERSION}; run: {install_command(f'viser=={VISER_VERSION}')}"
         )
     if token is None and not is_loopback(host):
         raise ConfigurationError(

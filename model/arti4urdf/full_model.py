@@ -29,6 +29,7 @@ from model.arti4urdf.published_weights import (
     read_qwen3_config,
 )
 from model.errors import ConfigurationError, InputFileError
+from model.installing import install_command
 
 GLOBAL, PART = "<g>", "<p>"
 SPECIAL_TOKENS = (
@@ -338,7 +339,8 @@ def _with_lora(language_model: Any, settings: LoraSettings, tokenizer: Tokenizer
     try:
         from peft import LoraConfig, get_peft_model
     except ImportError as error:
-        raise ConfigurationError("LoRA needs peft: pip install 'artiworld[train]'") from error
+        how = install_command("artiworld[train]")
+        raise ConfigurationError(f"LoRA needs peft: {how}") from error
     new_words = [i for t in SPECIAL_TOKENS if (i := tokenizer.token_to_id(t)) is not None]
     config = LoraConfig(
         r=settings.rank,

@@ -16,6 +16,7 @@ from model.arti4urdf.language_model import Decoder
 from model.arti4urdf.text_script import Author
 from model.arti4urdf.text_writing import Vocabulary, Written, write
 from model.errors import ConfigurationError
+from model.installing import install_command
 from model.progress import Progress, no_progress
 
 
@@ -129,7 +130,8 @@ class VllmEngine:
         try:
             from vllm import LLM, SamplingParams  # type: ignore[import-not-found]
         except ImportError as error:
-            raise ConfigurationError("the engine vllm needs vLLM: pip install vllm") from error
+            how = install_command("vllm")
+            raise ConfigurationError(f"the engine vllm needs vLLM: {how}") from error
         self._sampling, self._end = SamplingParams, end
         self._model = LLM(model=str(folder), enable_prompt_embeds=True, dtype="bfloat16")
 

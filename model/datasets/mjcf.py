@@ -22,6 +22,7 @@ from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
 from model.errors import ConfigurationError, InputFileError
 from model.geometry.mesh import Material, Mesh
+from model.installing import install_command
 from model.kinematics.articulated_object import Part
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -104,7 +105,8 @@ def read_mjcf(path: Path, name: str | None = None) -> GroundTruth:
 def _mujoco() -> Any:
     if find_spec("mujoco") is None:
         raise ConfigurationError(
-            "MJCF is read through MuJoCo, which isn't installed; pip install 'artiworld[physics]'"
+            "MJCF is read through MuJoCo, which isn't installed; "
+            f"{install_command('artiworld[physics]')}"
         )
     return import_module("mujoco")
 

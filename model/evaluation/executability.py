@@ -12,6 +12,7 @@ from importlib.util import find_spec
 
 from model.errors import ConfigurationError
 from model.evaluation.pool import OutOfTimeError, time_limit
+from model.installing import install_command
 from model.kinematics.articulated_object import ArticulatedObject
 
 MOST = 6
@@ -51,7 +52,8 @@ def require_simulator() -> None:
     """
     if find_spec("mujoco") is None:
         raise ConfigurationError(
-            "--execute needs MuJoCo, which isn't installed; pip install 'artiworld[physics]'"
+            "--execute needs MuJoCo, which isn't installed; "
+            f"{install_command('artiworld[physics]')}"
         )
 
 

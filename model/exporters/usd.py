@@ -26,6 +26,7 @@ from model.exporters.part_files import part_mesh
 from model.exporters.physics import Physics, plain_physics
 from model.geometry.formats.textures import encode
 from model.geometry.mesh import Material, Mesh
+from model.installing import install_command
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, Mimic
 from model.kinematics.urdf import Inertial, direct_mimics, link_origins
@@ -56,7 +57,8 @@ class UsdExporter:
     ) -> tuple[Path, ...]:
         """See :class:`~model.exporters.protocol.Exporter`."""
         if find_spec("pxr") is None:
-            raise ConfigurationError("USD needs the package usd-core: pip install 'artiworld[usd]'")
+            how = install_command("artiworld[usd]")
+            raise ConfigurationError(f"USD needs the package usd-core: {how}")
         return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
 
 

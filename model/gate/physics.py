@@ -16,6 +16,7 @@ from model.collision.shapes import hull_of_shape
 from model.exporters.physics import Physics, rough_physics
 from model.gate.physics_report import PhysicsReport, Stop
 from model.gate.words import title, value
+from model.installing import install_command
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.urdf import link_origins, vector
@@ -58,7 +59,8 @@ def run_physics(
             None drives rough masses and joints alone, which is quick.
     """
     if not simulator_installed():
-        return PhysicsReport(False, "MuJoCo is not installed: pip install 'artiworld[physics]'")
+        how = install_command("artiworld[physics]")
+        return PhysicsReport(False, f"MuJoCo is not installed: {how}")
     mujoco: Any = importlib.import_module("mujoco")
     joints = [j for j in obj.tree.joints if _drivable(j)]
     physics = physics or rough_physics(obj)

@@ -10,6 +10,7 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from model.errors import ConfigurationError
+from model.installing import install_command
 from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError
 
 T = TypeVar("T")
@@ -62,7 +63,8 @@ class OpenAiEngine:
             import openai
         except ImportError as error:
             raise ConfigurationError(
-                "asking a language model needs the package openai: pip install 'artiworld[finder]'"
+                "asking a language model needs the package openai: "
+                f"{install_command('artiworld[finder]')}"
             ) from error
         url = url or os.environ.get(URL_VARIABLE)
         key = os.environ.get(KEY_VARIABLE)

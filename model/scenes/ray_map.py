@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from model.errors import ConfigurationError
+from model.installing import install_command
 
 T = TypeVar("T")
 
@@ -59,7 +60,7 @@ def _connect(address: str) -> tuple[Any, type[Exception]]:
         import ray.exceptions  # type: ignore[import-not-found]
     except ImportError as error:
         raise ConfigurationError(
-            "--ray needs the package ray: pip install 'artiworld[cluster]'"
+            f"--ray needs the package ray: {install_command('artiworld[cluster]')}"
         ) from error
     _check_there(address)
     try:

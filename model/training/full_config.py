@@ -11,6 +11,7 @@ from typing import Any
 
 from model import codec
 from model.errors import ConfigurationError, InputFileError
+from model.installing import install_command
 
 SIZES = ("0.6b", "1.7b", "4b", "8b")
 _NEEDED = ("transformers", "tokenizers", "accelerate")
@@ -126,7 +127,7 @@ def require_extras(config: FullConfig) -> None:
     missing = [name for name in needed if importlib.util.find_spec(name) is None]
     if missing:
         raise ConfigurationError(
-            f"training this model needs {', '.join(missing)}: pip install 'artiworld[train]'"
+            f"training this model needs {', '.join(missing)}: {install_command('artiworld[train]')}"
         )
 
 

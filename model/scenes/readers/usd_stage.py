@@ -22,6 +22,7 @@ from model.geometry.formats.srgb import to_srgb
 from model.geometry.formats.triangulate import triangulate
 from model.geometry.mesh import Material
 from model.geometry.readers import turned_up
+from model.installing import install_command
 from model.scenes.embedded import Unpacked, Unpacker, placed_frame
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import (
@@ -102,7 +103,8 @@ class _Stage:
 
     def __init__(self, path: Path) -> None:
         if find_spec("pxr") is None:
-            raise ConfigurationError("USD needs the package usd-core: pip install 'artiworld[usd]'")
+            how = install_command("artiworld[usd]")
+            raise ConfigurationError(f"USD needs the package usd-core: {how}")
         self.usd, self.geom, self.shade, tf = (
             import_module(f"pxr.{n}") for n in ("Usd", "UsdGeom", "UsdShade", "Tf")
         )
