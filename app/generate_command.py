@@ -22,8 +22,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the objects, and say where they are."""
     from app import printing
+    from app.headless import check_output
     from model.datasets.procedural.generate import GenerateSettings, generate
 
+    check_output(args.out)
     settings = GenerateSettings(args.out, tuple(args.family), args.n, args.seed)
     with printing.session(args.json) as show:
         folders = generate(settings, show.progress)

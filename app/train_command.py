@@ -75,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigurationError: for a mistake in the options.
     """
+    from app.headless import check_output
     from model.errors import ConfigurationError
     from model.training.full_config import full_presets
 
@@ -84,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigurationError(f"--test-share is a share of 0..1, got {args.test_share}")
     if args.steps is not None and args.steps < 1:
         raise ConfigurationError(f"--steps must be 1 or more, got {args.steps}")
+    check_output(args.out)
     full = full_presets().get(args.preset)
     if full is not None:
         return _train_full(args, full)
