@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from model.exporters.physics import Physics, PhysicsSettings
     from model.kinematics.articulated_object import ArticulatedObject
 
+DOUBTS_TOLD = 3
+"""Of one asset's joints that are to be looked at, in the table's lines; ``--json`` has all."""
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
@@ -252,14 +255,14 @@ def _print(report: dict[str, Any]) -> None:
     table = Table()
     for column in ("asset", "read back", "shapes", "free kept", "one hull", "rest mm", "range mm",
                    "gate", "wrong"):  # fmt: skip
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     for row in report["assets"]:
         if "error" in row:
             table.add_row(row["name"], "", "", "", "", "", "", "", Text(row["error"], "bold red"))
             continue
         made = row["collision"] or {}
         wrong = row["inertia_problems"] + [p for f in row["formats"] for p in f["problems"]]
-        wrong += _broken_joints(row["gate"])
+        wrong += _joints_said_to_be(row["gate"], "broken")
         shown = ["", "", "", "", ""]
         if made:
             ranges = made["overlap_over_range_m"].values()
@@ -279,13 +282,19 @@ def _print(report: dict[str, Any]) -> None:
     for row in report["assets"]:
         for note in row.get("notes", ()):
             target.print(f"note: {row['name']}: {note}", style="yellow", markup=False)
+        doubts = _joints_said_to_be(row.get("gate"), "look")
+        for doubt in doubts[:DOUBTS_TOLD]:
+            target.print(f"look: {row['name']}: {doubt}", style="yellow", markup=False)
+        if len(doubts) > DOUBTS_TOLD:
+            more = len(doubts) - DOUBTS_TOLD
+            target.print(f"look: {row['name']}: {more} more, with --json", style="yellow")
     target.print(_closing_line(report["summary"]))
 
 
-def _broken_joints(gate: dict[str, Any] | None) -> list[str]:
-    """The joints that the gate calls broken, and what is wrong with each."""
+def _joints_said_to_be(gate: dict[str, Any] | None, verdict: str) -> list[str]:
+    """The joints of which the gate says so, and why of each."""
     joints = gate["joints"] if gate else []
-    return [f"{j['joint']}: {j['sentence']}" for j in joints if j["verdict"] == "broken"]
+    return [f"{j['joint']}: {j['sentence']}" for j in joints if j["verdict"] == verdict]
 
 
 def _closing_line(summary: dict[str, Any]) -> str:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from app.doctor import Check
 
+FILES_TOLD = 10
+"""Files of one folder that get a row each; of more the folder gets one."""
 NARROWEST = 120
 """Columns where nobody looks (a pipe, a log); rich would fold everything into 80."""
 
@@ -123,15 +125,23 @@ def joints_table(report: dict[str, Any], out: Path) -> None:
 
 
 def files_table(report: dict[str, Any], out: Path) -> None:
-    """What ``export`` wrote."""
+    """What ``export`` wrote; a folder of many files, as of collision shapes, is one row."""
     from rich.table import Table
     from rich.text import Text
 
+    of_folder: dict[str, list[dict[str, Any]]] = {}
+    for file in report["files"]:
+        of_folder.setdefault(os.path.dirname(file["file"]), []).append(file)
     table = Table(title=Text(f"{report['asset']} as {report['format']}"))
     table.add_column("file")
     table.add_column("bytes", justify="right")
-    for file in report["files"]:
-        table.add_row(file["file"], f"{file['bytes']:,}")
+    for folder, files in of_folder.items():
+        if folder and len(files) > FILES_TOLD:
+            total = sum(file["bytes"] for file in files)
+            table.add_row(f"{folder}/ · {len(files)} files", f"{total:,}")
+            continue
+        for file in files:
+            table.add_row(file["file"], f"{file['bytes']:,}")
     _print(table, [], out)
 
 

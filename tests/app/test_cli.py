@@ -17,7 +17,7 @@ import pytest
 import trimesh
 import yourdfpy
 
-from app import headless
+from app import headless, printing
 from app.batch import Crashed, run_all
 from app.cli import main, make_parser
 from app.crash_log import write_crash
@@ -390,6 +390,15 @@ def asset(segmented, tmp_path_factory) -> Path:
     return out
 
 
+def test_what_export_tells_people_is_not_drowned_in_shapes(capfd):
+    shapes = [{"file": f"meshes/collision/link_0_{i}.obj", "bytes": 100} for i in range(24)]
+    files = [{"file": "object.urdf", "bytes": 7}, {"file": "meshes/link_0.obj", "bytes": 9}]
+    printing.files_table({"asset": "a", "format": "urdf", "files": files + shapes}, Path("o"))
+    told = capfd.readouterr().out
+    assert "object.urdf" in told and "meshes/link_0.obj" in told
+    assert "meshes/collision/ · 24 files" in told and "2,400" in told and "link_0_3" not in told
+
+
 @pytest.mark.parametrize("form", ["urdf", "mjcf", "glb", "usd"])
 def test_export_writes_files_that_other_programs_open(asset, form, tmp_path, capfd):
     words = ["export", str(asset), "--format", form, "--out", str(tmp_path / "out"), "--json"]
@@ -508,6 +517,8 @@ def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_pa
         return [f["kind"] for j in row["gate"]["joints"] for f in j["findings"]]
 
     assert verdicts() == ["unsure"]
+    main(words[:-1])
+    assert "is only 2 % sure that it moves so" in capfd.readouterr().out, "people are told why"
     # What somebody changed since is no prediction any more.
     urdf = (out / "object.urdf").read_text()
     upper = re.search(r' upper="[^"]+"', urdf)
@@ -641,3 +652,10 @@ def test_generate_makes_objects_that_evaluate_reads(tmp_path):
     assert_users_mistake(
         artiworld("generate", "--family", "Spaceship", "--out", tmp_path / "x"), "Spaceship"
     )
+
+
+def test_a_file_is_no_folder_to_write_to(tmp_path, capfd):
+    (tmp_path / "taken").touch()
+    for words in (["generate", "--family", "Safe"], ["train", "--samples", "1"]):
+        assert main([*words, "--out", str(tmp_path / "taken")]) == 2
+        assert "taken is a file; give a folder" in capfd.readouterr().err
