@@ -1,10 +1,12 @@
 // What viser's panels lack: room for the scroll bar, and the whole text of a clipped button.
 (() => {
-  // A visible bar lies over the right edge of what scrolls.
+  // A visible bar lies over the right edge of what scrolls. A path in a note goes on in the next
+  // line: it would be cut off where it says which file.
   const style = document.createElement("style");
   style.textContent = `.mantine-ScrollArea-root:has(> .mantine-ScrollArea-scrollbar` +
     `[data-orientation="vertical"][data-state="visible"]) > .mantine-ScrollArea-viewport` +
-    ` > .mantine-ScrollArea-content { padding-right: 6px; box-sizing: border-box; }`;
+    ` > .mantine-ScrollArea-content { padding-right: 6px; box-sizing: border-box; }` +
+    `.mantine-Notification-description { overflow-wrap: anywhere; }`;
   document.head.append(style);
 
   let titles = {};

@@ -207,6 +207,16 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     wait_until(lambda: len(tab.document.prompts) == 2, "Ctrl+Shift+Z removes it again")
 
 
+def test_a_note_shows_the_whole_path(start: Any, open_tab: Any, cabinet: Any) -> None:
+    """A long path was cut off where it says which file."""
+    tab = open_tab(start(cabinet[0]))
+    place = "/home/somebody/with_a_long_name/workspace_of_today/assets/cabinet-1"
+    tab.app.object.tell("Accepted", f"Saved in {place}", "green")
+    note = tab.page.get_by_text(place, exact=False)
+    note.wait_for()
+    assert note.evaluate("e => e.scrollWidth <= e.clientWidth")
+
+
 def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
