@@ -93,6 +93,12 @@ class Job(Generic[T]):
         """
         self._ask_to_stop(self)
 
+    def listen(self, on_progress: Callable[[float, str], object]) -> None:
+        """Report to ``on_progress`` instead from now on, first of all how far it is."""
+        self._on_progress = on_progress
+        if self.state == "running":
+            self._progressed(self.fraction, self.message)
+
     def add_done_callback(self, callback: Callable[[Job[T]], object]) -> None:
         """Call ``callback(job)`` after the end, on the callback thread."""
         with self._lock:

@@ -252,6 +252,8 @@ class Workbench:
         """Write the draft of what is accepted, or wait for the one that is being written."""
         if self._preparing is not None and self._preparing[:2] != (source, tree):
             self.stop_preparing()
+        if self._preparing is not None:  # it is waited for, so its progress is what counts
+            self._preparing[2].listen(on_progress)
         return self.saving.submit(saving_tasks.prepare_asset, source, tree, on_progress=on_progress)
 
     @property

@@ -110,6 +110,15 @@ def test_other_errors_bring_the_childs_traceback(worker):
     assert worker.submit(functions.echo, 1).result(10) == 1
 
 
+def test_who_comes_to_wait_for_a_job_hears_how_far_it_is(worker):
+    seen = []
+    job = worker.submit(functions.steps, 40, 0.02)
+    wait_for(lambda: job.fraction > 0)
+    job.listen(lambda f, m: seen.append((f, m)))
+    wait_for(lambda: seen)
+    assert not job.done and seen[0][0] >= 1 / 40 and seen[0][1].startswith("step")
+
+
 def test_progress_reaches_the_callback_in_order(worker):
     seen: list[tuple[float, str]] = []
     job = worker.submit(functions.steps, 20, 0.01, on_progress=lambda f, m: seen.append((f, m)))

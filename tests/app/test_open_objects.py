@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -208,3 +209,23 @@ def test_what_another_server_did_is_seen(bench_of, tmp_path: Path) -> None:
     assert obj.document.part_names == {1: "lid"} and obj.document.category == "Box"
     assert [n[0] for n in notes] == ["Changed elsewhere"]
     assert [r.parts for r in bench.records()] == [2, 2]
+
+
+def test_who_waits_for_a_draft_hears_how_far_it_is(
+    bench_of, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is written since the joints were judged; the bar stood at nothing until it was there."""
+    bench = bench_of()
+    source: Any = "the parts"
+    tree: Any = "the joints"
+    heard: list[Any] = []
+
+    def submit(*_: Any, **__: Any) -> Any:
+        return SimpleNamespace(listen=heard.append, cancel=lambda: None)
+
+    monkeypatch.setattr(bench.saving, "submit", submit)
+    bench.prepare_asset(source, tree)
+    bench.draft_asset(source, tree, print)
+    assert heard == [print]
+    bench.draft_asset(source, "other joints", print)  # type: ignore[arg-type]
+    assert heard == [print]
