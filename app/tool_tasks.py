@@ -209,8 +209,16 @@ def _connected(work: _Work) -> list[RegionOffer]:
     clicks = [c for c in work.prompts.clicks if c.part == part and c.positive]
     if not clicks:
         raise CommandError("click on the part first; what is connected with it joins it")
-    more = connected(work.encoded, clicks[-1].position, clicks[-1].element)
-    return work.offer(more & (work.labels != part), part)
+    others = (work.labels > BASE) & (work.labels != part)
+    found = connected(work.encoded, clicks[-1].position, clicks[-1].element, others)
+    more = found.mask & (work.labels != part)
+    if found.nearly_all and more.any():
+        what = "no other part has" if others.any() else "there is"
+        raise CommandError(
+            f"nearly all that {what} hangs together here, and nothing was taken: clicks, a lasso "
+            "(L) or a cut (K) tell apart what no gap does"
+        )
+    return work.offer(more, part)
 
 
 def _same_shape(work: _Work) -> list[RegionOffer]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.open_object import OpenObject
+from app.pointer_messages import tell_page
 from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
 from app.viewer.prompt_list import PromptEntry, prompt_entries
@@ -18,7 +19,7 @@ from app.viewer.widgets import NONE, put
 from model.progress import Cancelled
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
-from sessions.document import Document
+from sessions.document import Document, RegionRef
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
@@ -267,6 +268,18 @@ class AnnotatePanel:
             app.notify(label, _NOTHING.get(request.tool, "It found nothing to change"), "gray")
         elif request.tool in _NEW_PARTS:
             app.notify(label, f"{found} new part{'s'[: found != 1]}; undo takes them back", "green")
+        elif request.tool == "connected":
+            self._tell_taken()
+
+    def _tell_taken(self) -> None:
+        """Below the picture: how much joined the part with the last prompt."""
+        asset = self._app.need_object().need_asset()
+        last = self._document().prompts[-1]
+        if isinstance(last, RegionRef):
+            share = _percent(last.count / asset.element_count)
+            kind = f"{asset.element_kind}{'s'[: last.count != 1]}"
+            said = f"Took what is connected: {last.count:,} {kind}, {share} of all"
+            tell_page(self._app.client, said=said)
 
     def toggle_hover(self) -> None:
         """Preview under the pointer: on or off."""

@@ -8,6 +8,7 @@ over the elements (faces, or points); what to do with a mask is the caller's, us
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,11 @@ from model.segmentation.prompts import Click, Prompts
 Bool = npt.NDArray[np.bool_]
 Position = Sequence[float] | npt.NDArray[np.floating]
 
-_GAP = 3.0
+_GAPS = (3.0, 2.5, 2.0)
+"""Of the point spacing: jumps that still count as connected; the first that tells things apart."""
+_NEARLY_ALL = 0.85
+_CRUMB = 0.02
+"""Of what is free: smaller pieces left over are no things."""
 
 
 def hover(session: DefaultSession, position: Position, element: int | None = None) -> Bool:
@@ -40,23 +45,57 @@ def hover(session: DefaultSession, position: Position, element: int | None = Non
     return out
 
 
-def connected(session: DefaultSession, position: Position, element: int | None = None) -> Bool:
-    """(E,) everything connected with the clicked place.
+@dataclass(frozen=True, eq=False)
+class Connected:
+    """What hangs together with a place.
+
+    Attributes:
+        mask: (E,) its elements.
+        nearly_all: nothing but crumbs is left over, so that it tells nothing apart.
+    """
+
+    mask: Bool
+    nearly_all: bool
+
+
+def connected(
+    session: DefaultSession,
+    position: Position,
+    element: int | None = None,
+    taken: Bool | None = None,
+) -> Connected:
+    """Everything connected with the clicked place.
 
     On a mesh its connected shell; on a cloud what is reached without a jump over more than three
-    times the point spacing.
+    times the point spacing, or over less, down to twice, where that would be nearly everything.
+
+    Args:
+        taken: (E,) what isn't to be had, such as other parts; nothing is reached through it.
     """
     nodes, graph = session.encoding.nodes, session.encoding.graph
     found, node = locate(session.asset, nodes, position, element)
-    near = ~graph.bridge & (graph.length <= _GAP * graph.spacing)
-    near &= nodes.shell[graph.a] == nodes.shell[graph.b]
-    _, piece = groups(len(nodes), graph.a[near], graph.b[near])
-    inside = piece == piece[node]
-    if session.asset.mesh is not None:
-        inside = nodes.shell == nodes.shell[node]
+    free = np.ones(len(nodes), bool) if taken is None else ~to_nodes(session, taken)
+    free[node] = True
+    inside, nearly_all = nodes.shell == nodes.shell[node], False
+    near = ~graph.bridge & (nodes.shell[graph.a] == nodes.shell[graph.b])
+    near &= free[graph.a] & free[graph.b]
+    for gap in (0.0,) if session.asset.mesh is not None else _GAPS:
+        if gap:
+            short = near & (graph.length <= gap * graph.spacing)
+            _, piece = groups(len(nodes), graph.a[short], graph.b[short])
+            inside = piece == piece[node]
+        else:
+            piece = nodes.shell
+        inside = inside & free
+        rest = np.bincount(piece[free & ~inside], minlength=1).max()
+        nearly_all = bool(rest < _CRUMB * free.sum() and inside.sum() > _NEARLY_ALL * free.sum())
+        if not nearly_all:
+            break
     out = to_elements(session, inside)
+    if taken is not None:
+        out &= ~taken
     out[found] = True
-    return out
+    return Connected(out, nearly_all)
 
 
 def grow(session: DefaultSession, mask: Bool, steps: int = 1) -> Bool:

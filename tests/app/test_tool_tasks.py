@@ -124,6 +124,38 @@ def test_the_same_shape_is_found_where_a_large_part_took_it_along(chest):
     assert run(chest, items, ToolRequest("same shape", 1)) == []
 
 
+def test_connected_stops_at_gaps_and_at_what_is_a_part_already(tmp_path):
+    lid = surface((0.6, 0.4, 0.05), (0, 0, 0.346), 6000)
+    body = surface((0.6, 0.4, 0.3), (0, 0, 0.15), 14000)
+    # Three times the spacing spans the gap of 21 mm.
+    points = np.concatenate([body, lid])
+    points += np.random.default_rng(0).normal(0, 0.0004, points.shape)
+    trimesh.PointCloud(points).export(tmp_path / "box.ply")
+    here = (open_asset(tmp_path / "box.ply", tmp_path, tasks.ReadOptions()), tmp_path)
+    above = points[:, 2] > 0.308
+    click = click_at(here[0], LID, 1)
+    few = region(here, np.arange(len(points)) == click.element, 1)
+    ((part, positive, elements),) = run(here, [few, click], ToolRequest("connected", 1))
+    assert (part, positive) == (1, True)
+    got = np.zeros(len(points), bool)
+    got[elements] = True
+    assert not (got & ~above).any()
+    # Half of the lid is a part already: that stays.
+    half = above & (points[:, 0] > 0.1)
+    said = [region(here, half, 2), few, click]
+    for _, _, elements in run(here, said, ToolRequest("connected", 1)):
+        assert not half[elements].any()
+
+
+def test_connected_says_so_where_nearly_everything_is(tmp_path):
+    points = surface((0.6, 0.4, 0.3), (0, 0, 0.15), 8000)
+    trimesh.PointCloud(points).export(tmp_path / "box.ply")
+    here = (open_asset(tmp_path / "box.ply", tmp_path, tasks.ReadOptions()), tmp_path)
+    click = click_at(here[0], (0.0, -0.2, 0.15), 1)
+    with pytest.raises(CommandError, match="nearly all that there is"):
+        run(here, [click], ToolRequest("connected", 1))
+
+
 def test_all_parts_leaves_alone_what_is_a_part_already(chest):
     guessed = run(chest, [], ToolRequest("propose", 1))
     assert guessed and all(part == NEW_PART and positive for part, positive, _ in guessed)
