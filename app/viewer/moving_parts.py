@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,8 +11,9 @@ import viser
 from viser import transforms as vtf
 
 from app.display_tasks import PartPayload
-from app.viewer.scene_rays import hit_distance
+from app.viewer.scene_rays import hit_distance, nearly_hit
 from app.viewer.tints import OPACITY, add_tint, tinted
+from model.geometry.picking import TOLERANCE
 
 
 class MovingParts:
@@ -85,8 +87,26 @@ class MovingParts:
     def pick(
         self, origin: npt.ArrayLike, direction: npt.ArrayLike, hidden: frozenset[int]
     ) -> int | None:
-        """The part that a ray, (3,) and (3,), meets first where the parts are now, or None."""
-        nearest, found = np.inf, None
+        """The part that a ray, (3,) and (3,), meets first where the parts are now, or None.
+
+        What the ray itself passes by counts within a few pixels where it meets nothing.
+        """
+        found = self._first(hit_distance, np.inf, origin, direction, hidden)
+        if found is None:
+            none = TOLERANCE + 1, np.inf
+            found = self._first(nearly_hit, none, origin, direction, hidden)
+        return found
+
+    def _first(
+        self,
+        measure: Callable[..., Any],
+        none: Any,
+        origin: npt.ArrayLike,
+        direction: npt.ArrayLike,
+        hidden: frozenset[int],
+    ) -> int | None:
+        """The part of which ``measure`` says the least, less than ``none``."""
+        nearest, found = none, None
         for payload in self._payloads or ():
             if payload.part in hidden:
                 continue
@@ -97,7 +117,7 @@ class MovingParts:
             start = rest[:3, :3] @ np.asarray(origin, np.float64) + rest[:3, 3]
             along = rest[:3, :3] @ np.asarray(direction, np.float64)
             faces = None if payload.faces is None else payload.faces.astype(np.uint32)
-            distance = hit_distance(start, along, shape, faces)
+            distance = measure(start, along, shape, faces)
             if distance < nearest:
                 nearest, found = distance, payload.part
         return found

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.geometry.picking import DEFAULT_PIXEL_ANGLE, TOLERANCE, rings_around
+
 Array = npt.NDArray[np.float64]
 NEAR_RAY = 0.015
 """Of a cloud's diagonal: points so near to the ray are hit."""
@@ -31,6 +33,38 @@ def hit_distance(
     if faces is None:
         return _cloud_hit(origin, direction, vertices.astype(np.float64), reach)
     return _mesh_hit(origin, direction, vertices.astype(np.float64)[faces])
+
+
+def nearly_hit(
+    origin: Array,
+    direction: Array,
+    vertices: npt.NDArray[np.float32],
+    faces: npt.NDArray[np.uint32] | None,
+) -> tuple[int, float]:
+    """By how many pixels a ray passes a mesh at most, and multiples of it up to there.
+
+    Both are infinite (and beyond the tolerance) where it passes farther away; clouds have a
+    tolerance in :func:`hit_distance`.
+    """
+    missed = TOLERANCE + 1, np.inf
+    if faces is None:
+        return missed
+    triangles = vertices.astype(np.float64)[faces]
+    middle = triangles.mean(axis=1)
+    reach = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
+    unit = direction / np.linalg.norm(direction)
+    away = middle - origin
+    along = away @ unit
+    wide = np.tan((TOLERANCE + 1) * DEFAULT_PIXEL_ANGLE)
+    off = np.linalg.norm(away - along[:, None] * unit, axis=1)
+    near = triangles[off <= 1.01 * reach + wide * np.maximum(along + reach, 0.0)]
+    if not len(near):
+        return missed
+    for pixels, ring in enumerate(rings_around(direction), start=1):
+        distance = min(_mesh_hit(origin, d, near) for d in ring)
+        if np.isfinite(distance):
+            return pixels, distance
+    return missed
 
 
 def meets_boxes(origin: Array, direction: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

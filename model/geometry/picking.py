@@ -21,6 +21,8 @@ _PASSED = 100
 
 DEFAULT_PIXEL_ANGLE = 1.5e-3
 """Radians a pixel: 60 degrees over 700 pixels."""
+TOLERANCE = 3
+"""Pixels beside the ray where something still counts as met."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +92,31 @@ class Camera:
         return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
+def rings_around(
+    direction: npt.ArrayLike, pixel_angle: float = DEFAULT_PIXEL_ANGLE
+) -> list[npt.NDArray[np.float64]]:
+    """Directions that pass a ray within the tolerance: a ring for each pixel, the nearest first.
+
+    Args:
+        direction: (3,) of the ray, not zero.
+        pixel_angle: radians of one pixel.
+
+    Returns:
+        (8 k, 3) directions for the k-th ring, as long as ``direction``.
+    """
+    d = np.asarray(direction, np.float64)
+    length = float(np.linalg.norm(d))
+    side = np.cross(d, np.eye(3)[np.abs(d).argmin()])
+    side *= length / np.linalg.norm(side)
+    up = np.cross(d, side) / length
+    rings = []
+    for pixels in range(1, TOLERANCE + 1):
+        turn = np.arange(8 * pixels)[:, None] * (2 * np.pi / (8 * pixels))
+        ring = d + np.tan(pixels * pixel_angle) * (np.cos(turn) * side + np.sin(turn) * up)
+        rings.append(ring * (length / np.linalg.norm(ring, axis=1, keepdims=True)))
+    return rings
+
+
 class Picker:
     """Answers picks on one asset. Building it indexes the asset once.
 
@@ -154,7 +181,8 @@ class Picker:
         Args:
             origin: (3,) where the ray begins.
             direction: (3,) need not have length 1.
-            pixel_angle: radians of one pixel; a cloud's points count within a cone of three.
+            pixel_angle: radians of one pixel; a cloud's points count within a cone of three, and
+                so does a mesh that the ray itself passes by.
             hidden: (E,) elements that a ray passes as if they weren't there.
 
         Raises:
@@ -167,8 +195,8 @@ class Picker:
             raise GeometryError(f"ray from {o.tolist()} along {d.tolist()} is no ray")
         d = d / length
         if self._asset.mesh is not None:
-            return self._pick_mesh(o, d, hidden)
-        return self._pick_cloud(o, d, 3.0 * pixel_angle, hidden)
+            return self._pick_mesh(o, d, pixel_angle, hidden)
+        return self._pick_cloud(o, d, TOLERANCE * pixel_angle, hidden)
 
     # Meshes
 
@@ -199,20 +227,25 @@ class Picker:
         distance[first], face[first] = at[order][where], element[order][where]
         return distance, face
 
-    def _pick_mesh(self, o: Array, d: Array, hidden: Bool | None) -> Pick | None:
+    def _pick_mesh(self, o: Array, d: Array, angle: float, hidden: Bool | None) -> Pick | None:
         mesh = self._asset.mesh
         assert mesh is not None
         # Begin near the object, so that a far camera doesn't cost precision.
-        start = o + d * max(0.0, float((self._shift - o) @ d) - self._diagonal)
-        distance, face = self._cast(start[None], d[None], hidden)
-        if not np.isfinite(distance[0]):
+        ahead = max(0.0, float((self._shift - o) @ d) - self._diagonal)
+        for ring in (d[None], *rings_around(d, angle)):
+            starts = o + ring * ahead
+            distance, face = self._cast(starts, ring, hidden)
+            best = int(distance.argmin())
+            if np.isfinite(distance[best]):
+                start, d, element, far = starts[best], ring[best], int(face[best]), distance[best]
+                break
+        else:
             return None
-        element = int(face[0])
         a, b, c = mesh.vertices[mesh.faces[element]]
         normal = np.cross(b - a, c - a)
         size = np.linalg.norm(normal)
         normal = normal / size if size > 0 else -d
-        position = start + d * float(distance[0])
+        position = start + d * float(far)
         across = float(normal @ d)
         if abs(across) > 1e-3:  # exactly onto the face's plane
             position = position + d * float(normal @ (a - position)) / across

@@ -130,6 +130,10 @@ def test_a_click_meets_the_part_where_it_is_now() -> None:
     parts._poses = TREE.pose({"lower": math.pi / 2})
     assert parts.pick(*down, frozenset()) is None
     assert parts.pick((0, -5, 0.1), (0, 1, 0), frozenset()) == 2
+    # A few pixels beside it count too, where nothing else is met.
+    parts._poses = {}
+    assert parts.pick((0, -0.115, 5), (0, 0, -1), frozenset()) == 2
+    assert parts.pick((0, -0.13, 5), (0, 0, -1), frozenset()) is None
 
 
 def test_directions_are_named_beside_the_object(drawn: tuple[Notes, JointMarks]) -> None:

@@ -81,6 +81,25 @@ def test_cloud_pick_among_a_million_points_is_quick(rng: np.random.Generator) ->
     assert np.median(seconds) < 0.010  # about 1 ms on a free core
 
 
+def test_a_ray_meets_a_thin_mesh_that_it_passes_by_a_few_pixels() -> None:
+    rim = trimesh.creation.cylinder(0.04, 0.01)  # a wheel seen from its side, 2 m away
+    far = rim.copy().apply_translation((0.004, 0.5, 0))
+    rim.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (0, 1, 0)))
+    both = trimesh.util.concatenate([rim, far])
+    picker = Picker(Asset("wheel", mesh=Mesh(both.vertices, both.faces.astype(np.int32))))
+    for beside in (0.0051, 0.007, 0.0135):
+        pick = picker.pick((beside, -2, 0.02), (0, 1, 0))
+        assert pick is not None and pick.element < len(rim.faces)
+        assert abs(pick.position[0]) <= 0.005 + 1e-6, "on the surface, not on the ray"
+    assert picker.pick((0.0155, -2, 0.02), (0, 1, 0)) is None
+    assert picker.pick((0.0051, -2, 0.02), (0, 1, 0), pixel_angle=1e-6) is None
+    # What the ray itself meets comes first, however near something else is.
+    behind = picker.pick((0.0055, -2, 0.001), (0, 1, 0))
+    assert behind is not None and behind.position[1] > 0.4
+    hidden = np.arange(len(both.faces)) < len(rim.faces)
+    assert picker.pick((0.007, -2, 0.02), (0, 1, 0), hidden=hidden) is None
+
+
 def test_rays_that_are_none(ball: Mesh) -> None:
     picker = Picker(Asset("ball", mesh=ball))
     for origin, direction in (
