@@ -22,7 +22,7 @@ from sessions import commands as cmd
 from sessions.document import Document
 from sessions.provenance import provenance
 from sessions.state import Context, SessionState, apply, review_problems
-from sessions.store import Entry, ObjectRecord
+from sessions.store import Begun, Entry, ObjectRecord
 
 if TYPE_CHECKING:
     from app.open_object import OpenObject
@@ -82,7 +82,8 @@ def accept(
         looked_at=gate is not None and gate is looked_at,
     )  # fmt: skip
     folder = asset_folder(obj.bench.workspace, obj.record)
-    obj.bench.store.accepting_begins(obj.record.id, state.seq)
+    begun = Begun(state.seq, command.comment, command.override)
+    obj.bench.store.accepting_begins(obj.record.id, begun)
     job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
@@ -101,22 +102,22 @@ def accept(
     obj.changed()
 
 
-def take_up(bench: Workbench) -> dict[int, int]:
+def take_up(bench: Workbench) -> dict[int, Begun]:
     """See to the acceptances that a server which died has begun.
 
     One that was decided is finished. The others wait for a person: what the gate says of them, and
     what it showed, is gone.
 
     Returns:
-        Objects that wait → the number of their last command, with which they still do.
+        Objects that wait → what was begun; they do so until their next command.
     """
-    waiting: dict[int, int] = {}
-    for object_id, seq in bench.store.accepting().items():
+    waiting: dict[int, Begun] = {}
+    for object_id, begun in bench.store.accepting().items():
         record = bench.store.object(object_id)
         folder = asset_folder(bench.workspace, record)
         recover(folder)
-        if record.seq == seq:
-            waiting[object_id] = seq
+        if record.seq == begun.seq:
+            waiting[object_id] = begun
             log.warning(
                 "%s: its acceptance was begun and not finished; accept it again, unless another "
                 "server is at it", record.name,

@@ -33,7 +33,7 @@ from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.state import Document, SessionState
-from sessions.store import ObjectRecord
+from sessions.store import Begun, ObjectRecord
 
 if TYPE_CHECKING:
     from app.workbench import Workbench
@@ -111,7 +111,12 @@ class OpenObject(Watched):
     @property
     def interrupted(self) -> bool:
         """Whether it was being accepted when this server started, and isn't decided since."""
-        return self.bench.was_interrupted(replace(self.record, seq=self.state.seq))
+        return self.begun is not None
+
+    @property
+    def begun(self) -> Begun | None:
+        """That acceptance, with what was said for it."""
+        return self.bench.begun(replace(self.record, seq=self.state.seq))
 
     def source(self, document: Document | None = None) -> PartSource:
         """The parts of the document as the workers cut them.

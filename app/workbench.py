@@ -22,7 +22,7 @@ from app.watched import Listener
 from model.errors import CommandError
 from model.kinematics.tree import KinematicTree
 from sessions.live import SessionHub
-from sessions.store import ObjectRecord, Store
+from sessions.store import Begun, ObjectRecord, Store
 
 if TYPE_CHECKING:
     from app.scene_desk import SceneDesk
@@ -175,7 +175,12 @@ class Workbench:
     def was_interrupted(self, record: ObjectRecord) -> bool:
         """Whether an acceptance of the object as it is now was begun before this server started,
         and isn't decided: its server ended, or is still at it."""
-        return self._interrupted.get(record.id) == record.seq
+        return self.begun(record) is not None
+
+    def begun(self, record: ObjectRecord) -> Begun | None:
+        """What was said for that acceptance; None where there is none."""
+        begun = self._interrupted.get(record.id)
+        return begun if begun is not None and begun.seq == record.seq else None
 
     def on_queue(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""

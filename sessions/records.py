@@ -67,6 +67,20 @@ class Entry:
         return kind_of(self.command)
 
 
+@dataclass(frozen=True)
+class Begun:
+    """An acceptance that was begun and not ended.
+
+    Attributes:
+        seq: number of the object's last command then.
+        comment, override: what the person had typed for it.
+    """
+
+    seq: int
+    comment: str = ""
+    override: str = ""
+
+
 def now() -> str:
     """The moment as ISO 8601, UTC, microseconds; sorts as text."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

@@ -23,13 +23,13 @@ from model.errors import CommandError, StoreError
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
-from sessions.records import Entry, ObjectRecord, now
+from sessions.records import Begun, Entry, ObjectRecord, now
 from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, replay
 from sessions.text import clean_text
 
-__all__ = ["ConflictError", "Entry", "ObjectRecord", "Store", "clean_who", "now"]
+__all__ = ["Begun", "ConflictError", "Entry", "ObjectRecord", "Store", "clean_who", "now"]
 
 SNAPSHOT_EVERY = 50
 SNAPSHOTS_KEPT = 2
@@ -211,13 +211,18 @@ class Store:
         """Have objects in the queue again; those that are there already stay."""
         self._unmark(_OFF, object_ids)
 
-    def accepting(self) -> dict[int, int]:
-        """Objects whose acceptance was begun and not ended → their last command's number then."""
-        return {i: int(seq) for i, seq in self._marks(_ACCEPTING).items()}
+    def accepting(self) -> dict[int, Begun]:
+        """Objects whose acceptance was begun and not ended, and what was said for it."""
+        found = {}
+        for object_id, value in self._marks(_ACCEPTING).items():
+            seq, _, said = value.partition(" ")  # before the words were kept it was the number
+            found[object_id] = Begun(int(seq), **(json.loads(said) if said else {}))
+        return found
 
-    def accepting_begins(self, object_id: int, seq: int) -> None:
+    def accepting_begins(self, object_id: int, begun: Begun) -> None:
         """Keep that an object is being accepted; a server that dies now leaves that behind."""
-        self._mark(_ACCEPTING, object_id, str(seq))
+        said = json.dumps({"comment": begun.comment, "override": begun.override})
+        self._mark(_ACCEPTING, object_id, f"{begun.seq} {said}")
 
     def accepting_ends(self, object_id: int) -> None:
         """It was accepted, or whoever wanted it was told why not."""

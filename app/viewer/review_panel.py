@@ -101,6 +101,13 @@ class ReviewPanel:
         self._comment.value = ""
         self._override.value = ""
 
+    def _say_again(self, obj: OpenObject) -> None:
+        """What was typed for an acceptance that was cut off."""
+        begun = obj.begun
+        if begun is not None:
+            self._comment.value = begun.comment
+            self._override.value = begun.override
+
     def _send(self) -> None:
         saved = self._app.need_object().document.saved
         if saved is None or not Path(saved.folder).is_dir():
@@ -134,8 +141,10 @@ class ReviewPanel:
         )
         if now == self._drawn:
             return
-        if self._drawn is not None and self._drawn[0] != obj.record.id:
-            self.clear()
+        if self._drawn is None or self._drawn[0] != obj.record.id:
+            if self._drawn is not None:
+                self.clear()
+            self._say_again(obj)
         self._drawn = now
         cut_off = f"**{INTERRUPTED}.**\n\n" if obj.interrupted and "save" not in obj.busy else ""
         put(self._summary, "content", cut_off + summary(doc))

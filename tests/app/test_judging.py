@@ -28,7 +28,7 @@ from model.kinematics.tree import KinematicTree
 from model.resources import static_assets
 from sessions import commands as cmd
 from sessions.live import LiveSession
-from sessions.store import Store
+from sessions.store import Begun, Store
 
 NOW = "2026-01-01T00:00:00+00:00"
 W = 0.02
@@ -289,7 +289,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     judged(obj)
     held = before.saving.submit(time.sleep, 600.0, priority=9)
     wait(lambda: held.state == "running", "saving is held up")
-    accept(obj, "", "tester", NOW)
+    accept(obj, "hinge seen in person", "tester", NOW, "it gives way")
     wait(lambda: "save" in obj.busy, "it is being saved")
     before.close()
     source = [Path(obj.record.path)]
@@ -303,6 +303,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         again.watch(lambda: None, lambda *note: notes.append(note))
         judged(again)
         assert again.interrupted
+        assert again.begun == Begun(again.state.seq, "hinge seen in person", "it gives way")
         assert any(n[0] == "Not accepted yet" and "Y accepts it" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
         wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
@@ -319,7 +320,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     first = next(e.seq for e in history if isinstance(e.command, cmd.Accept))
     for e in history[:first]:
         store.append(known.id, e.command, e.who, e.seq - 1, at=e.at)
-    store.accepting_begins(known.id, first - 1)
+    store.accepting_begins(known.id, Begun(first - 1))
     store.close()
     target = asset_folder(tmp_path, known)
     shutil.copytree(folder, target.with_name(f".{target.name}.0123456789ab.old"))
@@ -340,7 +341,7 @@ def test_what_another_server_is_saving_is_told_until_that_ends(
     """Also where it ends without a decision, as when it is cancelled."""
     store = Store(tmp_path)
     (known,) = store.open_objects([(Path(cupboard.record.path), None, "cupboard")])
-    store.accepting_begins(known.id, known.seq)
+    store.accepting_begins(known.id, Begun(known.seq))
     config = replace(cupboard.bench.config, workspace=tmp_path)
     bench = Workbench(config, Store(tmp_path), [Path(cupboard.record.path)])
     try:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from objects import write_cabinet
 
-from sessions.store import Store
+from sessions.store import Begun, Store
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
@@ -79,7 +79,10 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
     page.context.close()
 
     before = Store(workspace)
-    kept = before.load(before.objects()[0].id).present
+    (record,) = before.objects()
+    kept = before.load(record.id).present
+    # As a server leaves it that dies while it saves an asset.
+    before.accepting_begins(record.id, Begun(record.seq, "the hinge is bent"))
     before.close()
     assert len(kept.prompts) == 2
 
@@ -90,6 +93,10 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
         page.wait_for_function(
             "() => !!window.__viserSceneTree.getState()['/prompt/1']", timeout=30_000
         )
+        page.get_by_role("tab", name="Review").click()
+        typed = page.get_by_label("Comment")
+        typed.wait_for(timeout=30_000)
+        assert typed.input_value() == "the hinge is bent"
         page.context.close()
         after = Store(workspace)
         assert after.load(after.objects()[0].id).present.prompts == kept.prompts
