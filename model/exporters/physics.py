@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from model.collision.build import Collision, CollisionSettings, collision_of
 from model.collision.relief import moving_pairs, overlaps
@@ -25,7 +26,9 @@ TURNING = JointDynamics(damping=0.05, friction=0.02)
 SLIDING = JointDynamics(damping=2.0, friction=0.5)
 """N s/m and N: a drawer on rails."""
 GRAVITY = 9.81
-"""m/s², along -z: +z is up."""
+"""m/s², against UP."""
+UP = (0.0, 0.0, 1.0)
+"""Where an asset that stands alone has its up."""
 HOLD = 1.5
 """Friction of a joint that holds itself, over what gravity asks for."""
 INNER = 0.05
@@ -121,35 +124,68 @@ def _dynamics(
         if not joint.moves:
             continue
         usual = settings.turning if joint.rotates else settings.sliding
-        asked = HOLD * holding_load(tree, inertials, joint) if settings.hold else 0.0
-        if asked > usual.friction:
-            usual = replace(usual, friction=asked, effort=max(usual.effort, 2 * asked))
-        out[joint.name] = usual
+        out[joint.name] = resisting(tree, inertials, joint, usual) if settings.hold else usual
     return out
 
 
-def holding_load(tree: KinematicTree, inertials: Mapping[str, Inertial], joint: Joint) -> float:
+def resisting(
+    tree: KinematicTree,
+    inertials: Mapping[str, Inertial],
+    joint: Joint,
+    usual: JointDynamics | None = None,
+    up: npt.ArrayLike = UP,
+) -> JointDynamics:
+    """The dynamics of a joint that holds itself against gravity.
+
+    Args:
+        usual: what it has anyway; None is what its type has.
+        up: see :func:`holding_load`.
+    """
+    usual = usual or (TURNING if joint.rotates else SLIDING)
+    asked = HOLD * holding_load(tree, inertials, joint, up)
+    if asked <= usual.friction:
+        return usual
+    return replace(usual, friction=asked, effort=max(usual.effort, 2 * asked))
+
+
+def holding_load(
+    tree: KinematicTree,
+    inertials: Mapping[str, Inertial],
+    joint: Joint,
+    up: npt.ArrayLike = UP,
+) -> float:
     """N or N m that a joint resists so that gravity doesn't move it out of the scanned pose; 0
     where nothing does, or its limit is in the way.
 
     What stands somewhere within its range (a laptop's lid, the arms of a lamp) is made to stay
     where it is put, so all of the range counts; what rests at an end of it (an oven's door) is
     only held there.
+
+    Args:
+        up: (3,) unit, against gravity, object frame.
     """
     if joint.mimic is not None:
         return 0.0
     low, high = (joint.lower, joint.upper) if joint.limited else (-math.pi, math.pi)
     assert low is not None and high is not None
-    load = _load(tree, inertials, joint, 0.0)
+    against = np.asarray(up, np.float64)
+    load = _load(tree, inertials, joint, 0.0, against)
     edge = INNER * (high - low)
     if (low > -edge and load > 0) or (high < edge and load < 0):
         return 0.0
     if low > -edge or high < edge or abs(load) < (TURNING if joint.rotates else SLIDING).friction:
         return abs(load)
-    return max(abs(_load(tree, inertials, joint, q)) for q in np.linspace(low, high, 13))
+    values = np.linspace(low, high, 13)
+    return max(abs(_load(tree, inertials, joint, q, against)) for q in values)
 
 
-def _load(tree: KinematicTree, inertials: Mapping[str, Inertial], joint: Joint, q: float) -> float:
+def _load(
+    tree: KinematicTree,
+    inertials: Mapping[str, Inertial],
+    joint: Joint,
+    q: float,
+    up: npt.NDArray[np.float64],
+) -> float:
     """Gravity's energy over the joint's value, at ``q``, in N or N m; above 0 where it falls
     towards lower values."""
     step = 1e-4
@@ -157,7 +193,7 @@ def _load(tree: KinematicTree, inertials: Mapping[str, Inertial], joint: Joint, 
     for value in (q - step, q + step):
         poses = tree.pose({joint.name: value})
         heights = [
-            i.mass * float(poses[k][2, :3] @ i.center + poses[k][2, 3])
+            i.mass * float(up @ (poses[k][:3, :3] @ i.center + poses[k][:3, 3]))
             for k, i in inertials.items() if k in poses
         ]  # fmt: skip
         energy.append(GRAVITY * sum(heights))

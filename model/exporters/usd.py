@@ -34,6 +34,7 @@ from model.progress import Progress, no_progress
 
 FILE = "object.usdc"
 TEXTURES = "textures"
+FRICTION = "physxJoint:jointFriction"
 NAME_KEY = "artiworld:name"
 """Custom data of links and joints: their own names, which USD's identifiers may not hold."""
 
@@ -335,7 +336,7 @@ class _Writer:
         api.CreateDampingAttr(dynamics.damping / unit)
         api.CreateMaxForceAttr(dynamics.effort)
         self._extra(prim, "PhysxJointAPI", [
-            ("physxJoint:jointFriction", dynamics.friction),
+            (FRICTION, dynamics.friction),
             ("physxJoint:maxJointVelocity", dynamics.velocity * unit),
         ])  # fmt: skip
 

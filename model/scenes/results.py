@@ -13,9 +13,11 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
+from model.exporters.mjcf import FILE
 from model.exporters.saved import URDF
 from model.kinematics.urdf import number, xml_name
-from model.scenes.jobs import ASSETS, MISSING, MOVING, write_json
+from model.scenes.holding import frictions
+from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING, write_json
 from model.scenes.overlaps import at_rest
 from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
@@ -49,7 +51,7 @@ def write_results(
         formats: what the scene is written as besides MJCF; the assets are there in them already.
     """
     urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state in MOVING}
-    stands, held = at_rest(_stands(outcomes, free_bases), out)
+    stands, held = at_rest(_stands(outcomes, free_bases, out), out)
     told = {s.id: s for s in stands}
     said = {
         o.obj.id: _said(o, urdfs.get(o.obj.id), told.get(o.obj.id), held.get(o.obj.id))
@@ -137,22 +139,20 @@ def base_of(o: Outcome) -> str:
     return "free" if o.obj.static is False else "fixed"
 
 
-def _stands(outcomes: Sequence[Outcome], free_bases: bool) -> list[Stand]:
-    out: list[Stand] = []
+def _stands(outcomes: Sequence[Outcome], free_bases: bool, out: Path) -> list[Stand]:
+    stands: list[Stand] = []
     for o in outcomes:
         if o.obj.box is not None:
-            out.append(Stand(o.obj.id, None, o.obj.world_from_object, box=o.obj.box))
+            stands.append(Stand(o.obj.id, None, o.obj.world_from_object, box=o.obj.box))
         elif o.report.get("bounds") is not None:
-            out.append(
-                Stand(
-                    o.obj.id,
-                    o.key,
-                    o.obj.placed(o.report["bounds"]).world_from_asset,
-                    free_bases and base_of(o) == "free",
-                    {c["joint"]: c["limits"] for c in o.changes},
-                )
-            )
-    return out
+            world = o.obj.placed(o.report["bounds"]).world_from_asset
+            limits = {c["joint"]: c["limits"] for c in o.changes}
+            friction = {}
+            if o.state in MOVING and o.key is not None:
+                friction = frictions(out / ASSETS / o.key / MJCF / FILE, world, limits)
+            free = free_bases and base_of(o) == "free"
+            stands.append(Stand(o.obj.id, o.key, world, free, limits, friction))
+    return stands
 
 
 def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str | None:

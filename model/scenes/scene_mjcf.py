@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
-from model.kinematics.urdf import vector, xml_name
+from model.kinematics.urdf import number, vector, xml_name
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.own_file import quaternion_wxyz
 from model.scenes.readers.lisdf import parse_xml
@@ -51,6 +51,7 @@ class Stand:
         world_from_asset: (4, 4).
         free: whether its base may move.
         limits: joint → (lower, upper) where they were shortened.
+        friction: joint → N or N m where it is another one than the asset's, which stands upright.
         box: (3,) full sizes of a plain box.
         passes: what passes through other objects.
     """
@@ -60,6 +61,7 @@ class Stand:
     world_from_asset: FloatArray
     free: bool = False
     limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    friction: Mapping[str, float] = field(default_factory=dict)
     box: tuple[float, float, float] | None = None
     passes: tuple[Pass, ...] = ()
 
@@ -123,6 +125,9 @@ def _read(out: Path, key: str, assets: ET.Element) -> ET.Element:
 
 def _place(world: ET.Element, body: ET.Element, stand: Stand) -> None:
     for joint in body.iter("joint"):
+        friction = stand.friction.get(joint.get("name", ""))
+        if friction is not None:
+            joint.set("frictionloss", number(friction))
         limits = stand.limits.get(joint.get("name", ""))
         if limits is not None and limits[0] < limits[1]:
             joint.set("range", vector(limits))

@@ -59,6 +59,10 @@ def _placed(model: ET.Element, stand: Stand) -> ET.Element:
         ET.SubElement(joint, "parent").text = "world"
         ET.SubElement(joint, "child").text = model.get("canonical_link")
     for joint in model.findall("joint"):
+        friction = stand.friction.get(joint.get("name", ""))
+        resists = joint.find("axis/dynamics/friction")
+        if friction is not None and resists is not None:
+            resists.text = number(friction)
         limits = stand.limits.get(joint.get("name", ""))
         if limits is not None:
             _limit(joint, limits)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from model.exporters.usd import FILE, NAME_KEY
+from model.exporters.usd import FILE, FRICTION, NAME_KEY
 from model.kinematics.urdf import xml_name
 from model.scenes.jobs import ASSETS
 from model.scenes.own_file import quaternion_wxyz
@@ -113,6 +113,9 @@ def _hold(gf: Any, geom: Any, physics: Any, prim: Any, stand: Stand) -> None:
                 _pin(gf, geom, made, body)
                 held = True
             continue
+        friction = stand.friction.get(str(joint.GetCustomDataByKey(NAME_KEY)))
+        if friction is not None and joint.HasAttribute(FRICTION):
+            joint.GetAttribute(FRICTION).Set(friction)
         limits = stand.limits.get(str(joint.GetCustomDataByKey(NAME_KEY)))
         if limits is not None:
             turns = joint.GetTypeName() == "PhysicsRevoluteJoint"
