@@ -93,10 +93,12 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
         page.wait_for_function(
             "() => !!window.__viserSceneTree.getState()['/prompt/1']", timeout=30_000
         )
-        page.get_by_role("tab", name="Review").click()
-        typed = page.get_by_label("Comment")
-        typed.wait_for(timeout=30_000)
-        assert typed.input_value() == "the hinge is bent"
+        page.get_by_role("button", name="Review").first.click()
+        page.wait_for_function(
+            "() => [...document.querySelectorAll('textarea')]"
+            ".some(e => e.value === 'the hinge is bent')",
+            timeout=30_000,
+        )
         page.context.close()
         after = Store(workspace)
         assert after.load(after.objects()[0].id).present.prompts == kept.prompts
