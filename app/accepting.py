@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +79,7 @@ def accept(
     after = apply(state, command, Context(who, at))
     record = acceptance_record(
         after, obj.bench.store.history(obj.record.id), _source_record(obj), gate, override,
-        looked_at=gate is not None and gate is looked_at,
+        looked_at=gate is not None and gate is looked_at, scene=_in_scene(obj),
     )  # fmt: skip
     folder = asset_folder(obj.bench.workspace, obj.record)
     begun = Begun(state.seq, command.comment, command.override)
@@ -153,6 +153,12 @@ def _refuse(
         refused(error)
 
 
+def _in_scene(obj: OpenObject) -> dict[str, Any] | None:
+    desk = obj.bench.desk
+    work = None if desk is None else desk.works.get(obj.record.id)
+    return None if desk is None or work is None else work.source(desk.path, obj.bench.workspace)
+
+
 def _source_record(obj: OpenObject) -> Source:
     asset = obj.asset
     assert asset is not None
@@ -167,14 +173,17 @@ def acceptance_record(
     override: str = "",
     *,
     looked_at: bool = False,
+    scene: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """What ``provenance.json`` of an accepted asset holds, the gate's answer included.
 
     Args:
         override: why it was accepted although the gate calls a joint broken, else "".
         looked_at: whether the person had been shown what the gate doubts.
+        scene: of what was worked on in a scene, what its source is there.
     """
     record = provenance(after, history, source)
+    record["source"].update(scene or {})
     said = {"override": override, "looked_at": looked_at}
     record["gate"] = None if gate is None else {**gate.to_json(), **said}
     return record

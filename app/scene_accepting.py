@@ -292,8 +292,9 @@ class Accepting:
         store = desk.bench.store
         after = apply(work.live.state, command, Context(record.by, record.at))
         told = acceptance_record(
-            after, store.history(work.id), work.drawn.source, report, looked_at=looked_at
-        )
+            after, store.history(work.id), work.drawn.source, report, looked_at=looked_at,
+            scene=work.source(desk.path, desk.bench.workspace),
+        )  # fmt: skip
         folder = asset_folder(desk.bench.workspace, store.object(work.id))
         job = desk.bench.draft_asset(source, doc.tree, _silent)
 

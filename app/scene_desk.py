@@ -50,6 +50,7 @@ class SceneDesk(Watched):
         self, bench: Workbench, path: Path, folders: tuple[Path, ...], format: str | None = None
     ) -> None:
         self.bench = bench
+        self.path = path
         self.record = bench.store.open_object(path, None, path.stem)
         self.live = bench.hub.session(self.record.id)
         self.scene: OpenedScene | None = None

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain, count
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from app.scene_shapes import DrawnParts
 from app.scene_tasks import SceneItem
+from model.errors import InputFileError
 from sessions.document import Document
 from sessions.live import LiveSession
 
@@ -53,6 +56,28 @@ class Work:
     def document(self) -> Document:
         """What is decided now."""
         return self.live.state.present
+
+    def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
+        """Where it comes from, for ``provenance.json``: what is worked on is a copy of the asset
+        at its size in the scene, and its place in the workspace tells nobody anything.
+
+        Args:
+            scene: the scene's file.
+            workspace: where the copies are.
+        """
+        from model.scenes.assets import asset_digest
+
+        obj, path = self.item.obj, self.item.path
+        assert path is not None
+        if path.is_relative_to(workspace / "scenes"):  # geometry that the scene's file holds
+            path = scene
+        sha256 = None
+        with suppress(InputFileError):  # it went away meanwhile
+            sha256 = asset_digest(path)
+        return {
+            "path": str(path), "sha256": sha256, "scene": str(scene), "objects": list(self.ids),
+            "asset": obj.asset or self.name, "scale": obj.scale.tolist(),
+        }  # fmt: skip
 
 
 def names_for(items: Iterable[SceneItem], works: Iterable[Work]) -> list[str]:

@@ -32,6 +32,7 @@ from model.geometry.readers import read_asset
 from model.kinematics.articulated_object import Prediction
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.scenes.assets import asset_digest
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
@@ -307,6 +308,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     assert first is not None and first.document.saved is not None
     told = json.loads((Path(first.document.saved.folder) / "provenance.json").read_text())
     assert (told["gate"]["verdict"], told["gate"]["looked_at"]) == ("look", True)
+    assert told["source"]["scene"] == str(desk.path)
     desk.do(cmd.Undo(), "ann")
     assert statuses(desk)["first"] == "predicted"
     assert decided_text(desk.rows()) == "0 of 3 decided"
@@ -509,6 +511,11 @@ def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> Non
     assert work.document.review.by == "ann" and work.document.saved is not None
     told = json.loads((Path(work.document.saved.folder) / "provenance.json").read_text())
     assert told["gate"] and told["review"]["by"] == "ann"
+    source = told["source"]
+    assert source["path"] == str(accepted.assets / "cab"), "the asset, not its working copy"
+    assert source["sha256"] == asset_digest(accepted.assets / "cab")
+    assert source["scene"] == str(accepted.scene) and source["objects"] == ["first", "twin"]
+    assert (source["asset"], source["scale"]) == ("cab", [1, 1, 1])
 
 
 def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> None:
