@@ -87,8 +87,7 @@ class _Scene:
     def add(self, link: str, glb: bytes) -> None:
         """Take over the one mesh of ``glb`` with all that belongs to it."""
         tree, binary = _chunks(glb)
-        keys = ("accessors", "materials", "textures", "images", "meshes")
-        base = {key: len(self.lists.setdefault(key, [])) for key in keys}
+        base = {key: len(self.lists.setdefault(key, [])) for key in ("accessors", "meshes")}
         pictures = {image["bufferView"] for image in tree.get("images", [])}
         views = [
             self._view(binary, view, shared=i in pictures)
@@ -97,17 +96,21 @@ class _Scene:
         for key in ("accessors", "images"):
             for entry in tree.get(key, []):
                 entry["bufferView"] = views[entry["bufferView"]]
-        for texture in tree.get("textures", []):
-            texture["source"] += base["images"]
+        images = [self._shared("images", image) for image in tree.get("images", [])]
+        textures = [
+            self._shared("textures", {**texture, "source": images[texture["source"]]})
+            for texture in tree.get("textures", [])
+        ]
         for material in tree.get("materials", []):
             picture = material["pbrMetallicRoughness"].get("baseColorTexture")
             if picture is not None:
-                picture["index"] += base["textures"]
+                picture["index"] = textures[picture["index"]]
+        materials = [self._shared("materials", m) for m in tree.get("materials", [])]
         for mesh in tree["meshes"]:
             mesh["name"] = link
             for primitive in mesh["primitives"]:
                 primitive["indices"] += base["accessors"]
-                primitive["material"] += base["materials"]
+                primitive["material"] = materials[primitive["material"]]
                 for name in primitive["attributes"]:
                     primitive["attributes"][name] += base["accessors"]
         for key in base:
@@ -115,6 +118,14 @@ class _Scene:
         back = (-self.origins[link]).tolist()
         node = {"name": f"{link} mesh", "mesh": base["meshes"], "translation": back}
         self._node(self.node[link], node)
+
+    def _shared(self, key: str, entry: dict[str, Any]) -> int:
+        """An entry's number in a list; one that is there already is used again, as viewers keep
+        a picture and a shader for each."""
+        entries = self.lists.setdefault(key, [])
+        if entry not in entries:
+            entries.append(entry)
+        return entries.index(entry)
 
     def _view(self, binary: bytes, view: dict[str, Any], *, shared: bool) -> int:
         """Take over a view of ``binary``; pictures that are there already are used again."""
