@@ -280,7 +280,7 @@ def _stand(
         report = _rigid(item, out, made)
     else:
         assert item.copy is not None
-        report = made.get(item.copy.name) or _moving_asset(item.copy.name, moving, out)
+        report = made.get(item.copy.name) or _moving_asset(item, moving, out)
     outcome.key, outcome.report = report["key"], report
     made[report["key"]] = report
     outcome.state, outcome.reason = report["state"], report["reason"]
@@ -309,14 +309,17 @@ def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> di
     return report or ConvertAsset(out, {job.key: job}, os.getpid())(job.key)
 
 
-def _moving_asset(key: str, moving: MovingCopy, out: Path) -> dict[str, Any]:
+def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, Any]:
     """The working copy as an asset below ``out``, as people left it."""
     from dataclasses import asdict
 
     from model.exporters.asset_folder import write_asset
     from model.exporters.physics import physics_of
+    from model.scenes.assets import asset_digest
     from model.scenes.jobs import write_formats
 
+    assert item.copy is not None and item.path is not None
+    key = item.copy.name
     folder = out / ASSETS / key
     store = moving.source.workspace / "collision"
     shutil.rmtree(folder, ignore_errors=True)
@@ -326,8 +329,9 @@ def _moving_asset(key: str, moving: MovingCopy, out: Path) -> dict[str, Any]:
     if moving.accepted is not None and Path(moving.accepted).is_dir():
         shutil.copytree(moving.accepted, folder)
     else:
+        source = {"path": item.path.name, "sha256": asset_digest(item.path)}
         write_asset(obj, folder, physics=physics,
-                    provenance={"source": key, "review": "predicted, not accepted"})  # fmt: skip
+                    provenance={"source": source, "review": "predicted, not accepted"})  # fmt: skip
     write_formats(obj, folder, _formats(), physics)
     joints = [{**asdict(j), "confidence": moving.confidence.get(j.child)}
               for j in obj.tree.joints if j.moves]  # fmt: skip

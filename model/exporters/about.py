@@ -1,8 +1,9 @@
-"""``artiworld.json`` beside an exported object: where it comes from, and what was left out."""
+"""``artiworld.json`` beside what was exported: where it comes from, and what was left out."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -32,33 +33,94 @@ def write_about(folder: Path, asset: Path, name: str, notes: Sequence[str]) -> P
     Raises:
         InputFileError: where it can't be written, or the asset's ``provenance.json`` is damaged.
     """
-    kept = read_provenance(asset) if (asset / PROVENANCE).is_file() else {}
-    source, predictor = kept.get("source"), kept.get("predictor")
-    if isinstance(source, dict):
-        sha256, source = source.get("sha256"), source.get("path")
-    else:
-        sha256 = None
-    if isinstance(predictor, dict):
-        predictor = predictor.get("backend")
-    review = _entry(kept, "review")
-    version = None
-    with contextlib.suppress(metadata.PackageNotFoundError):
-        version = metadata.version("artiworld")
     said = {
         "format": name,
         "asset": asset.resolve().name,
-        "exported": datetime.now(UTC).isoformat(timespec="seconds"),
-        "artiworld": version,
+        **_written(),
+        **about_asset(asset),
+        "notes": list(dict.fromkeys(notes)),
+    }
+    return _write(folder, said)
+
+
+def write_scene_about(
+    folder: Path,
+    source: Path,
+    reader: str,
+    files: Sequence[str],
+    assets: Mapping[str, Sequence[str]],
+    notes: Sequence[str],
+) -> Path:
+    """The same for a written scene, with an entry for each of its assets; returns its path.
+
+    Args:
+        folder: of the scene.
+        source: the scene that was read.
+        reader: the name of its format.
+        files: what the scene was written as.
+        assets: folder of an asset below ``folder`` → ids of the objects that it is.
+        notes: as in :func:`write_about`.
+
+    Raises:
+        InputFileError: as :func:`write_about`.
+    """
+    sha256 = None
+    if source.is_file():
+        with source.open("rb") as data:
+            sha256 = hashlib.file_digest(data, "sha256").hexdigest()
+    entries = {k: about_asset(folder / k) | {"objects": list(ids)} for k, ids in assets.items()}
+    said = {
+        "format": "scene",
+        "files": list(files),
+        **_written(),
+        "source": source.name,
+        "reader": reader,
+        "sha256": sha256,
+        "assets": {key: _without_nothing(entry) for key, entry in entries.items()},
+        "notes": list(dict.fromkeys(notes)),
+    }
+    return _write(folder, said)
+
+
+def about_asset(asset: Path) -> dict[str, Any]:
+    """What an asset's ``provenance.json`` says that is for others; None or {} where it doesn't.
+
+    Raises:
+        InputFileError: where it is damaged.
+    """
+    kept = read_provenance(asset) if (asset / PROVENANCE).is_file() else {}
+    source, predictor = kept.get("source"), kept.get("predictor")
+    sha256 = scene = None
+    if isinstance(source, dict):
+        sha256, scene, source = source.get("sha256"), source.get("scene"), source.get("path")
+    if isinstance(predictor, dict):
+        predictor = predictor.get("backend")
+    review = _entry(kept, "review")
+    return {
         "category": _entry(kept, "asset").get("category"),
         "source": None if source is None else PurePath(str(source)).name,
         "sha256": sha256,
+        "scene": None if scene is None else PurePath(str(scene)).name,
         "predictor": predictor,
         "review": review and {k: review[k] for k in REVIEW if review.get(k)},
         "gate": _entry(kept, "gate").get("verdict"),
-        "notes": list(dict.fromkeys(notes)),
     }
+
+
+def _written() -> dict[str, Any]:
+    version = None
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        version = metadata.version("artiworld")
+    return {"exported": datetime.now(UTC).isoformat(timespec="seconds"), "artiworld": version}
+
+
+def _without_nothing(said: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in said.items() if v not in (None, {})}
+
+
+def _write(folder: Path, said: Mapping[str, Any]) -> Path:
     path = folder / ABOUT
-    text = json.dumps({k: v for k, v in said.items() if v not in (None, {})}, indent=2)
+    text = json.dumps(_without_nothing(said), indent=2)
     try:
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:

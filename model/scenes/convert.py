@@ -57,7 +57,7 @@ from model.scenes.ray_map import ray_map
 from model.scenes.results import write_results
 from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
 
-WRITTEN = 3
+WRITTEN = 4
 """Version of what a job writes: what an older one wrote is made anew."""
 LIMITS, LOCK, UNPACKED = "work/limits", "work/lock", "work/unpacked"
 

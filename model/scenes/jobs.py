@@ -31,6 +31,7 @@ from model.scenes.asset_parts import (
     scaled_tree,
     whole,
 )
+from model.scenes.assets import asset_digest
 from model.scenes.clicked import ClickedObject, clicked_parts
 from model.scenes.scene import FloatArray, SceneObject
 
@@ -151,9 +152,10 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
     obj = ArticulatedObject(name, parts, tree, job.category)
     physics: Physics = physics_of(obj, PhysicsSettings()) if job.collision else plain_physics(obj)
     folder = out / ASSETS / job.key
-    # The source's path stays out: the asset may be moved, its hash is in the key.
+    # Of the source's path the name alone: the asset may be moved.
+    source = {"path": job.path.name, "sha256": asset_digest(job.path)}
     write_asset(
-        obj, folder, provenance={"source": name, "predictor": backend, "parts": how},
+        obj, folder, provenance={"source": source, "predictor": backend, "parts": how},
         physics=physics if job.collision else None,
     )  # fmt: skip
     write_formats(obj, folder, job.formats, physics)

@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
+from model.exporters.about import ABOUT, write_scene_about
 from model.exporters.mjcf import FILE
 from model.exporters.saved import URDF
 from model.kinematics.urdf import number, xml_name
@@ -68,7 +69,21 @@ def write_results(
             files.append(file)
     back = _write_back(scene, said, out)
     files += [back] if back is not None else []
+    _write_about(scene, outcomes, files, out)
+    files.append(ABOUT)
     return _summary(scene, outcomes, files, ambiguous)
+
+
+def _write_about(
+    scene: Scene, outcomes: Sequence[Outcome], files: Sequence[str], out: Path
+) -> None:
+    assets: dict[str, list[str]] = {}
+    notes = [f"{p.object}: {p.reason}" for p in scene.problems]
+    for o in outcomes:
+        if o.key is not None and o.report.get("bounds") is not None:
+            assets.setdefault(f"{ASSETS}/{o.key}", []).append(o.obj.id)
+        notes += [f"{o.obj.id}: {note}" for note in o.report.get("notes", [])]
+    write_scene_about(out, scene.path, scene.reader, files, assets, notes)
 
 
 def _urdf(o: Outcome, index: int, out: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -22,6 +23,7 @@ from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import read_asset, read_part_files
 from model.geometry.writers import write_cloud, write_mesh
 from model.kinematics.urdf import read_urdf
+from model.scenes.assets import asset_digest
 from model.scenes.registry import read_scene
 from tests.model.scenes import scenes_made as made
 
@@ -144,6 +146,22 @@ def test_the_source_is_written_back_with_urdfs(converted: tuple[Path, dict]) -> 
         assert old == new
         assert (urdf is not None) == old["instance"].startswith("cabinet")
         assert urdf is None or (out / urdf["urdf"]).is_file()
+
+
+def test_the_scene_says_where_it_comes_from(converted: tuple[Path, dict], assets: Path) -> None:
+    out, summary = converted
+    told = json.loads((out / "artiworld.json").read_text())
+    assert (told["format"], told["source"], told["reader"]) == ("scene", "layout.json", "mesatask")
+    layout = (out.parent / "layout.json").read_bytes()
+    assert told["sha256"] == hashlib.sha256(layout).hexdigest() and "scene.xml" in told["files"]
+    assert "artiworld.json" in summary["files"]
+    by_object = {id: entry for entry in told["assets"].values() for id in entry["objects"]}
+    cabinet = by_object["cabinet_1"]
+    assert cabinet["source"] == "cab" and cabinet["predictor"]
+    assert cabinet["sha256"] == asset_digest(assets / "cab")
+    assert by_object["rock_1"]["source"] == "rock.obj" and "predictor" not in by_object["rock_1"]
+    assert any(note.startswith("broken_1: ") for note in told["notes"])
+    assert str(assets) not in json.dumps(told), "paths of this machine are nobody's business"
 
 
 def test_mujoco_steps_the_scene_for_a_second(converted: tuple[Path, dict]) -> None:

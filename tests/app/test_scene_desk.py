@@ -542,6 +542,10 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     assert "broken.glb" in said["bad"]["reason"]
     summary = json.loads((out / "summary.json").read_text())
     assert summary["states"]["rejected"] == summary["states"]["todo"] == 1
+    told = json.loads((out / "artiworld.json").read_text())
+    (first,) = [a for a in told["assets"].values() if a["objects"] == ["first", "twin"]]
+    assert (first["source"], first["scene"]) == ("cab", "home.json")
+    assert (first["review"]["state"], first["review"]["by"]) == ("accepted", "ann")
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     moving = [model.joint(i).name for i in range(model.njnt)]
     assert len(moving) == 4 and sum(n.startswith("first/") for n in moving) == 2
