@@ -102,6 +102,10 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     assert abs(door.axis[2]) > 0.99
     assert drawer.axis[1] < -0.99
 
+    # The tree scrolls by itself, however many joints there are.
+    style = "() => getComputedStyle(document.querySelector('ul:has(strong)')).overflowY"
+    wait_until(lambda: tab.page.evaluate(style) == "auto", "the tree leaves room for the editor")
+
     # A slider moves the link; the drawn frame is where the kinematics says.
     tab.set_slider("drawer 2 [mm]", 100)
     wait_until(lambda: abs(tab.app.motion.q.get(drawer.name, 0) - 0.1) < 1e-6, "the slider moves q")
