@@ -46,6 +46,11 @@ FOLDED_TOTAL = 3.0
 """Whole range (rad) assumed for a panel that was scanned open, from closed to far open."""
 
 
+RECLINE = 0.35
+"""How far (rad) a backrest leans back, as the procedural chairs have it (0.2 to 0.45). The sweep's
+tolerance lets it pass the seat that it grazes; a finer one stops it somewhere near this."""
+
+
 def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     """Limits of the chosen hinge from how far it turns before it hits its parent.
 
@@ -56,6 +61,8 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
         arm = context.shape.center - best.origin
         down = float(np.cross(best.axis, arm)[2]) <= 0
         return replace(best, axis=best.axis if down else -best.axis, lower=0.0, upper=0.3)
+    if "backrest" in context.words and context.category != "foldingchair":
+        return _reclining(context, best)
     twin = _mirrored_twin(context)
     if best.note.startswith(NOTED["temple"]) and twin is not None and not context.closed:
         # Arms of a pair fold towards each other.
@@ -99,6 +106,15 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
             upper=max(0.3, min(closing, total - opening)),
         )
     return replace(best, lower=-closing, upper=max(0.3, min(opening, total - closing)))
+
+
+def _reclining(context: PartContext, best: Hypothesis) -> Hypothesis:
+    """A backrest leans back from where it stands."""
+    arm = context.shape.center - best.origin
+    away = context.shape.center - context.scene.shapes[context.parent].center
+    away[2] = 0.0
+    axis = best.axis if float(np.cross(best.axis, arm) @ away) >= 0 else -best.axis
+    return replace(best, axis=axis, lower=0.0, upper=RECLINE)
 
 
 def shut_front(context: PartContext, motion: Hypothesis) -> bool:

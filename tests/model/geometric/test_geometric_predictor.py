@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from archetypes import THINGS, cabinet
 
+from model.datasets.procedural.generate import make
 from model.geometric.mechanisms import BUILDERS
 from model.geometric.predictor import GeometricPredictor
 from model.geometry.mesh import Mesh
@@ -320,3 +321,16 @@ def test_one_sided_noisy_scans(name: str) -> None:
         joint = prediction.tree.joint_of[f"link_{key}"]
         assert joint.type == true.type, key
         assert axis_angle(joint.axis, true.axis) < 0.2, key
+
+
+@pytest.mark.parametrize("seed", [0, 16])
+def test_a_backrest_leans_back_a_little(seed: int) -> None:
+    """It grazes the seat by less than the sweep's tolerance, and was let turn up to 156°."""
+    truth = make("Chair", seed)
+    (rest,) = [p.link for p in truth.object.parts if p.name == "backrest"]
+    segmented = SegmentedObject("chair", truth.object.parts, truth.object.category)
+    joint = PREDICTOR.predict(segmented).joint(rest)
+    expected = truth.object.tree.joint_of[rest]
+    assert joint is not None and joint.type == expected.type == "revolute"
+    assert np.dot(joint.axis, expected.axis) > 0.99, "back, not onto the seat"
+    assert joint.lower == 0.0 and joint.upper == pytest.approx(expected.upper, abs=0.2)
