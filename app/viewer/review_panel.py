@@ -195,10 +195,13 @@ def what_happened(doc: Document, command: cmd.Command) -> str:
 def summary(doc: Document) -> str:
     """What a reviewer must know before deciding."""
     review = doc.review
-    lines = [
-        f"**{palette.STATE_WORDS[review.state]}**"
-        + (f" by {plain(review.by)}" if review.by else "")
-    ]
+    said = f"**{palette.STATE_WORDS[review.state]}**" + (
+        f" by {plain(review.by)}" if review.by else ""
+    )
+    file = None if doc.prediction is None else doc.prediction.file
+    if review.state == "predicted" and file is not None:
+        said = f"**as {plain(file)} tells it**"
+    lines = [said]
     if review.reason:
         lines.append(f"Reason: {plain(review.reason.replace('_', ' '))}")
     if review.comment:

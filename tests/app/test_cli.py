@@ -643,7 +643,7 @@ def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, ca
 
 
 def test_generate_makes_objects_that_evaluate_reads(tmp_path):
-    done = artiworld("generate", "--family", "Safe", "Laptop", "--n", 1, "--out", tmp_path / "made")
+    done = artiworld("generate", "--family", "safe", "Laptop", "--n", 1, "--out", tmp_path / "made")
     assert done.returncode == 0, done.stderr
     folders = sorted(p.name for p in (tmp_path / "made").iterdir())
     assert len(folders) == 2

@@ -18,6 +18,7 @@ from app.open_object import OpenObject
 from app.serve_command import _scene_of
 from app.tasks import stamp
 from app.viewer.joint_text import joint_note
+from app.viewer.review_panel import summary
 from app.workbench import Workbench
 from model.geometry.readers import read_asset
 from sessions import commands as cmd
@@ -77,6 +78,7 @@ def test_its_joints_are_there_at_once_and_the_segmenter_is_not_asked(opened, urd
     assert doc.segmentation is not None and doc.segmentation.counts == {0: 12, 1: 12}
     assert not doc.prediction_stale and not doc.unsettled and not doc.edited_joints
     assert kinds(obj) == ["name_part", "apply_tool", "record_segmentation", "record_prediction"]
+    assert summary(doc).startswith("**as cupboard.urdf tells it**"), "nobody predicted that"
     said = joint_note(doc.tree.joint_of["link_1"], doc, [])
     assert said == "*As cupboard.urdf tells it.*"
 

@@ -53,7 +53,7 @@ class GenerateSettings:
 
     Attributes:
         out: the folder that gets one sub-folder an object.
-        family: names of families, or "all"; "Composite" is a random one.
+        family: names of families in any case, or "all"; "Composite" is a random one.
         n: objects a family.
         seed: the same seed gives the same objects.
     """
@@ -93,7 +93,10 @@ def generate(settings: GenerateSettings, progress: Progress = no_progress) -> tu
     Raises:
         ConfigurationError: for a family that isn't there.
     """
-    names = family_names() if settings.family == ("all",) else settings.family
+    names = family_names()
+    if settings.family != ("all",):
+        plain = {name.casefold(): name for name in names}
+        names = tuple(plain.get(name.casefold(), name) for name in settings.family)
     for name in names:
         _family(name)
     out, total = [], len(names) * settings.n
