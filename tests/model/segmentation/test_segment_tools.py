@@ -66,7 +66,7 @@ def test_hover_is_what_a_first_click_takes(session, cloud_cabinet):
 def test_connected_stops_at_the_gap():
     points, label = sampled([((0, 0, 0), (1, 1, 1)), ((1.2, 0, 0), (2, 1, 1))], 20_000)
     session = DefaultSegmenter().encode(Asset("two", cloud=PointCloud(points)))
-    mask = connected(session, (0.5, 0.5, 1.0))
+    mask = connected(session, (0.5, 0.5, 1.0)).mask
     assert iou(mask, label == 0) > 0.999
     both = pieces(session, np.ones(len(points), bool))
     assert sorted(m.sum() for m in both) == sorted(np.bincount(label))
@@ -74,7 +74,7 @@ def test_connected_stops_at_the_gap():
 
 def test_connected_on_a_mesh_is_the_shell(mesh_cabinet):
     session = DefaultSegmenter().encode(mesh_cabinet.asset)
-    mask = connected(session, (0.42, -0.06, 0.37))
+    mask = connected(session, (0.42, -0.06, 0.37)).mask
     knob = np.zeros(len(mask), bool)
     knob[-2 * 12 * 64 : -12 * 64] = True
     assert np.array_equal(mask, knob)
