@@ -189,17 +189,13 @@ class Segmenting:
         self._answered = doc.prompts
         last = doc.prompts[-1] if doc.prompts else None
         now = answer.display_labels
-        if (
-            not isinstance(last, Click)
-            or doc.prompts[:-1] != said
-            or before is None
-            or self._agreed(last)
-        ):
+        if not isinstance(last, Click) or doc.prompts[:-1] != said or before is None:
             self.in_vain = 0
             return
         part = max(int((before == last.part).sum()), int((now == last.part).sum()))
         little = len(before) == len(now) and (before != now).sum() < _LITTLE * part
-        self.in_vain = self.in_vain + 1 if little else 0
+        # Asked last: the stored labels of all elements are read for it.
+        self.in_vain = self.in_vain + 1 if little and not self._agreed(last) else 0
 
     def _agreed(self, click: Click) -> bool:
         """Whether a click said what the answer before it said already."""

@@ -251,6 +251,11 @@ class Document:
         return tuple(j.child for j in self.tree.joints if self.prediction.joint(j.child) != j)
 
     @property
+    def joints_file(self) -> str | None:
+        """Name of the file that tells the joints to begin with; None where they were predicted."""
+        return None if self.prediction is None else self.prediction.file
+
+    @property
     def unsettled(self) -> dict[str, float]:
         """Child link → confidence, 0..1, of the joints as predicted that nobody settled since."""
         if self.prediction is None:

@@ -239,10 +239,8 @@ class JointEditor:
         put(self._free, "visible", joint.limited)
         put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
-        told = doc.prediction is not None and doc.prediction.file is not None
-        put(
-            self._reset, "label", "Reset to the file's joint" if told else "Reset to the prediction"
-        )
+        whose = "prediction" if doc.joints_file is None else "file's joint"
+        put(self._reset, "label", f"Reset to the {whose}")
         put(self._reset, "visible", joint.child in doc.edited_joints)
         put(self._note, "content", joint_note(joint, doc, obj.checks))
 

@@ -89,7 +89,7 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCheck]) -> str:
         note = doc.prediction.notes.get(joint.child)
         said = f"*{plain(in_words(doc, note), 300)}*" if note else ""
         if joint != doc.prediction.joint(joint.child):
-            whose = "the prediction" if doc.prediction.file is None else "the file's joint"
+            whose = "the prediction" if doc.joints_file is None else "the file's joint"
             said = f"Edited; the grey arrow is {whose}" + (f": {said}" if said else ".")
         lines += [said] if said else []
     lines += [f"⚠ {said}" for said in range_doubts(joint)]

@@ -245,8 +245,7 @@ class JointsPanel:
 
 def _settled(doc: Document) -> bool:
     """Whether a person has changed or locked a joint, or a file tells them."""
-    told = doc.prediction is not None and doc.prediction.file is not None
-    return bool(told or doc.locked or doc.edited_joints)
+    return bool(doc.joints_file or doc.locked or doc.edited_joints)
 
 
 def _range(joint: Joint) -> tuple[float, float]:

@@ -198,9 +198,8 @@ def summary(doc: Document) -> str:
     said = f"**{palette.STATE_WORDS[review.state]}**" + (
         f" by {plain(review.by)}" if review.by else ""
     )
-    file = None if doc.prediction is None else doc.prediction.file
-    if review.state == "predicted" and file is not None:
-        said = f"**as {plain(file)} tells it**"
+    if review.state == "predicted" and doc.joints_file is not None:
+        said = f"**as {plain(doc.joints_file)} tells it**"
     lines = [said]
     if review.reason:
         lines.append(f"Reason: {plain(review.reason.replace('_', ' '))}")

@@ -27,12 +27,11 @@ from model.kinematics.articulated_object import ArticulatedObject, Part, remarks
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
-from model.kinematics.urdf_model import UrdfModel, package_root
+from model.kinematics.urdf_model import MOBILITY, UrdfModel, package_root
 from model.kinematics.urdf_reader import read_urdf_model
 from model.progress import Progress, no_progress
 from model.segmentation.prompts import MAX_PARTS
 
-MOBILITY = "mobility.urdf"
 _LINK = re.compile(r"link_(\d+)")
 _NOTES_SHOWN = 6
 

@@ -21,7 +21,7 @@ from model.geometry.formats.mtl import MaterialFiles
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import load_part
-from model.kinematics.urdf_model import UrdfModel
+from model.kinematics.urdf_model import MOBILITY, UrdfModel
 from model.kinematics.urdf_reader import read_urdf_model
 
 _TURNS, _STAYS = frozenset({"revolute", "continuous"}), frozenset({"fixed"})
@@ -77,7 +77,7 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
         InputFileError: where ``mobility.urdf`` or a mesh is missing or broken.
     """
     folder = Path(folder)
-    model = read_urdf_model(folder / "mobility.urdf")
+    model = read_urdf_model(folder / MOBILITY)
     names = semantic_names(folder)
     files = MaterialFiles(folder)  # textures lie in images/, beside the meshes' folder
     parts = {

@@ -12,7 +12,7 @@ from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
 from model.geometric.looks import look
 from model.geometric.mechanisms import find_front, propose
-from model.geometric.motion_words import SLIDING, TURNING, Mechanism
+from model.geometric.motion_words import MECHANISMS, SLIDING, TURNING, Mechanism
 from model.geometric.predictor import joints_of
 from model.geometric.roles import guess_mechanisms, mechanism_scores, named_mechanism
 from model.geometric.scene import Scene, make_scene
@@ -22,17 +22,7 @@ from model.kinematics.tree import KinematicTree
 
 SLIDES: tuple[Mechanism, ...] = ("slide_out", "slide_along", "lift", "press")
 SPINS: tuple[Mechanism, ...] = ("spin", "swivel", "screw")
-TURNS: tuple[Mechanism, ...] = (
-    "hinge",
-    "flap",
-    "drop",
-    "temple",
-    "pivot",
-    "swing",
-    "lever",
-    "toggle",
-    "tilt",
-)
+TURNS: tuple[Mechanism, ...] = tuple(m for m in MECHANISMS if m not in (*SLIDES, *SPINS, "fixed"))
 MECHANISMS_OF: dict[JointType, tuple[Mechanism, ...]] = {
     "prismatic": SLIDES,
     "revolute": (*TURNS, *SPINS),

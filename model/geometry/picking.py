@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -94,14 +96,14 @@ class Camera:
 
 def rings_around(
     direction: npt.ArrayLike, pixel_angle: float = DEFAULT_PIXEL_ANGLE
-) -> list[npt.NDArray[np.float64]]:
+) -> Iterator[npt.NDArray[np.float64]]:
     """Directions that pass a ray within the tolerance: a ring for each pixel, the nearest first.
 
     Args:
         direction: (3,) of the ray, not zero.
         pixel_angle: radians of one pixel.
 
-    Returns:
+    Yields:
         (8 k, 3) directions for the k-th ring, as long as ``direction``.
     """
     d = np.asarray(direction, np.float64)
@@ -109,12 +111,10 @@ def rings_around(
     side = np.cross(d, np.eye(3)[np.abs(d).argmin()])
     side *= length / np.linalg.norm(side)
     up = np.cross(d, side) / length
-    rings = []
     for pixels in range(1, TOLERANCE + 1):
         turn = np.arange(8 * pixels)[:, None] * (2 * np.pi / (8 * pixels))
         ring = d + np.tan(pixels * pixel_angle) * (np.cos(turn) * side + np.sin(turn) * up)
-        rings.append(ring * (length / np.linalg.norm(ring, axis=1, keepdims=True)))
-    return rings
+        yield ring * (length / np.linalg.norm(ring, axis=1, keepdims=True))
 
 
 class Picker:
@@ -232,7 +232,7 @@ class Picker:
         assert mesh is not None
         # Begin near the object, so that a far camera doesn't cost precision.
         ahead = max(0.0, float((self._shift - o) @ d) - self._diagonal)
-        for ring in (d[None], *rings_around(d, angle)):
+        for ring in chain((d[None],), rings_around(d, angle)):
             starts = o + ring * ahead
             distance, face = self._cast(starts, ring, hidden)
             best = int(distance.argmin())

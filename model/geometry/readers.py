@@ -37,6 +37,7 @@ from model.geometry.part_folder import (
 from model.geometry.parts import split
 from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.urdf_model import (
+    MOBILITY,
     PACKAGE,
     URDF_SUFFIX,
     is_urdf,
@@ -57,7 +58,6 @@ _TOO_COMMON = (".txt", ".csv", ".npz")  # in a folder these are rarely clouds
 FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in _TOO_COMMON)
 """Suffixes that are picked up when a folder is searched."""
 
-MOBILITY = "mobility.urdf"
 _WHOLE_FOLDER = (MOBILITY, "object.urdf")
 """URDFs that stand for their folder, which is called after the object."""
 _Y_UP = (".glb", ".gltf")

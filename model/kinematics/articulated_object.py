@@ -103,9 +103,6 @@ class ArticulatedObject:
         return self.tree.pose(q)
 
 
-_FILE = "file "
-
-
 @dataclass(frozen=True)
 class Prediction:
     """A predictor's answer, or the joints that a file tells. Bad model text never raises: it
@@ -118,6 +115,7 @@ class Prediction:
         backend: predictor and version; of a file's joints "file" and its name.
         raw_text: the model's own words, "" for a predictor without any.
         notes: child link → how the joint was decided, for people.
+        file: name of the file that tells the joints; None where a predictor answered.
     """
 
     tree: KinematicTree | None
@@ -128,17 +126,13 @@ class Prediction:
     seconds: float = 0.0
     raw_text: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)
+    file: str | None = None
 
     @classmethod
     def of_file(cls, name: str, tree: KinematicTree) -> Prediction:
         """The joints that a file tells: nobody guessed them, so that none has a confidence."""
         notes = {j.child: f"As {name} tells it." for j in tree.joints}
-        return cls(tree, backend=f"{_FILE}{name}", notes=notes)
-
-    @property
-    def file(self) -> str | None:
-        """Name of the file that tells the joints; None where a predictor answered."""
-        return self.backend.removeprefix(_FILE) if self.backend.startswith(_FILE) else None
+        return cls(tree, backend=f"file {name}", notes=notes, file=name)
 
     def joint(self, child: str) -> Joint | None:
         """The joint of ``child``, or None."""

@@ -91,6 +91,8 @@ class UrdfModel:
 
 
 URDF_SUFFIX = ".urdf"
+MOBILITY = "mobility.urdf"
+"""What PartNet-Mobility calls an object's."""
 PACKAGE = "package.xml"
 """What marks the folder of a ROS package."""
 _PACKAGE_URI = "package://"

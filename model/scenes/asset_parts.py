@@ -17,17 +17,13 @@ from model.geometry.asset import Asset
 from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
 from model.geometry.point_cloud import PointCloud
-from model.geometry.readers import (
-    FOLDER_SUFFIXES,
-    MOBILITY,
-    read_asset,
-    read_part_files,
-)
+from model.geometry.readers import FOLDER_SUFFIXES, read_asset, read_part_files
 from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
 from model.kinematics.articulated_object import Part, SegmentedObject, remarks_of
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
+from model.kinematics.urdf_model import MOBILITY
 from model.kinematics.urdf_reader import read_urdf_model
 from model.scenes.scene import FloatArray, SceneObject
 

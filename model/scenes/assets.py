@@ -10,7 +10,8 @@ from pathlib import Path
 
 from model.errors import InputFileError
 from model.geometry.part_folder import is_part_folder
-from model.geometry.readers import FOLDER_SUFFIXES, MOBILITY
+from model.geometry.readers import FOLDER_SUFFIXES
+from model.kinematics.urdf_model import MOBILITY
 
 _URDF_NAMES = (MOBILITY, "object.urdf")
 

@@ -31,7 +31,7 @@ import numpy.typing as npt
 
 from model.errors import ArtiworldError, ConfigurationError
 from model.evaluation.pool import robust_map
-from model.geometry.readers import MOBILITY
+from model.kinematics.urdf_model import MOBILITY
 from model.kinematics.urdf_reader import read_urdf_model
 from model.predictors import DEFAULT
 from model.progress import Progress, no_progress

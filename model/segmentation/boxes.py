@@ -88,8 +88,6 @@ _SAY = 0.8
 rest."""
 _MENDING_SAY = 0.5
 """The same of later clicks."""
-BAR_LENGTH = 3.0
-"""How many times as long as wide a handle is that nobody takes for a knob."""
 _BAR_PENALTY = 12.0
 """For a first answer to a click on a handle, at least four times as long as wide, without what is
 behind, at most; for shorter ones less, none where they are less than twice as long."""

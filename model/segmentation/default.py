@@ -24,12 +24,13 @@ from model.geometry.asset import Asset
 from model.geometry.topology import coincident_faces
 from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
-from model.segmentation.boxes import BAR_LENGTH, ObjectSolver
+from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups
 from model.segmentation.closeup import ClosePart, Closeups
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.fittings import Fittings, fittings_of
+from model.segmentation.fronts import BAR_LENGTH
 from model.segmentation.plates import Plates, plates_of
 from model.segmentation.prompt_steps import (
     ClickStep,

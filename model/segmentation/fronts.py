@@ -90,9 +90,10 @@ _KNOB, _KNOB_MOST = 4, 0.1
 """Squares that a knob or handle has at least, and what share of the front it is at most."""
 _SHADE, _HIDDEN = 2, 0.05
 """Squares round a handle that it shades or hides, and what they count in a line."""
-_BAR, _ROUND = 3.0, 3.0
-"""How many times as long as wide a bar is that is clicked on its side, and how near to that, in the
-front's reach, the front lies all round."""
+BAR_LENGTH = 3.0
+"""How many times as long as wide a handle is that nobody takes for a knob."""
+_ROUND = 3.0
+"""How near to a bar's side that is clicked, in the front's reach, the front lies all round."""
 _ROUND_BAR = 2
 """How far beyond that the front round a bar reaches, in squares."""
 _LARGER = 4.0
@@ -370,7 +371,7 @@ class Fronts:
                     continue
                 front = self._front(cell, axis, outward, behind)
                 bar = None if front is None else self._bar_before(front, cell)
-                if front is not None and bar is not None and bar.length >= _BAR:
+                if front is not None and bar is not None and bar.length >= BAR_LENGTH:
                     return [front]
         return []
 
