@@ -176,6 +176,8 @@ NEWER_FIELDS = {
 """What later versions added, with its default."""
 NEWER_REGION = {"like": None}
 """The same for each region of a tool."""
+NEWER_PREDICTION = {"file": None}
+"""The same for a prediction."""
 
 
 @pytest.mark.parametrize("data", VERSION_1, ids=lambda d: d["kind"])
@@ -184,6 +186,8 @@ def test_what_version_1_wrote_is_read_and_written_alike(data):
     newer = data | NEWER_FIELDS.get(data["kind"], {})
     if "regions" in data:
         newer["regions"] = [region | NEWER_REGION for region in data["regions"]]
+    if "prediction" in data:
+        newer["prediction"] = data["prediction"] | NEWER_PREDICTION
     assert to_json(command) == newer
     assert from_json(to_json(command)) == command
     assert kind_of(command) == data["kind"]
