@@ -112,6 +112,26 @@ def test_settled_joints_stay_in_the_predictor_of_the_documents(plug_ins: Path) -
     assert refused.tree is None and refused.problems
 
 
+def headings(document: Path) -> set[str]:
+    """The anchors of a document's headings, as GitHub makes them."""
+    text = re.sub(r"```.*?```", "", document.read_text(), flags=re.DOTALL)
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_links_between_documents_lead_somewhere() -> None:
+    documents = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    assert len(documents) > 10
+    broken = []
+    for document in documents:
+        for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", document.read_text()):
+            file, _, anchor = link.partition("#")
+            target = document.parent / file if file else document
+            if not target.exists() or (anchor and anchor not in headings(target)):
+                broken.append((document.name, link))
+    assert not broken
+
+
 def test_the_citation_names_this_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     told = (ROOT / "CITATION.cff").read_text()
