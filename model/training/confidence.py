@@ -74,10 +74,15 @@ def fit_confidence(
         What is written: format, the regression of each predictor, and the record of its making.
 
     Raises:
-        ConfigurationError: where too few joints came out.
+        ConfigurationError: where the objects are too few, or too few joints came out.
     """
-    out.mkdir(parents=True, exist_ok=True)
     families = family_names()
+    if samples <= len(families):  # the first of each family test the fit, and nothing is left
+        raise ConfigurationError(
+            f"--samples {samples} is too few: the first {len(families)} objects, one of each "
+            "family, test the fit"
+        )
+    out.mkdir(parents=True, exist_ok=True)
     ids = [f"{families[k % len(families)]}_{seed}_{k}" for k in range(samples)]
     rows = _collect(out / TABLE, ids, jobs, progress)
     found = {"format": FORMAT, "predictors": {}, "record": {"samples": samples, "seed": seed}}

@@ -203,6 +203,7 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
 ) -> None:
     """A run that was stopped goes on; what is written can be read."""
     from model.confidence import weighing_of
+    from model.datasets.procedural.generate import family_names
     from model.training import confidence
 
     def made(predictors: tuple[str, ...], object_id: str) -> list[confidence.JointRow]:
@@ -221,6 +222,10 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
     monkeypatch.setattr(confidence, "joint_rows", made)
     with pytest.raises(ConfigurationError, match="too few"):
         confidence.fit_confidence(tmp_path / "run", None, samples=10)
+    with pytest.raises(ConfigurationError, match="too few"):
+        # One of each family: all of them test, and none would be left to fit.
+        confidence.fit_confidence(tmp_path / "run", None, samples=len(family_names()))
+    assert not asked
     weights = tmp_path / "weights"
     found = confidence.fit_confidence(tmp_path / "run", weights, samples=400)
     assert len(asked) == 400
