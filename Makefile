@@ -3,6 +3,7 @@
 #   make run ARGS=PATH…   start it with your own files
 #   make test             all tests, in a real browser too
 #   make lint             style, types, layers
+#   make pictures         take the pictures of the documents anew
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
@@ -15,10 +16,10 @@ ARGS ?=
 TESTS ?= tests
 
 .DEFAULT_GOAL := help
-.PHONY: help run install test lint format clean
+.PHONY: help run install test lint format pictures clean
 
 help:
-	@sed -n '1,5s/^# \{0,1\}//p' Makefile
+	@sed -n '1,6s/^# \{0,1\}//p' Makefile
 
 run: $(VENV)/.run
 	@$(BIN)/artiworld serve $(ARGS)
@@ -39,6 +40,12 @@ lint: $(VENV)/.lint
 format: $(VENV)/.lint
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# All, or ARGS="joints review"; the gallery is the same again unless generated objects changed.
+pictures: $(VENV)/.test
+	@.ci/need 'command -v chromium || command -v chromium-browser || command -v google-chrome' chromium
+	$(BIN)/python tests/browser/pictures.py $(ARGS)
+	$(BIN)/python -m model.datasets.procedural.gallery --out docs/gallery
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable
 from typing import Any
@@ -32,6 +33,12 @@ _PROJECT = """(p) => {
   v.project(cam);
   return [box.left + (v.x + 1) / 2 * box.width, box.top + (1 - v.y) / 2 * box.height];
 }"""
+
+
+def find_chromium() -> str | None:
+    """Where a Chromium is, or None."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next((path for path in map(shutil.which, names) if path), None)
 
 
 def wait_until(condition: Callable[[], Any], what: str, seconds: float = TIMEOUT) -> Any:
@@ -176,3 +183,28 @@ class Tab:
                 break
         wait_until(lambda: self.app.stage == name, f"the {name} step")
         self.page.wait_for_timeout(200)
+
+
+class SceneTab(Tab):
+    """A tab that shows a scene."""
+
+    @property
+    def scene(self) -> Any:
+        return self.app.in_scene
+
+    @property
+    def desk(self) -> Any:
+        return self.server.bench.desk
+
+    def ready(self) -> SceneTab:
+        page = self.page
+        page.wait_for_selector("canvas", state="attached", timeout=150_000)
+        wait_until(lambda: self.server.apps, "the server sees the tab")
+        wait_until(lambda: self.desk.scene is not None, "the scene is read")
+        self.wait_node("/world/ground")
+        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
+        page.wait_for_timeout(400)
+        return self
+
+    def status(self, id: str) -> str:
+        return self.desk.status(self.desk.items[id])

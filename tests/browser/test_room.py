@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import wait_until
+from browsing import SceneTab, wait_until
 from scipy.spatial import KDTree
-from test_scene import SceneTab
 
 from app import tasks
 from app.viewer.gate_view import MENDS

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import Tab, wait_until
+from browsing import SceneTab, wait_until
 
 from app.viewer import palette
 from app.viewer.joint_rows import joint_lines
@@ -23,31 +23,6 @@ def entry(id: str, asset: str, x: float) -> dict[str, Any]:
         "quaternion_wxyz": [0.7071067811865476, 0.0, 0.0, -0.7071067811865476],
         "scale": [1, 1, 1], "anchor": "center",
     }  # fmt: skip
-
-
-class SceneTab(Tab):
-    """A tab that shows a scene."""
-
-    @property
-    def scene(self) -> Any:
-        return self.app.in_scene
-
-    @property
-    def desk(self) -> Any:
-        return self.server.bench.desk
-
-    def ready(self) -> SceneTab:
-        page = self.page
-        page.wait_for_selector("canvas", state="attached", timeout=150_000)
-        wait_until(lambda: self.server.apps, "the server sees the tab")
-        wait_until(lambda: self.desk.scene is not None, "the scene is read")
-        self.wait_node("/world/ground")
-        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
-        page.wait_for_timeout(400)
-        return self
-
-    def status(self, id: str) -> str:
-        return self.desk.status(self.desk.items[id])
 
 
 def check_picture_of_the_chosen(tab: SceneTab) -> None:
