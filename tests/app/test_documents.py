@@ -132,6 +132,13 @@ def test_links_between_documents_lead_somewhere() -> None:
     assert not broken
 
 
+def test_every_picture_is_shown_and_can_be_taken_anew() -> None:
+    shown = "".join((ROOT / name).read_text() for name in ("README.md", "docs/annotating.md"))
+    script = (ROOT / "tests" / "browser" / "pictures.py").read_text()
+    for picture in (ROOT / "docs" / "pictures").iterdir():
+        assert f"pictures/{picture.name})" in shown and f'"{picture.stem}"' in script, picture.name
+
+
 def test_the_citation_names_this_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     told = (ROOT / "CITATION.cff").read_text()
