@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app import room_tasks
+from app.jobs import CLICKS
 from model.errors import CommandError
 from sessions import commands as cmd
 from sessions.document import Document
@@ -33,6 +34,7 @@ def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
         *arguments,
         on_progress=obj.jobs.progress("room"),
         priority=6,
+        gives_way=CLICKS,
     )
 
     def keep(removal: room_tasks.Removal) -> None:
@@ -93,6 +95,7 @@ def _cut(
         name,
         on_progress=obj.jobs.progress("room"),
         priority=6,
+        gives_way=CLICKS,
     )
     obj.start("room", job, keep)
     obj.changed()

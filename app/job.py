@@ -47,6 +47,8 @@ class Job(Generic[T]):
         call: tuple[Callable[..., T], tuple[Any, ...], dict[str, Any]],
         on_progress: Callable[[float, str], object] | None,
         key: Hashable,
+        gives_way: int | None = None,
+        works_on: Hashable = None,
     ) -> None:
         self.name = name
         self.state: JobState = "queued"
@@ -59,6 +61,10 @@ class Job(Generic[T]):
         self._on_progress = on_progress
         self._progress_waiting = False
         self._key = key
+        self._gives_way = gives_way
+        self._works_on = works_on
+        self._place: tuple[int, int] = (0, number)  # in the queue
+        self._begun = False
         self._value: Any = None
         self._ended = threading.Event()
         self._callbacks: list[Callable[[Job[T]], object]] = []

@@ -2,7 +2,8 @@
 
 A :class:`WorkerProcess` keeps one child process that runs one job at a time. Caches that a job
 leaves in its modules stay for the next one until the child is killed (a cancel that it ignores, out
-of memory): jobs must be able to build them again.
+of memory): jobs must be able to build them again. A long job may give way: between its steps, which
+are its calls of ``progress``, the child answers what is urgent, with the same caches.
 """
 
 from __future__ import annotations
@@ -12,26 +13,28 @@ import itertools
 import logging
 import multiprocessing
 import os
-import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Hashable
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
+from app.child import Child, death, error_of, finish
 from app.job import Job, JobFailed
 from app.worker import pack, receive, send, unpack
-from model.errors import ArtiworldError
-from model.threads import with_threads
 
 T = TypeVar("T")
 
 CANCEL_SECONDS = 3.0
 """How long a running job may take to notice that it was cancelled before the child is killed."""
+CLICKS = 9
+"""Priority from which on somebody waits for the answer to a click."""
+EDITS = 15
+"""Priority of what an edit of a joint waits for."""
+PREVIEWS = -5
+"""Priority of what only shows what a click would do: everything else that waits goes first."""
 
-__all__ = ["CANCEL_SECONDS", "Job", "JobFailed", "WorkerProcess"]
+__all__ = ["CANCEL_SECONDS", "CLICKS", "EDITS", "PREVIEWS", "Job", "JobFailed", "WorkerProcess"]
 
 _log = logging.getLogger(__name__)
 
@@ -61,10 +64,10 @@ class WorkerProcess:
         self._lock = threading.Lock()
         self._queue: list[tuple[int, int, Job[Any]]] = []
         self._of_key: dict[Hashable, tuple[int, int, Job[Any]]] = {}
-        self._running: Job[Any] | None = None
+        self._running: list[Job[Any]] = []  # each but the first between the steps of those before
         self._closing = False
         self._wake_reader, self._wake_writer = multiprocessing.Pipe(duplex=False)
-        self._child: _Child | None = None
+        self._child: Child | None = None
         self._supervisor = threading.Thread(target=self._supervise, name=f"{name} worker")
         self._supervisor.daemon = True
         self._supervisor.start()
@@ -76,6 +79,8 @@ class WorkerProcess:
         on_progress: Callable[[float, str], object] | None = None,
         priority: int = 0,
         key: Hashable = None,
+        gives_way: int | None = None,
+        works_on: Hashable = None,
         **kwargs: Any,
     ) -> Job[T]:
         """Queue ``function(*args, **kwargs)``.
@@ -87,24 +92,26 @@ class WorkerProcess:
             priority: higher runs earlier; equal ones in the order of submission.
             key: a queued (not running) job of the same key is cancelled and this one takes its
                 place, so that where clicks come faster than answers only the newest counts.
+            gives_way: queued jobs of at least this priority are run between its steps; None for
+                none. It is begun anew where the child dies of one of them.
+            works_on: what it makes ready, or needs: of two jobs for the same one never runs
+                between the steps of the other.
         """
         name = getattr(function, "__name__", repr(function))
         number = next(self._numbers)
-        job: Job[T] = Job(self._cancel, number, name, (function, args, kwargs), on_progress, key)
+        call = (function, args, kwargs)
+        job: Job[T] = Job(self._cancel, number, name, call, on_progress, key, gives_way, works_on)
         replaced: Job[Any] | None = None
         with self._lock:
             if self._closing:
                 raise RuntimeError(f"the worker {self.name!r} is closed")
-            entry = (-priority, number, job)
+            job._place = (-priority, number)
             old = self._of_key.get(key) if key is not None else None
             if old is not None and not old[2].done:
                 replaced = old[2]
-                entry = (min(-priority, old[0]), old[1], job)
-                self._queue.remove(old)
-                heapq.heapify(self._queue)
-            if key is not None:
-                self._of_key[key] = entry
-            heapq.heappush(self._queue, entry)
+                job._place = (min(-priority, old[0]), old[1])
+                self._remove(replaced)
+            self._enqueue(job)
         if replaced is not None:
             replaced._end("cancelled")
         self._wake()
@@ -120,7 +127,7 @@ class WorkerProcess:
     def busy(self) -> bool:
         """Whether a job is running or queued."""
         with self._lock:
-            return self._running is not None or bool(self._queue)
+            return bool(self._running or self._queue)
 
     def close(self) -> None:
         """Cancel everything and end the child. May be called twice."""
@@ -155,6 +162,12 @@ class WorkerProcess:
         else:
             self._wake()
 
+    def _enqueue(self, job: Job[Any]) -> None:
+        entry = (*job._place, job)
+        if job._key is not None:
+            self._of_key[job._key] = entry
+        heapq.heappush(self._queue, entry)
+
     def _remove(self, job: Job[Any]) -> None:
         self._queue = [entry for entry in self._queue if entry[2] is not job]
         heapq.heapify(self._queue)
@@ -165,7 +178,7 @@ class WorkerProcess:
     # as long as the worker, because Linux ties "die with the parent" to the thread that forked.
 
     def _supervise(self) -> None:
-        self._child = _Child(self)
+        self._child = self._start()
         while not self._closing:
             self._send_next()
             child = self._child
@@ -174,51 +187,71 @@ class WorkerProcess:
             if self._wake_reader in ready:
                 while self._wake_reader.poll():
                     self._wake_reader.recv_bytes()
-            if child is not None and (child.connection in ready or self._running is not None):
+            if child is not None and (child.connection in ready or self._running):
                 self._listen(child, child.connection in ready)
             self._enforce_cancel()
         self._shut_down()
 
+    def _start(self) -> Child:
+        return Child(self.name, self._threads, self._setup)
+
     def _patience(self) -> float | None:
-        running = self._running
-        if running is None:
+        active = self._active
+        if active is None:
             return None
-        if running._kill_at is None:
+        if active._kill_at is None:
             return 1.0  # look after a child that died while a grandchild keeps the pipe open
-        return max(0.0, min(1.0, running._kill_at - time.monotonic()))
+        return max(0.0, min(1.0, active._kill_at - time.monotonic()))
+
+    @property
+    def _active(self) -> Job[Any] | None:
+        """The job that the child is at; the others of those that run wait for it."""
+        begun = [job for job in self._running if job._begun] or self._running[:1]
+        return begun[-1] if begun else None
+
+    def _next(self) -> Job[Any] | None:
+        """The queued job that may be run now."""
+        if not self._running:
+            return self._queue[0][2] if self._queue else None
+        ways = [
+            job._gives_way for job in self._running
+            if job._gives_way is not None and job._begun and job._kill_at is None
+        ]  # fmt: skip
+        if len(ways) < len(self._running):
+            return None
+        held = {job._works_on for job in self._running} - {None}
+        urgent = [e for e in self._queue if -e[0] >= max(ways) and e[2]._works_on not in held]
+        return min(urgent)[2] if urgent else None
 
     def _send_next(self) -> None:
-        while self._running is None:
+        while True:
             with self._lock:
-                if not self._queue:
-                    return
                 if self._child is None:
+                    if not self._queue:
+                        return
                     break
-                if not self._child.ready:
+                job = self._next() if self._child.ready else None
+                if job is None:
                     return
-                _, _, job = heapq.heappop(self._queue)
-                if job._key is not None and self._of_key.get(job._key, (0, 0, None))[2] is job:
-                    del self._of_key[job._key]
+                self._remove(job)
                 job.state = "running"
-                self._running = job
+                self._running.append(job)
             try:
                 chunks = pack(job._call)
             except (
                 Exception
             ) as error:  # what can't be pickled is the caller's bug, not ours to die of
-                self._running = None
+                self._running.remove(job)
                 job._end("failed", error=JobFailed(f"{job.name} can't be sent: {error}"))
                 continue
-            job._call = None
             try:
                 send(self._child.connection, "job", job._number, chunks)
             except OSError:
                 self._died(self._child)
             return
-        if self._running is None:
-            self._child = _Child(self)
+        self._child = self._start()
 
-    def _listen(self, child: _Child, has_message: bool) -> None:
+    def _listen(self, child: Child, has_message: bool) -> None:
         try:
             while has_message:
                 kind, number, chunks = receive(child.connection)
@@ -231,31 +264,41 @@ class WorkerProcess:
         except (EOFError, OSError):
             self._died(child)
 
-    def _handle(self, child: _Child, kind: str, number: int, chunks: list[Any]) -> None:
+    def _handle(self, child: Child, kind: str, number: int, chunks: list[Any]) -> None:
         if kind == "ready":
             child.ready = True
             return
-        job = self._running
+        job = next((j for j in self._running if j._number == number), None)
         if number == 0:
             self._start_failed(child, unpack(chunks)[1])
-        elif job is None or job._number != number:
+        elif job is None:
             return
+        elif kind == "begun":
+            job._begun = True
         elif kind == "progress":
             job._progressed(*unpack(chunks))
         else:
-            self._running = None
-            _finish(job, chunks)
+            self._running.remove(job)
+            finish(job, chunks)
+            active = self._active
+            if active is not None and active._kill_at is not None:
+                # It could not notice while it waited for this one.
+                active._kill_at = time.monotonic() + CANCEL_SECONDS
 
-    def _start_failed(self, child: _Child, error: dict[str, Any]) -> None:
+    def _start_failed(self, child: Child, error: dict[str, Any]) -> None:
         child.kill()
         self._child = None
-        self._fail_first(_error_of(self.name, error))
+        self._fail_first(error_of(self.name, error))
 
-    def _died(self, child: _Child) -> None:
+    def _died(self, child: Child) -> None:
         child.kill()
-        why = _death(child.process.returncode)
+        why = death(child.process.returncode)
         self._child = None
-        job, self._running = self._running, None
+        job, running = self._active, self._running
+        self._running = []
+        for other in running:
+            if other is not job:
+                self._put_back(other)
         if job is not None and job._kill_at is not None:
             job._end("cancelled")
         elif job is not None:
@@ -265,7 +308,18 @@ class WorkerProcess:
         elif not child.ready:
             self._fail_first(JobFailed(f"the worker process {self.name!r} {why} while starting"))
             return  # the next job tries again; no restart in a circle
-        self._child = _Child(self)
+        self._child = self._start()
+
+    def _put_back(self, job: Job[Any]) -> None:
+        """The child died of another job: this one begins anew, where it is still wanted."""
+        with self._lock:
+            newer = job._key is not None and job._key in self._of_key
+            wanted = job._kill_at is None and not newer
+            if wanted:
+                job.state, job._begun = "queued", False
+                self._enqueue(job)
+        if not wanted:
+            job._end("cancelled")
 
     def _fail_first(self, error: Exception) -> None:
         with self._lock:
@@ -278,17 +332,21 @@ class WorkerProcess:
             _log.error("worker %s: %s", self.name, error)
 
     def _enforce_cancel(self) -> None:
-        job, child = self._running, self._child
-        if job is None or child is None or job._kill_at is None:
+        active, child = self._active, self._child
+        if active is None or child is None:
             return
-        if time.monotonic() >= job._kill_at:
+        if active._kill_at is not None and time.monotonic() >= active._kill_at:
             self._died(child)
-        elif child.cancelled != job._number:
-            child.cancelled = job._number
+            return
+        for job in self._running:
+            if job._kill_at is None or job._number in child.cancelled:
+                continue
+            child.cancelled.add(job._number)
             try:
                 send(child.connection, "cancel", job._number)
             except OSError:
                 self._died(child)
+                return
 
     def _shut_down(self) -> None:
         with self._lock:
@@ -300,71 +358,10 @@ class WorkerProcess:
         child, self._child = self._child, None
         if child is not None:
             child.kill()
-        for job in [*([self._running] if self._running else []), *waiting]:
+        for job in [*self._running, *waiting]:
             job._end("cancelled")
-        self._running = None
-
-
-class _Child:
-    """A started child process with our end of its pipe."""
-
-    def __init__(self, worker: WorkerProcess) -> None:
-        self.ready = False
-        self.cancelled = 0
-        self.connection: Connection
-        self.connection, theirs = multiprocessing.Pipe(duplex=True)
-        descriptor = theirs.fileno()
-        paths = [os.path.abspath(p) for p in sys.path]
-        code = (
-            f"import sys; sys.path[:] = {paths!r}; from app.worker import main; "
-            f"main({descriptor}, {os.getpid()}, {worker.name!r})"
-        )
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-c", code],
-            pass_fds=[descriptor],
-            stdin=subprocess.DEVNULL,
-            env=with_threads(os.environ, worker._threads),
-        )
-        theirs.close()
-        send(self.connection, "setup", 0, pack(worker._setup))
-
-    def kill(self) -> None:
-        """End the process now and collect it."""
-        self.connection.close()
-        self.process.kill()
-        self.process.wait()
+        self._running = []
 
 
 def _nothing() -> None:
     """The initializer where there is none."""
-
-
-def _finish(job: Job[Any], chunks: list[Any]) -> None:
-    try:
-        kind, value = unpack(chunks)
-    except Exception as error:  # an answer that can't be read back fails its job, nothing else
-        job._end("failed", error=JobFailed(f"{job.name}: the answer can't be read: {error}"))
-        return
-    if kind == "done":
-        job._end("done", value)
-    elif value["kind"] == "cancelled":
-        job._end("cancelled")
-    else:
-        job._end("failed", error=_error_of(job.name, value))
-
-
-def _error_of(name: str, described: dict[str, Any]) -> Exception:
-    if described["kind"] != "user":
-        return JobFailed(f"{name}: {described['message']}", described["text"])
-    error: ArtiworldError = described["type"].__new__(described["type"], described["message"])
-    error.__dict__.update(described["state"])
-    return error
-
-
-def _death(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"ended by itself (exit code {code})"
-    name = signal.Signals(-code).name
-    if -code == signal.SIGKILL:
-        return f"was killed ({name}; often because memory ran out)"
-    return f"crashed ({name})"

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from app import display_tasks, judging_tasks, part_tasks, picking_tasks
 from app.display_tasks import OpenedAsset, PartPayload
-from app.jobs import Job, JobFailed
+from app.jobs import CLICKS, EDITS, Job, JobFailed
 from app.judging import JointCheck, Judging
 from app.part_tasks import PartSource
 from app.running_jobs import RunningJobs
@@ -188,6 +188,7 @@ class OpenObject(Watched):
                 options,
                 on_progress=self.jobs.progress("open"),
                 priority=5,
+                gives_way=CLICKS,
             )
             self.start("open", job, self._opened)
 
@@ -251,6 +252,7 @@ class OpenObject(Watched):
             tree,
             on_progress=self.jobs.progress("check"),
             key=("check", self.record.id),
+            gives_way=CLICKS,
         )
         self.start("check", job, keep)
 
@@ -262,7 +264,11 @@ class OpenObject(Watched):
         ref = doc.segmentation.labels
         if ref not in self.payloads and "parts" not in self.jobs:
             job = self.bench.geometry.submit(
-                display_tasks.part_payloads, self.source(doc), self.asset.element, priority=3
+                display_tasks.part_payloads,
+                self.source(doc),
+                self.asset.element,
+                priority=3,
+                gives_way=CLICKS,
             )
 
             def keep(payloads: list[PartPayload]) -> None:
@@ -295,6 +301,7 @@ class OpenObject(Watched):
             0,
             on_progress=self.jobs.progress("predict"),
             priority=10,
+            gives_way=EDITS,
         )
 
         def keep(prediction: Any) -> None:

@@ -28,7 +28,7 @@ class Hidden:
     parts: tuple[int, ...]
 
 
-_pickers: Recent[Path, Any] = Recent(4)
+_pickers: Recent[Path, Any] = Recent(8)
 _hidden: Recent[Hidden, npt.NDArray[np.bool_]] = Recent(4)
 
 

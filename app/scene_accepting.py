@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from app.accepting import acceptance_record, asset_folder
+from app.jobs import CLICKS
 from app.judging_tasks import judge_joints
 from app.part_tasks import PartSource
 from app.scene_rows import HELD
@@ -253,7 +254,9 @@ class Accepting:
         desk, doc = self._desk, work.document
         assert doc.tree is not None
         source = self._source(work)
-        job = desk.bench.prediction.submit(judge_joints, source, doc.tree, priority=6)
+        job = desk.bench.prediction.submit(
+            judge_joints, source, doc.tree, priority=6, gives_way=CLICKS
+        )
 
         def keep(answer: GateReport) -> None:
             assert doc.tree is not None

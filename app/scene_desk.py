@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app import scene_shapes, scene_tasks
+from app.jobs import CLICKS
 from app.review_order import confidence
 from app.running_jobs import RunningJobs
 from app.scene_accepting import Accepting
@@ -73,7 +74,7 @@ class SceneDesk(Watched):
         self.live.subscribe(self._decided)
         job = bench.geometry.submit(
             scene_tasks.read, path, folders, format, bench.config.finder, bench.config.finder_url,
-            bench.workspace, on_progress=self.jobs.progress("read"), priority=9,
+            bench.workspace, on_progress=self.jobs.progress("read"), priority=8, gives_way=CLICKS,
         )  # fmt: skip
         self.start("read", job, self._opened)
 
@@ -284,7 +285,12 @@ class SceneDesk(Watched):
         if not paths:
             return
         job = self.bench.geometry.submit(
-            scene_shapes.shapes, paths, self.bench.workspace, self._max_faces, priority=7
+            scene_shapes.shapes,
+            paths,
+            self.bench.workspace,
+            self._max_faces,
+            priority=7,
+            gives_way=CLICKS,
         )
 
         def keep(made: Mapping[Path, Shape | str]) -> None:
@@ -323,7 +329,7 @@ class SceneDesk(Watched):
         work = next((w for w in waiting if w.id == self._preferred), waiting[0])
         job = self.bench.prediction.submit(
             scene_tasks.prepare, work.item, self.bench.workspace, self.bench.config.segmenter,
-            self.bench.config.predictor, priority=-5,
+            self.bench.config.predictor, priority=-5, gives_way=0,
         )  # fmt: skip
 
         def keep(prepared: Prepared) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from app import room_tasks, scene_tasks
 from app.cutting import pick_out
+from app.jobs import CLICKS
 from app.scene_tasks import SceneItem
 from model.errors import CommandError
 from model.scenes.finders import LexiconFinder
@@ -66,7 +67,7 @@ class Picking:
 
         job = desk.bench.geometry.submit(
             scene_tasks.for_picking, item, desk.bench.workspace,
-            on_progress=desk.jobs.progress("copy"), priority=8,
+            on_progress=desk.jobs.progress("copy"), priority=8, gives_way=CLICKS,
         )  # fmt: skip
         desk.start("copy", job, keep)
         desk.changed()

@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.jobs import CLICKS
 from app.part_tasks import PartSource, articulated_object
 from app.scene_report import ReportRow, write_report
 from app.scene_tasks import OpenedScene, SceneItem
@@ -98,6 +99,7 @@ class Saving:
         job = desk.bench.geometry.submit(
             save_scene, record.path, scene.reader, tuple(i.obj.id for i in desk.read), items,
             copies, decided, out, on_progress=desk.jobs.progress("save"), priority=6,
+            gives_way=CLICKS,
         )  # fmt: skip
 
         def keep(summary: dict[str, Any]) -> None:
@@ -171,7 +173,7 @@ class Saving:
             write_report, path, desk.scene.name, tuple(rows), desk.scene.problems,
             dict(desk.shapes), desk.bench.workspace,
             saved=None if desk.document.saved is None else Path(desk.document.saved.folder),
-            on_progress=desk.jobs.progress("report"), priority=6,
+            on_progress=desk.jobs.progress("report"), priority=6, gives_way=CLICKS,
         )  # fmt: skip
         desk.start("report", job, lambda _: done(path))
         desk.changed()

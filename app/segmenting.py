@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from app import segmenting_tasks, tool_tasks
 from app.display_tasks import OpenedAsset
-from app.job import Job
+from app.jobs import CLICKS, PREVIEWS, Job
 from app.segmenting_tasks import StoredRegion
 from model.errors import CommandError
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
@@ -88,13 +88,17 @@ class Segmenting:
         obj = self._obj
         if obj.asset is None or "encode" in obj.jobs:
             return
-        job = obj.bench.segmentation.submit(
+        obj.start("encode", self._encode(obj.asset), lambda _: None)
+
+    def _encode(self, asset: OpenedAsset) -> Job[float]:
+        return self._obj.bench.segmentation.submit(
             segmenting_tasks.encode,
-            obj.asset.folder,
-            obj.bench.config.segmenter,
-            on_progress=obj.jobs.progress("encode"),
+            asset.folder,
+            self._obj.bench.config.segmenter,
+            on_progress=self._obj.jobs.progress("encode"),
+            gives_way=CLICKS,
+            works_on=asset.folder,
         )
-        obj.start("encode", job, lambda _: None)
 
     def take_source_parts(self, asset: OpenedAsset) -> None:
         """Parts that the source file was cut into become regions, which the person can edit, and
@@ -149,6 +153,8 @@ class Segmenting:
                 on_progress=obj.jobs.progress("segment"),
                 priority=10,
                 key=("segment", obj.record.id),
+                gives_way=CLICKS,
+                works_on=asset.folder,
             )
             obj.start("segment", job, self._of(asset, self._keep))
             return
@@ -227,6 +233,9 @@ class Segmenting:
         empty = _never_used(doc)
         used = {p.id for p in doc.parts} - empty
         request = replace(request, free_part=_free(used))
+        long = request.tool == tool_tasks.PROPOSE
+        if long:  # clicks come between its steps, also those on what it works on: encode that first
+            self._encode(asset)
         job = obj.bench.segmentation.submit(
             tool_tasks.use_tool,
             asset.folder,
@@ -235,7 +244,9 @@ class Segmenting:
             kept,
             request,
             on_progress=obj.jobs.progress("tool"),
-            priority=12,
+            priority=PREVIEWS - 1 if long else 12,
+            gives_way=PREVIEWS if long else CLICKS,
+            works_on=None if long else asset.folder,
         )
         obj.jobs.follow("tool", job, self._tool_ended)
         obj.changed()

@@ -15,10 +15,11 @@ from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
 from model.segmentation.prompts import Click, Prompts, Region
 
-ENCODINGS_KEPT = 3
+ENCODINGS_KEPT = 8
+"""So that several people, each at an object, don't drive out each other's."""
 MOST_KEPT = 400_000
-"""Elements of all encodings that are kept; one takes about a kilobyte an element. The last one is
-kept whatever its size."""
+"""Elements of all encodings that are kept, or nodes of those that have more; one takes one to three
+kilobytes. The last one is kept whatever its size."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,14 @@ def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -
     asset = asset_of(folder)
     return _encodings.get(
         (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset, progress),
-        asset.element_count,
+        asset.element_count, lambda session: max(asset.element_count, _nodes(session)),
     )  # fmt: skip
+
+
+def _nodes(session: Any) -> int:
+    """How many nodes an encoding has; a mesh of few faces has many."""
+    encoding = getattr(session, "encoding", None)
+    return 0 if encoding is None else len(encoding.nodes)
 
 
 def segment(

@@ -40,17 +40,33 @@ class Recent(Generic[K, V]):
         self._size, self._most = size, weight
         self._kept: OrderedDict[K, tuple[V, float]] = OrderedDict()
 
-    def get(self, key: K, make: Callable[[], V], weight: float = 0.0) -> V:
-        """The value of ``key``; made where it isn't kept, after room for its ``weight`` is."""
+    def get(
+        self,
+        key: K,
+        make: Callable[[], V],
+        weight: float = 0.0,
+        weigh: Callable[[V], float] | None = None,
+    ) -> V:
+        """The value of ``key``; made where it isn't kept, after room for its ``weight`` is.
+
+        Args:
+            weigh: how heavy it turned out to be, where only that tells.
+        """
         if key not in self._kept:
-            while self._kept and (
-                len(self._kept) >= self._size
-                or weight + sum(w for _, w in self._kept.values()) > self._most
-            ):
-                self._kept.popitem(last=False)
-            self._kept[key] = make(), weight
+            self._make_room(weight)
+            value = make()
+            weight = weight if weigh is None else weigh(value)
+            self._make_room(weight)  # other jobs may have come between its steps
+            self._kept[key] = value, weight
         self._kept.move_to_end(key)
         return self._kept[key][0]
+
+    def _make_room(self, weight: float) -> None:
+        while self._kept and (
+            len(self._kept) >= self._size
+            or weight + sum(w for _, w in self._kept.values()) > self._most
+        ):
+            self._kept.popitem(last=False)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ NEW_PART = -1
 SAMPLE_POINTS = 150_000
 HOVER_POINTS = 8_000
 NEXT_MASK = "next mask"
+PROPOSE = "propose"
 _LEAST_PIECE = 0.01
 """Share of a part that a piece needs to become a part of its own."""
 
@@ -359,7 +360,7 @@ def _leftovers(work: _Work) -> list[RegionOffer]:
 
 
 TOOLS: dict[str, Callable[[_Work], Offer]] = {
-    "propose": _propose,
+    PROPOSE: _propose,
     NEXT_MASK: _next_mask,
     "connected": _connected,
     "same shape": _same_shape,
@@ -412,7 +413,7 @@ class _Now:
     labels: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))
 
 
-_samples: Recent[Path, _Sample] = Recent(4)
+_samples: Recent[Path, _Sample] = Recent(8)
 _now = _Now()
 
 

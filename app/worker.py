@@ -1,5 +1,8 @@
 """The child's side of :mod:`app.jobs`: reads jobs from a pipe, runs them one at a time, answers.
 
+What comes while a job runs is run between its steps: the parent sends nothing that it may not give
+way to.
+
 Started by :class:`app.jobs.WorkerProcess` with one end of a pipe; imports nothing heavy itself.
 """
 
@@ -113,16 +116,18 @@ class _Worker:
     def run(self) -> None:
         threading.Thread(target=self._read, name="pipe reader", daemon=True).start()
         while True:
-            kind, number, chunks = self._jobs.get()
-            start = time.monotonic()
-            answer = self._answer(number, chunks)
-            del chunks
-            self._send(
-                "ready" if kind == "setup" and answer[0] == "done" else "answer", number, answer
-            )
-            del answer
-            if time.monotonic() - start > LONG:
-                _give_back()
+            self._run(*self._jobs.get())
+
+    def _run(self, kind: str, number: int, chunks: list[Any]) -> None:
+        start = time.monotonic()
+        if kind != "setup":
+            self._send("begun", number, None)
+        answer = self._answer(number, chunks)
+        del chunks
+        self._send("ready" if kind == "setup" and answer[0] == "done" else "answer", number, answer)
+        del answer
+        if time.monotonic() - start > LONG:
+            _give_back()
 
     def _read(self) -> None:
         while True:
@@ -168,6 +173,12 @@ class _Worker:
             if now - last_time >= PROGRESS_PERIOD or message != last_message:
                 last_time, last_message = now, message
                 self._send("progress", number, (float(fraction), str(message)))
+            # A job's own threads go on while one of them reports.
+            if threading.current_thread() is threading.main_thread():
+                while not self._jobs.empty():
+                    self._run(*self._jobs.get())
+            if number in self._cancelled:
+                raise Cancelled(message)
 
         return progress
 

@@ -9,6 +9,7 @@ import time
 from typing import TYPE_CHECKING
 
 from app import picking_tasks, tool_tasks
+from app.jobs import PREVIEWS
 from app.open_object import OpenObject
 from app.pointer_messages import ArtiworldHoverMessage
 from app.segmenting import stored_prompts
@@ -24,8 +25,6 @@ log = logging.getLogger(__name__)
 _SECONDS = 10.0
 _AGAIN = 0.25
 """Seconds until a place that could not be answered yet is asked again; the pointer may rest."""
-_BEFORE_CLICKS = -5
-"""Priority of its jobs: everything else that waits goes first."""
 
 
 class Hover:
@@ -100,7 +99,7 @@ class Hover:
             tuple(direction),
             app.pointing.hidden_now(),
             key=("hover", app.client.client_id),
-            priority=_BEFORE_CLICKS,
+            priority=PREVIEWS,
         ).result(_SECONDS)
         if hit is None:
             self._clear()
@@ -118,7 +117,8 @@ class Hover:
             stored_prompts(doc),
             Click((x, y, z), part, True, element),
             key=("hover", app.client.client_id),
-            priority=_BEFORE_CLICKS,
+            priority=PREVIEWS,
+            works_on=obj.asset.folder,
         ).result(_SECONDS)
         if self._place is None or obj is not app.object or obj.document.key != doc.key:
             return True  # clicked or left meanwhile

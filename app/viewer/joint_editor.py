@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app import snapping_tasks
+from app.jobs import EDITS
 from app.open_object import OpenObject
 from app.titles import joint_title, part_title
 from app.viewer.joint_text import joint_note, shown
@@ -135,7 +136,7 @@ class JointEditor:
             return
         assert doc.tree is not None
         job = self._app.bench.prediction.submit(
-            snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=15
+            snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._app.set_joint(job.result(SNAP_SECONDS))
 
@@ -161,7 +162,7 @@ class JointEditor:
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
         job = self._app.bench.prediction.submit(
-            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=15
+            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:

@@ -307,7 +307,7 @@ class Pointing:
         bench, asset = self._app.bench, self._app.need_object().need_asset()
         try:
             out, across = bench.segmentation.submit(
-                tool_tasks.frame_at, asset.folder, corner, view, priority=15
+                tool_tasks.frame_at, asset.folder, corner, view, priority=15, works_on=asset.folder
             ).result(FRAME_SECONDS)
         except TimeoutError:
             return None  # the workers are busy: the cut itself can wait for them

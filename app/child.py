@@ -1,0 +1,90 @@
+"""A worker's child process as its parent has it: started, ended, its answers taken apart."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from multiprocessing.connection import Connection
+from typing import Any
+
+from app.job import Job, JobFailed
+from app.worker import pack, send, unpack
+from model.errors import ArtiworldError
+from model.threads import with_threads
+
+
+class Child:
+    """A started child process with our end of its pipe.
+
+    Args:
+        name: of its worker.
+        threads: numeric threads in it.
+        setup: the call that it begins with.
+
+    Attributes:
+        ready: whether that call is done.
+        cancelled: numbers of the jobs that it was told to stop.
+    """
+
+    def __init__(self, name: str, threads: int, setup: tuple[Any, ...]) -> None:
+        self.ready = False
+        self.cancelled: set[int] = set()
+        self.connection: Connection
+        self.connection, theirs = multiprocessing.Pipe(duplex=True)
+        descriptor = theirs.fileno()
+        paths = [os.path.abspath(p) for p in sys.path]
+        code = (
+            f"import sys; sys.path[:] = {paths!r}; from app.worker import main; "
+            f"main({descriptor}, {os.getpid()}, {name!r})"
+        )
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-c", code],
+            pass_fds=[descriptor],
+            stdin=subprocess.DEVNULL,
+            env=with_threads(os.environ, threads),
+        )
+        theirs.close()
+        send(self.connection, "setup", 0, pack(setup))
+
+    def kill(self) -> None:
+        """End the process now and collect it."""
+        self.connection.close()
+        self.process.kill()
+        self.process.wait()
+
+
+def finish(job: Job[Any], chunks: list[Any]) -> None:
+    """End a job with the answer of its child."""
+    try:
+        kind, value = unpack(chunks)
+    except Exception as error:  # an answer that can't be read back fails its job, nothing else
+        job._end("failed", error=JobFailed(f"{job.name}: the answer can't be read: {error}"))
+        return
+    if kind == "done":
+        job._end("done", value)
+    elif value["kind"] == "cancelled":
+        job._end("cancelled")
+    else:
+        job._end("failed", error=error_of(job.name, value))
+
+
+def error_of(name: str, described: dict[str, Any]) -> Exception:
+    """What went wrong, out of what :func:`app.worker.describe_error` tells of it."""
+    if described["kind"] != "user":
+        return JobFailed(f"{name}: {described['message']}", described["text"])
+    error: ArtiworldError = described["type"].__new__(described["type"], described["message"])
+    error.__dict__.update(described["state"])
+    return error
+
+
+def death(code: int | None) -> str:
+    """How a process ended, in words."""
+    if code is None or code >= 0:
+        return f"ended by itself (exit code {code})"
+    name = signal.Signals(-code).name
+    if -code == signal.SIGKILL:
+        return f"was killed ({name}; often because memory ran out)"
+    return f"crashed ({name})"

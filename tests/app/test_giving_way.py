@@ -1,0 +1,106 @@
+"""Several people at one server: long work of one gives way to the clicks of the others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from app.config import ServeConfig
+from app.segmenting import Segmenting
+from app.tasks import Recent, arrays_of
+from app.tool_tasks import PROPOSE, ToolRequest
+from app.workbench import Workbench
+from model.resources import static_assets
+from model.segmentation.prompts import Click
+from sessions import commands as cmd
+from sessions.store import Store
+from tests.app.test_open_objects import settled, wait
+
+
+@pytest.fixture
+def bench(tmp_path: Path):
+    examples = static_assets() / "examples"
+    paths = [examples / "refrigerator_scan.ply", examples / "kettle.glb"]
+    bench = Workbench(ServeConfig(workspace=tmp_path), Store(tmp_path), paths)
+    yield bench
+    bench.close()
+
+
+def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(bench) -> None:
+    fridge, kettle = (settled(bench, r.id) for r in bench.records())
+    request = ToolRequest(PROPOSE, 1)
+
+    def proposed() -> list[np.ndarray]:
+        arrays = arrays_of(bench.workspace)
+        return [np.asarray(arrays.get(p.elements)) for p in fridge.document.prompts]
+
+    fridge.segmenting.use_tool(request, "alice")
+    alone = [
+        np.asarray(arrays_of(bench.workspace).get(p.elements)) for p in fridge.document.prompts
+    ]
+    fridge.do(cmd.Undo(), "alice")
+    settled(bench, fridge.record.id)
+
+    found: list[int] = []
+    thread = threading.Thread(
+        target=lambda: found.append(fridge.segmenting.use_tool(request, "alice"))
+    )
+    thread.start()
+    wait(lambda: fridge.jobs.busy.get("tool", (0.0,))[0] > 0, "all parts is under way")
+    x, y, _ = kettle.asset.bounds.mean(0)
+    start = time.monotonic()
+    kettle.do(cmd.AddClick(Click((x, y, float(kettle.asset.bounds[1, 2])), 1)), "bob")
+    wait(lambda: kettle.document.segmentation_current, "the kettle's parts")
+    waited = time.monotonic() - start
+    assert thread.is_alive(), f"the click waited for all parts, {waited:.1f} s"
+    thread.join(60)
+    again = [
+        np.asarray(arrays_of(bench.workspace).get(p.elements)) for p in fridge.document.prompts
+    ]
+    assert found and len(again) == len(alone)
+    assert all(np.array_equal(a, b) for a, b in zip(alone, again, strict=True))
+
+
+def test_what_comes_between_the_steps_of_what_is_made_is_counted_as_well() -> None:
+    kept: Recent[str, str] = Recent(9, 10)
+    made: list[str] = []
+
+    def make(name: str, size: float) -> str:
+        made.append(name)
+        if name == "outer":
+            kept.get("inner", lambda: make("inner", 6), 0, lambda _: 6)
+        return name
+
+    kept.get("outer", lambda: make("outer", 6), 6)
+    kept.get("outer", lambda: make("outer", 6), 6)
+    assert made == ["outer", "inner"]
+    kept.get("inner", lambda: make("inner", 6), 6)  # there was no room for both
+    assert made == ["outer", "inner", "inner"]
+
+
+def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
+    asked: list[tuple[str, dict]] = []
+
+    def submit(function, *args, **how):
+        asked.append((function.__name__, how))
+        return SimpleNamespace(result=lambda seconds: [], add_done_callback=lambda _: None)
+
+    jobs = SimpleNamespace(progress=lambda what: None, follow=lambda *a: None)
+    obj = SimpleNamespace(
+        need_asset=lambda: SimpleNamespace(folder="folder"),
+        document=SimpleNamespace(prompts=(), parts=(), tree=None, up_axis=None, unit_scale=1.0,
+                                 left_out=None, face_cuts=()),
+        bench=SimpleNamespace(segmentation=SimpleNamespace(submit=submit), workspace=None,
+                              config=SimpleNamespace(segmenter="default")),
+        jobs=jobs, changed=lambda: None,
+    )  # fmt: skip
+    Segmenting(obj).use_tool(ToolRequest(PROPOSE, 1), "alice")
+    (first, encoding), (second, tool) = asked
+    assert (first, second) == ("encode", "use_tool")
+    assert encoding["works_on"] == "folder" and tool["works_on"] is None
+    assert tool["priority"] < tool["gives_way"] < 0
