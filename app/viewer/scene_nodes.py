@@ -18,9 +18,10 @@ from viser import transforms as vtf
 from app.scene_rows import Work
 from app.scene_shapes import Shape
 from app.viewer import palette
-from app.viewer.scene_rays import hit_distance
+from app.viewer.scene_rays import hit_distance, meets_boxes, nearly_hit, within_tolerance
 from model.geometry.glb import mesh_to_glb
 from model.geometry.mesh import Material, Mesh
+from model.geometry.picking import TOLERANCE
 
 GHOST_OPACITY = 0.14
 GHOST_POINT = 0.3
@@ -110,11 +111,19 @@ class Node:
 
     def hit(self, k: int, origin: Array, direction: Array) -> float:
         """How far along a ray object ``k`` is met; infinity where it isn't."""
+        local, along = self._seen_by(k, origin, direction)
+        return hit_distance(local, along, self.shape.vertices, self._faces(k))
+
+    def nearly_hit(self, k: int, origin: Array, direction: Array) -> tuple[int, float]:
+        """By how many pixels a ray passes object ``k``, and how far along; see the function."""
+        local, along = self._seen_by(k, origin, direction)
+        return nearly_hit(local, along, self.shape.vertices, self._faces(k))
+
+    def _seen_by(self, k: int, origin: Array, direction: Array) -> tuple[Array, Array]:
         stand = self.now[k]
         turn = stand.world[:3, :3]
         local = ((origin - stand.world[:3, 3]) @ turn) / stand.scale
-        along = (direction @ turn) / stand.scale
-        return hit_distance(local, along, self.shape.vertices, self._faces(k))
+        return local, (direction @ turn) / stand.scale
 
     def _faces(self, k: int) -> npt.NDArray[np.uint32] | None:
         return self.shape.faces
@@ -328,6 +337,29 @@ def send(
     """Send a shape as it stands here and there."""
     kind: Callable[..., Node] = Scans if shape.faces is None else Instances
     return kind(client, name, ids, shape, stands, work, link)
+
+
+def first_under(nodes: Sequence[Node], origin: Array, direction: Array) -> str | None:
+    """The object that a ray meets first, or None.
+
+    What the ray itself passes by counts within a few pixels where it meets nothing.
+    """
+    best, hit = np.inf, None
+    for node in nodes:
+        for k in np.flatnonzero(meets_boxes(origin, direction, node.boxes())):
+            t = node.hit(int(k), origin, direction)
+            if t < best:
+                best, hit = t, node.ids[k]
+    if hit is not None:
+        return hit
+    nearest = TOLERANCE + 1, np.inf
+    for node in nodes:
+        boxes = within_tolerance(origin, node.boxes())
+        for k in np.flatnonzero(meets_boxes(origin, direction, boxes)):
+            passed = node.nearly_hit(int(k), origin, direction)
+            if passed < nearest:
+                nearest, hit = passed, node.ids[k]
+    return hit
 
 
 def colored_glb(shape: Shape) -> bytes:

@@ -29,10 +29,10 @@ from app.viewer.scene_nodes import (
     Stand,
     Surroundings,
     corners_of,
+    first_under,
     send,
     wxyz_of,
 )
-from app.viewer.scene_rays import meets_boxes
 from app.viewer.stage import SCENE_ROOT, aim, fitting_distance, seen_from, set_stage
 
 ROOT = SCENE_ROOT
@@ -379,12 +379,6 @@ class ScenePicture:
 
     def pick(self, origin: Array, direction: Array) -> str | None:
         """The object under a ray of the scene's frame, where its parts are now."""
-        best, hit = np.inf, None
         with self._lock:
             nodes = list(self._nodes.values())
-        for node in nodes:
-            for k in np.flatnonzero(meets_boxes(origin, direction, node.boxes())):
-                t = node.hit(int(k), origin, direction)
-                if t < best:
-                    best, hit = t, node.ids[k]
-        return hit
+        return first_under(nodes, origin, direction)

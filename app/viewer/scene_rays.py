@@ -12,6 +12,8 @@ from model.geometry.picking import DEFAULT_PIXEL_ANGLE, TOLERANCE, rings_around
 Array = npt.NDArray[np.float64]
 NEAR_RAY = 0.015
 """Of a cloud's diagonal: points so near to the ray are hit."""
+_WIDE = float(np.tan((TOLERANCE + 1) * DEFAULT_PIXEL_ANGLE))
+"""Of the distance: what a ray passes farther off is beyond the tolerance."""
 
 
 def hit_distance(
@@ -55,9 +57,8 @@ def nearly_hit(
     unit = direction / np.linalg.norm(direction)
     away = middle - origin
     along = away @ unit
-    wide = np.tan((TOLERANCE + 1) * DEFAULT_PIXEL_ANGLE)
     off = np.linalg.norm(away - along[:, None] * unit, axis=1)
-    near = triangles[off <= 1.01 * reach + wide * np.maximum(along + reach, 0.0)]
+    near = triangles[off <= 1.01 * reach + _WIDE * np.maximum(along + reach, 0.0)]
     if not len(near):
         return missed
     for pixels, ring in enumerate(rings_around(direction), start=1):
@@ -73,6 +74,13 @@ def meets_boxes(origin: Array, direction: Array, boxes: npt.NDArray[Any]) -> npt
         a, b = (boxes[:, 0] - origin) / direction, (boxes[:, 1] - origin) / direction
     enter, leave = np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
     return leave >= np.maximum(enter, 0.0)
+
+
+def within_tolerance(origin: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(N, 2, 3) boxes that are wider by what a ray from ``origin`` may pass them by."""
+    far = np.abs(boxes - origin).max(axis=1)  # (N, 3) to the farther side
+    wide = _WIDE * np.linalg.norm(far, axis=1)[:, None]
+    return np.stack([boxes[:, 0] - wide, boxes[:, 1] + wide], axis=1)
 
 
 def _mesh_hit(origin: Array, direction: Array, triangles: Array) -> float:
