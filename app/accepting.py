@@ -64,26 +64,29 @@ def accept(
         raise CommandError("; ".join(problems))
     assert doc.tree is not None
     source = obj.source(doc)
+    store = obj.bench.store
 
     def again() -> None:
         try:
             _check_unchanged(obj, doc, source)
             accept(obj, comment, who, at, override, looked_at=looked_at, refused=refused)
         except CommandError as error:
+            store.accepting_ends(obj.record.id)
             _refuse(obj, error, refused)
 
+    begun = Begun(state.seq, comment, override)
     if not obj.judging.admits(Wish(override, looked_at, again)):
+        store.accepting_begins(obj.record.id, begun)  # what was typed outlives this server
         return
     gate = obj.judging.report
     command = cmd.Accept(comment, obj.judging.doubts(), override)
     after = apply(state, command, Context(who, at))
     record = acceptance_record(
-        after, obj.bench.store.history(obj.record.id), _source_record(obj), gate, override,
+        after, store.history(obj.record.id), _source_record(obj), gate, override,
         looked_at=gate is not None and gate is looked_at, scene=_in_scene(obj),
     )  # fmt: skip
     folder = asset_folder(obj.bench.workspace, obj.record)
-    begun = Begun(state.seq, command.comment, command.override)
-    obj.bench.store.accepting_begins(obj.record.id, begun)
+    store.accepting_begins(obj.record.id, begun)
     job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:

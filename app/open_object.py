@@ -38,7 +38,7 @@ from sessions.store import Begun, ObjectRecord
 if TYPE_CHECKING:
     from app.workbench import Workbench
 
-INTERRUPTED = "Its server ended while it was saved, or another one still saves it: Y accepts it"
+INTERRUPTED = "Its server ended on the way, or another one is still at it: Y accepts it"
 
 
 class OpenObject(Watched):

@@ -279,6 +279,24 @@ def test_what_was_kept_is_forgotten_when_a_threshold_changes(tmp_path: Path) -> 
     assert judging_tasks.judge_version(tmp_path) != judging_tasks.judge_version()
 
 
+def test_what_was_said_while_the_joints_were_being_judged_is_kept(cupboard: OpenObject) -> None:
+    obj, bench = cupboard, cupboard.bench
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    for upper, reason, accepted in ((1.04, "", False), (1.03, "it gives way", True)):
+        held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+        wait(lambda held=held: held.state == "running", "judging is held up")
+        obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=upper)), "tester")
+        refused: list[CommandError] = []
+        accept(obj, "seen in person", "tester", NOW, reason, refused=refused.append)
+        kept = Begun(obj.state.seq, "seen in person", reason)
+        assert bench.store.accepting() == {obj.record.id: kept}
+        held.cancel()
+        judged(obj)
+        wait(lambda: not obj.jobs and not bench.store.accepting(), "it is decided")
+        assert (obj.document.review.state == "accepted", bool(refused)) == (accepted, not accepted)
+
+
 def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     cupboard: OpenObject, tmp_path: Path
 ) -> None:
