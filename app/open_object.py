@@ -53,6 +53,7 @@ class OpenObject(Watched):
         self._worker_died = False
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
+        self._stored: tuple[str, npt.NDArray[np.integer]] | None = None
         self._frame: tuple[Any, ...] | None = None
         self._anew = False
         self._failed_on: Stamp | None = None
@@ -96,7 +97,11 @@ class OpenObject(Watched):
         record = self.document.segmentation
         if record is None:
             return None
-        return max(int(self.bench.store.get_array(record.labels)[element]), BASE)
+        stored = self._stored
+        if stored is None or stored[0] != record.labels:
+            # Reading those of millions of points takes a tenth of a second.
+            stored = self._stored = record.labels, self.bench.store.get_array(record.labels)
+        return max(int(stored[1][element]), BASE)
 
     @property
     def checks(self) -> list[JointCheck]:

@@ -34,7 +34,11 @@ def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> Non
     """Of a large scan only some points are drawn, but each can be clicked on."""
     store = Store(tmp_path)
     ref = store.put_array(np.array([0, 0, 2, 2, -1], np.int16))
+    read: list[str] = []
+    whole = store.get_array
+    store.get_array = lambda ref: (read.append(ref), whole(ref))[1]  # type: ignore[method-assign]
     obj: Any = SimpleNamespace(
+        _stored=None,
         document=SimpleNamespace(segmentation=SimpleNamespace(labels=ref), tree=None),
         bench=SimpleNamespace(store=store),
         asset=SimpleNamespace(element=np.array([0, 2])),
@@ -56,6 +60,10 @@ def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> Non
     commands.choose_joint_of = chosen.append  # type: ignore[method-assign]
     commands.choose_joint_at(3)
     assert chosen == [2]
+    assert read == [ref]  # the labels of all points are read once, not for each click
+    obj.document.segmentation.labels = store.put_array(np.array([0, 0, 2, 3, -1], np.int16))
+    pointing._merge_at(3)
+    assert asked[-1] == 3
     obj.document.segmentation = None
     pointing._merge_at(3)
     assert asked[-1][0] == "Merge" and "no parts yet" in asked[-1][1]
