@@ -125,6 +125,7 @@ class InScene:
         """The tab is gone."""
         self.unwatch()
         self.motion.stop()
+        self.picture.close()
 
     def come_back(self, inside: str, chosen: str) -> None:
         """As soon as the scene is read, work on an object again, or choose one: the page was

@@ -24,8 +24,6 @@ from model.geometry.mesh import Material, Mesh
 from model.geometry.picking import TOLERANCE
 
 GHOST_OPACITY = 0.14
-GHOST_POINT = 0.3
-"""Of a scan's point size: its ghost lets through what is worked on."""
 TINT = 0.6
 """Share of a state's colour in the points of a scan."""
 Array = npt.NDArray[np.float64]
@@ -283,14 +281,12 @@ class Scans(Node):
         super().__init__(ids, shape, stands, work, link)
         self._colors = _colors(shape, len(shape.vertices))
         self._painted: list[Any] = ["own"] * len(stands)
-        self._sizes: list[float] = []
         self._handles: list[Any] = []
         for k, stand in enumerate(stands):
-            self._sizes.append(shape.spacing * float(np.abs(stand.scale).max()))
             self._handles.append(
                 client.scene.add_point_cloud(
                     f"{name}/{k}", (shape.vertices * stand.scale).astype(np.float32), self._colors,
-                    precision="float32", point_size=self._sizes[-1], point_shape="circle",
+                    precision="float32", point_size=self.point_size(k), point_shape="circle",
                     wxyz=wxyz_of(stand.world), position=stand.world[:3, 3],
                 )
             )  # fmt: skip
@@ -306,18 +302,22 @@ class Scans(Node):
             status = look.status[id]
             part = look.part(id, self.link)
             wanted = "own" if look.own or status == "static" else part or status
-            if look.ghosted is not None:
-                wanted = "ghost"
-            handle.visible = id != look.ghosted
-            if wanted == self._painted[k]:
-                continue
-            self._painted[k] = wanted
-            handle.colors = self._toned(wanted)
-            handle.point_size = self._sizes[k] * (GHOST_POINT if wanted == "ghost" else 1.0)
+            handle.visible = look.ghosted is None  # their ghosts are one cloud, see ghosts.py
+            if handle.visible and wanted != self._painted[k]:
+                self._painted[k] = wanted
+                handle.colors = self._toned(wanted)
+
+    def point_size(self, k: int) -> float:
+        """Diameter of a point of object ``k``, metres."""
+        return self.shape.spacing * float(np.abs(self.rest[k].scale).max())
+
+    def points_in_place(self, k: int) -> Array:
+        """(N, 3) object ``k``'s points in the scene's frame."""
+        stand = self.now[k]
+        points = self.shape.vertices * stand.scale
+        return np.asarray(points @ stand.world[:3, :3].T + stand.world[:3, 3])
 
     def _toned(self, wanted: Any) -> npt.NDArray[np.uint8]:
-        if wanted == "ghost":
-            return np.asarray(palette.SCAN_GHOST, np.uint8)
         if wanted == "own":
             return self._colors
         color = palette.SCENE_COLORS[wanted] if isinstance(wanted, str) else wanted

@@ -22,6 +22,7 @@ from app.scene_rows import Row
 from app.scene_shapes import Shape
 from app.scene_tasks import SceneItem
 from app.viewer import palette
+from app.viewer.ghosts import Ghosts
 from app.viewer.scene_nodes import (
     CORNERS,
     Look,
@@ -74,6 +75,9 @@ class ScenePicture:
         self._looks: Look | None = None
         self._merged: dict[str, Path | None] = {}
         self._front: tuple[Any, Array] | None = None
+        self._ghosts = Ghosts(
+            client, f"{ROOT}/ghosts", lambda: self.in_scene(np.array(client.camera.position))
+        )
         self.own = False
         self.ghosted: str | None = None
         self.camera: tuple[Any, ...] | None = None
@@ -124,6 +128,9 @@ class ScenePicture:
             self._draw_instances(self._wanted(status))
             self._draw_looks(status, selected)
             self._draw_outline(selected)
+            item = self._desk.items.get(self.ghosted or "")
+            found = None if item is None else self.stand(item)
+            self._ghosts.draw(self.ghosted, self._nodes.values(), found)
         self._draw_floor()
 
     def _wanted(self, status: Mapping[str, str]) -> dict[tuple[Any, ...], list[str]]:
@@ -365,6 +372,10 @@ class ScenePicture:
 
     def _aim(self, position: Array, look_at: Array) -> None:
         aim(self._client, position, look_at, least_near=1e-3, least_far=100.0)
+
+    def close(self) -> None:
+        """The tab is gone."""
+        self._ghosts.close()
 
     # --- motion
 

@@ -18,7 +18,8 @@ from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 @pytest.fixture
 def picture() -> ScenePicture:
     """A thin lamp post, and a crate a metre beside it, both drawn at half their size."""
-    out = ScenePicture(SimpleNamespace(), SimpleNamespace())  # type: ignore[arg-type]
+    client = SimpleNamespace(camera=SimpleNamespace(on_update=lambda call: None))
+    out = ScenePicture(client, SimpleNamespace())  # type: ignore[arg-type]
     nodes: dict[Any, Node] = {}
     sizes = {"post": (0.01, 0.01, 2.0), "crate": (0.8, 0.8, 0.8)}
     for at, (name, size) in enumerate(sizes.items()):
