@@ -172,6 +172,11 @@ class Workbench:
             if not self._open[i].in_use:
                 self._open.pop(i).let_go()
 
+    def saving_now(self, object_id: int) -> bool:
+        """Whether the asset of an object is being written here, to be accepted then."""
+        opened = self._open.get(object_id)
+        return opened is not None and "save" in opened.jobs
+
     def was_interrupted(self, record: ObjectRecord) -> bool:
         """Whether an acceptance of the object as it is now was begun before this server started,
         and isn't decided: its server ended, or is still at it."""
@@ -257,8 +262,11 @@ class Workbench:
         """Write the draft of what is accepted, or wait for the one that is being written."""
         if self._preparing is not None and self._preparing[:2] != (source, tree):
             self.stop_preparing()
-        if self._preparing is not None:  # it is waited for, so its progress is what counts
-            self._preparing[2].listen(on_progress)
+        preparing, self._preparing = self._preparing, None
+        if preparing is not None:
+            # It is waited for: its progress is what counts, and what is looked at next doesn't
+            # stop it.
+            preparing[2].listen(on_progress)
         return self.saving.submit(saving_tasks.prepare_asset, source, tree, on_progress=on_progress)
 
     @property

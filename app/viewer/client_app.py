@@ -220,6 +220,7 @@ class ClientApp:
     def open(self, object_id: int) -> None:
         """Show another object."""
         self.skipped.discard(object_id)
+        self._hear_out(self.object)
         self._unwatch()
         self.motion.begin()
         self.pointing.begin()
@@ -232,6 +233,22 @@ class ClientApp:
         self.remember()
         if self.object.problem:
             self.notify("Can't open this file", self.object.problem, "red")
+
+    def _hear_out(self, obj: OpenObject | None) -> None:
+        """What comes of an acceptance is told here, too, once another object is looked at."""
+        if obj is None or "save" not in obj.jobs:
+            return
+
+        def tell(title: str, body: str, color: str) -> None:
+            stop()
+            self.notify(title, f"{obj.record.name}: {in_words(obj.document, body)}", color)
+
+        def changed() -> None:
+            self.invalidate()
+            if "save" not in obj.jobs and obj.document.review.state != "accepted":
+                stop()  # why it was refused is told by whoever asked for it
+
+        stop = obj.watch(changed, tell)
 
     def close_object(self) -> None:
         """Show no object: the scene is all there is."""

@@ -149,7 +149,8 @@ class Commands:
             app.in_scene.step(1)
             return
         bench, current = app.bench, app.need_object().record
-        following = bench.review_order.next(bench.records(), current.id, app.skipped)
+        waiting = [r for r in bench.records() if r.id == current.id or not bench.saving_now(r.id)]
+        following = bench.review_order.next(waiting, current.id, app.skipped)
         if following is None:
             return
         app.open(following)

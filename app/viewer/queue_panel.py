@@ -124,6 +124,7 @@ class QueuePanel:
                 return "can't be read"
             return "was being accepted" if app.bench.was_interrupted(record) else ""
 
+        saving = {r.id for r in page if app.bench.saving_now(r.id)}
         now = (
             tuple((r.id, names[r.id], r.state, alarm(r)) for r in page),
             current,
@@ -131,12 +132,15 @@ class QueuePanel:
             self._first,
             tuple(r.state for r in records),
             app.bench.taken_off,
+            saving,
         )
         if now == self._shown:
             return
         self._shown = now
 
         def stands(record: ObjectRecord) -> str:
+            if record.id in saving:
+                return "being saved"
             return alarm(record) or words[record.state]
 
         done = sum(r.state == "accepted" for r in records)
@@ -159,6 +163,8 @@ class QueuePanel:
             here = record.id == current
             button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
             button.icon = viser.Icon.ALERT_TRIANGLE if alarm(record) else _ICONS[record.state]
+            if record.id in saving:
+                button.icon = viser.Icon.DEVICE_FLOPPY
             button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
             button.hint = f"{plain(names[record.id])}: {stands(record)}"
             button.visible = True

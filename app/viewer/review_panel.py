@@ -166,7 +166,10 @@ class ReviewPanel:
             put(self._saved, "content", f"Saved in {plain(doc.saved.folder, 200)}")
         self._draw_history()
         id, before = self._asked or (None, 0)
-        if decided and id == obj.record.id and obj.state.seq > before and "save" not in obj.busy:
+        saving = "save" in obj.busy
+        # Nobody need wait for the asset to be written; in a scene the object is left with it.
+        done = saving and self._app.bench.desk is None
+        if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
             if self._go_on.value:
                 self._app.act(self._app.commands.go_on)

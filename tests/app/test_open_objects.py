@@ -221,11 +221,13 @@ def test_who_waits_for_a_draft_hears_how_far_it_is(
     heard: list[Any] = []
 
     def submit(*_: Any, **__: Any) -> Any:
-        return SimpleNamespace(listen=heard.append, cancel=lambda: None)
+        return SimpleNamespace(listen=heard.append, cancel=lambda: heard.append("cancelled"))
 
     monkeypatch.setattr(bench.saving, "submit", submit)
     bench.prepare_asset(source, tree)
     bench.draft_asset(source, tree, print)
     assert heard == [print]
+    bench.prepare_asset("other parts", tree)  # type: ignore[arg-type]
+    assert heard == [print]  # what is looked at next doesn't stop it
     bench.draft_asset(source, "other joints", print)  # type: ignore[arg-type]
-    assert heard == [print]
+    assert heard == [print, "cancelled"]

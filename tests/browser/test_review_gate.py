@@ -169,9 +169,21 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     joint_button(tab, "Accept as it is").wait_for()
     tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "look.png"))
+    # Its asset takes long to write: the person goes on meanwhile, and is told once it is there.
+    held = server.bench.saving.submit(time.sleep, 600.0, priority=9)
     tab.key("y")
     wait_until(lambda: tab.app.object is other, "the next object")
+    assert obj.document.review.state == "predicted" and server.bench.saving_now(obj.record.id)
+    first = tab.app.queue_panel._buttons[0]
+    wait_until(lambda: first.hint.endswith("cupboard: being saved"), "the queue tells it")
+    tab.page.screenshot(path=str(tmp_path / "saving.png"))
+    held.cancel()
+    tab.page.get_by_text("cupboard: Saved in", exact=False).wait_for()
     assert obj.document.review.state == "accepted"
+    wait_until(lambda: not obj.watched, "nobody looks at it any more")
+    tab.wait_seen()
+    assert tab.app.object is other
+    tab.app.seen._sent = None  # as if it had only just come on the screen
     tab.key("y")  # too early: nobody has seen it
     tab.page.wait_for_timeout(1500)
     assert tab.app.review_panel.gate.looked_at(other) is None
