@@ -114,9 +114,9 @@ def check_one(task: CheckTask) -> dict[str, Any]:
     Raises:
         ArtiworldError: where it can't be read.
     """
-    from model.exporters.inertia import inertial_problems
     from model.exporters.physics import physics_of
     from model.exporters.saved import load_object, reading_notes
+    from model.kinematics.inertial import inertial_problems
 
     obj = load_object(task.asset)
     start = time.process_time()

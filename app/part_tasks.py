@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from app.tasks import Recent, arrays_of, asset_of
 from model.kinematics.articulated_object import (
     ArticulatedObject,
@@ -14,9 +16,11 @@ from model.kinematics.articulated_object import (
     Prediction,
     SegmentedObject,
 )
+from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
+from model.segmentation.prompts import BASE
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,23 @@ def segmented_object(source: PartSource) -> SegmentedObject:
 
 
 def articulated_object(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
-    """The parts of an asset with the joints that were decided."""
-    return ArticulatedObject(source.title, parts_of(source), tree, source.category)
+    """The parts of an asset with the joints that were decided, and the masses that its source
+    tells of parts that are as they were there."""
+    told = {k: i for k, i in _told_masses(source).items() if k in tree.links}
+    return ArticulatedObject(source.title, parts_of(source), tree, source.category, told)
+
+
+def _told_masses(source: PartSource) -> dict[str, Inertial]:
+    asset = asset_of(source.folder)
+    if not asset.inertials or asset.element_part is None:
+        return {}
+    now = np.maximum(arrays_of(source.workspace).get(source.labels), BASE)
+    if now.shape != asset.element_part.shape:
+        return {}
+    differs = now != asset.element_part
+    cut = {*np.unique(now[differs]).tolist(), *np.unique(asset.element_part[differs]).tolist()}
+    changed = {f"link_{part}" for part in cut}
+    return {link: i for link, i in asset.inertials.items() if link not in changed}
 
 
 def predict(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add_physics(parser: argparse.ArgumentParser) -> None:
-    """The options."""
+    """The options. Those for masses or dynamics take the place of what an asset's source tells."""
     add = parser.add_argument
     add("--no-collision", action="store_true", help="leave collision shapes out")
     add("--method", default="hollow", metavar="NAME",
@@ -63,6 +63,8 @@ def physics_settings(args: argparse.Namespace) -> PhysicsSettings:
         collision, table, _dynamics(args.turning, "--turning", TURNING),
         _dynamics(args.sliding, "--sliding", SLIDING),
         args.turning is None and args.sliding is None, not args.free_base,
+        args.density is None and args.material is None and args.materials is None,
+        args.turning is None and args.sliding is None,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from model.geometry.formats.mtl import MaterialFiles
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
+from model.kinematics.inertial import Inertial, together
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
@@ -47,6 +48,7 @@ class Opened:
         tree: joints of the links ``link_<part>`` and of helpers; None where none moves.
         notes: what was changed or passed over on reading, for people.
         files: what was read.
+        inertials: by those links, mass properties where the file tells them.
     """
 
     mesh: Mesh | None
@@ -57,6 +59,7 @@ class Opened:
     category: str | None
     notes: tuple[str, ...]
     files: tuple[Path, ...]
+    inertials: Mapping[str, Inertial]
 
 
 def open_urdf(
@@ -87,7 +90,8 @@ def open_urdf(
         notes = reading_notes(path.parent, obj)
     else:
         obj, told = _loaded(model, files, progress)
-        notes = (*model.notes, *remarks_of(obj.parts))
+        obj = model.told.of(obj)
+        notes = (*model.notes, *model.told.notes, *remarks_of(obj.parts))
     plain = {*model.rescaled, *model.renamed}  # they change nothing that is seen
     notes = tuple(n for n in dict.fromkeys(notes) if n not in plain)
     meshes = [v.file for v in model.visuals if v.file is not None]
@@ -148,7 +152,8 @@ def _opened(
     tree = _without_bare_ends(obj.tree, {p.link for p in obj.parts}, said)
     moves = any(j.moves for j in tree.joints)
     # Where nothing moves, links are all that tells parts; to be predicted, they stay apart.
-    groups = rigid_groups(tree, () if moves else [j.name for j in tree.joints])
+    apart = () if moves else [j.name for j in tree.joints]
+    groups = rigid_groups(tree, apart)
     head = {link: top for top, links in groups.items() for link in links}
     holding = {head[p.link] for p in obj.parts}
     number = _numbers([top for top in groups if top in holding], tree.root)
@@ -169,6 +174,8 @@ def _opened(
         (*said[:_NOTES_SHOWN], *([f"and {len(said) - _NOTES_SHOWN} remarks more"]
                                  if len(said) > _NOTES_SHOWN else [])),
         tuple(dict.fromkeys(files)),
+        # Frames that carry nothing have a weight all the same.
+        _weighed(obj, rigid_groups(obj.tree, apart), number, matrix),
     )  # fmt: skip
 
 
@@ -245,6 +252,23 @@ def _numbered(
     return KinematicTree(tuple(link.values()), tuple(joints))
 
 
+def _weighed(
+    obj: ArticulatedObject,
+    groups: Mapping[str, Sequence[str]],
+    number: Mapping[str, int],
+    matrix: npt.NDArray[np.float64],
+) -> dict[str, Inertial]:
+    """Link of each part, or helper → what its links weigh together, where that is told of all that
+    can be seen: a handle's mass alone is not its door's."""
+    told, seen = obj.inertials, {p.link for p in obj.parts}
+    out: dict[str, Inertial] = {}
+    for top, links in groups.items():
+        own = [told[link].moved(matrix) for link in links if link in told]
+        if own and all(link in told for link in links if link in seen):
+            out[f"link_{number[top]}" if top in number else top] = together(own)
+    return out
+
+
 def _moved(
     joint: Joint, all_: Mapping[str, Joint], matrix: npt.NDArray[np.float64], scale: float
 ) -> Joint:
@@ -255,6 +279,14 @@ def _moved(
     if mimic is not None:
         other = 1.0 if all_[mimic.joint].rotates else scale
         mimic = replace(mimic, multiplier=mimic.multiplier * own / other, offset=mimic.offset * own)
+    dynamics = joint.dynamics
+    if dynamics is not None:  # newtons stay newtons, whatever the unit of length
+        slow, fast = dynamics.damping, dynamics.velocity
+        dynamics = replace(
+            dynamics,
+            damping=None if slow is None else slow / own,
+            velocity=None if fast is None else fast * own,
+        )
     ax, ay, az = (matrix[:3, :3] @ np.asarray(joint.axis) / scale).tolist()
     ox, oy, oz = (matrix[:3, :3] @ np.asarray(joint.origin)).tolist()
     return replace(
@@ -264,4 +296,5 @@ def _moved(
         lower=None if joint.lower is None else joint.lower * own,
         upper=None if joint.upper is None else joint.upper * own,
         mimic=mimic,
+        dynamics=dynamics,
     )

@@ -14,10 +14,12 @@ when, versions) and an entry ``asset`` of this module::
     {"format": 1, "name": str, "category": str | null, "written": ISO 8601 in UTC,
      "parts": [{"link", "name", "mesh": file, "cloud": file | null, "faces", "points", "area"}],
      "original": {"faces", "points", "area"} | null, "give_way": [joint, ...],
+     "told": {"masses": [link, ...], "dynamics": {joint: ["damping", ...]}},
      "files": {file: sha256}, "versions": {package: version}}
 
 Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
-the joints whose collision shapes were to be shrunk.
+the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, and the
+joints of whose dynamics something, the source told; all else was worked out.
 """
 
 from __future__ import annotations
@@ -42,12 +44,14 @@ from model.exporters.reload import AREA_TOLERANCE, reload_check
 from model.exporters.saved import (
     FORMAT,
     PROVENANCE,
+    TOLD,
     TREE,
     URDF,
     load_object,
     old_name,
     read_provenance,
     recover,
+    told_entry,
 )
 from model.exporters.urdf import write_urdf_of
 from model.geometry.asset import Asset
@@ -241,6 +245,7 @@ def _write_texts(
         "remarks": list(remarks_of(obj.parts)),
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
+        TOLD: told_entry(obj),
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }

@@ -8,7 +8,7 @@ valid (positive definite, within the triangle inequality); who needs the real on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from model.exporters.materials import PartMaterial
 from model.geometry.mesh import Mesh
 from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.urdf import Inertial
+from model.kinematics.inertial import Inertial, inertial_problems
 
 DENSITY = 300.0
 """kg/m³ of a filled convex hull, between hollow furniture and wood."""
@@ -37,16 +37,23 @@ def inertials_of(
     density: float = DENSITY,
     *,
     material_of: Callable[[Part], PartMaterial] | None = None,
+    told: bool = True,
 ) -> dict[str, Inertial]:
     """Link → mass properties. A root without geometry has none: it stands still.
+
+    Those that the object's source tells are taken as they are.
 
     Args:
         density: kg/m³ of the filled hull, where no material is told.
         material_of: what a part is made of; with it mass comes from volume and surface.
+        told: whether those of ``obj.inertials`` count.
     """
     parts = {p.link: p for p in obj.parts}
     out: dict[str, Inertial] = {}
     for link in obj.tree.links:
+        if told and link in obj.inertials:
+            out[link] = obj.inertials[link]
+            continue
         part = parts.get(link)
         points = np.zeros((0, 3)) if part is None else part_points(part)
         if part is not None and len(points):
@@ -55,20 +62,6 @@ def inertials_of(
         elif link != obj.tree.root:
             center = np.asarray(obj.tree.joint_of[link].origin, dtype=np.float64)
             out[link] = Inertial(HELPER.mass, center, HELPER.tensor)
-    return out
-
-
-def inertial_problems(inertials: Mapping[str, Inertial]) -> list[str]:
-    """Links whose mass properties no body can have; empty where all is well."""
-    out: list[str] = []
-    for link, inertial in inertials.items():
-        values = np.linalg.eigvalsh(inertial.tensor)
-        if not (np.isfinite(inertial.center).all() and np.isfinite(values).all()):
-            out.append(f"{link}: inertia is not a number")
-        elif inertial.mass <= 0 or values[0] <= 0:
-            out.append(f"{link}: mass and inertia must be above 0")
-        elif values[0] + values[1] < values[2] * (1 - 1e-9):
-            out.append(f"{link}: inertia breaks the triangle inequality")
     return out
 
 

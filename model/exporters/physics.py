@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ class PhysicsSettings:
         hold: whether a joint that gravity would move out of the scanned pose has the friction to
             hold itself, as a laptop's hinge has.
         fixed_base: whether the root stands still, in formats that say so (MJCF, SDF, USD).
+        told_masses, told_dynamics: whether what the object's source tells of them counts.
     """
 
     collision: CollisionSettings | None = field(default_factory=CollisionSettings)
@@ -54,6 +55,8 @@ class PhysicsSettings:
     sliding: JointDynamics = SLIDING
     hold: bool = True
     fixed_base: bool = True
+    told_masses: bool = True
+    told_dynamics: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +88,9 @@ def physics_of(
 ) -> Physics:
     """Work out mass, collision shapes and joint dynamics.
 
+    What the object's source tells of masses and dynamics is taken as it is, also where a joint
+    would not hold itself by its friction then.
+
     Args:
         store: where collision shapes are kept between runs; None keeps none.
 
@@ -97,7 +103,9 @@ def physics_of(
     if settings.collision is not None:
         collision = collision_of(obj, settings.collision, store=store, progress=progress)
     progress(1.0, "weighing the parts")
-    inertials = inertials_of(obj, material_of=lambda part: table.of(part, obj.category))
+    inertials = inertials_of(
+        obj, material_of=lambda part: table.of(part, obj.category), told=settings.told_masses
+    )
     return Physics(
         inertials, collision, _dynamics(obj.tree, inertials, settings),
         touching_pairs(obj, collision), settings.fixed_base,
@@ -123,8 +131,11 @@ def _dynamics(
     for joint in tree.joints:
         if not joint.moves:
             continue
-        usual = settings.turning if joint.rotates else settings.sliding
-        out[joint.name] = resisting(tree, inertials, joint, usual) if settings.hold else usual
+        made = settings.turning if joint.rotates else settings.sliding
+        if settings.hold:
+            made = resisting(tree, inertials, joint, made)
+        told = asdict(joint.dynamics) if settings.told_dynamics and joint.dynamics else {}
+        out[joint.name] = replace(made, **{k: v for k, v in told.items() if v is not None})
     return out
 
 

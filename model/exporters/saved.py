@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import logging
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from model.errors import InputFileError
 from model.geometry.part_folder import remarks_in
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
-from model.kinematics.urdf import read_urdf, read_urdf_model
+from model.kinematics.joint import ToldDynamics
+from model.kinematics.urdf import read_urdf_model
+from model.kinematics.urdf_told import Told
 from model.progress import Progress, no_progress
 
 FORMAT = 1
 URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"
 MIN_CLOUD = 4
 """Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
+TOLD = "told"
+"""Entry of ``provenance.json`` that names what the source told of masses and joints."""
+
+_LOG = logging.getLogger(__name__)
 
 
 _OLD = ".old"
@@ -46,6 +53,9 @@ def recover(folder: Path) -> None:
 def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
     """The object of a saved asset, with its category, part names and clouds.
 
+    Of a URDF alone masses and joint dynamics are those of the file; of a saved asset those that its
+    own source told, while the others are worked out again.
+
     Args:
         asset: the folder; or a URDF file, or a folder with an ``object.urdf`` alone, which have
             neither category nor clouds.
@@ -62,10 +72,10 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
             raise InputFileError(
                 path, "is no URDF", "run artiworld segment and predict on it first, or serve it"
             )
-        return read_urdf(path, progress=progress)
+        return _with_told(path, progress)[0]
     if not (path / URDF).is_file():
         raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")
-    obj = read_urdf(path / URDF, progress=progress)
+    obj, told = _with_told(path / URDF, progress)
     if not (path / PROVENANCE).is_file():
         return obj
     kept = read_provenance(path)["asset"]
@@ -77,13 +87,51 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
         cloud = None
         if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
             cloud = read_asset(path / entry["cloud"], up_axis="z").cloud
-        told = (*remarks, *part.remarks)
-        parts.append(replace(part, cloud=cloud, name=entry.get("name"), remarks=told))
+        said = (*remarks, *part.remarks)
+        parts.append(replace(part, cloud=cloud, name=entry.get("name"), remarks=said))
     gives_way = kept.get("give_way")
     names = gives_way if isinstance(gives_way, list) else []
     joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
     tree = replace(obj.tree, joints=joints)
-    return replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
+    obj = replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
+    return _listed(told, kept.get(TOLD)).of(obj)
+
+
+def _with_told(path: Path, progress: Progress) -> tuple[ArticulatedObject, Told]:
+    """The object of a URDF with what the file tells of masses and joints, and that alone."""
+    model = read_urdf_model(path)
+    told = model.told
+    for note in (*model.notes, *told.notes):
+        _LOG.warning("%s: %s", path, note)
+    return told.of(model.load(progress)), told
+
+
+def _listed(told: Told, entry: Any) -> Told:
+    """What of ``told`` the entry ``told`` of a ``provenance.json`` names; all else is of ours."""
+    named = entry if isinstance(entry, dict) else {}
+    masses, dynamics = named.get("masses"), named.get("dynamics")
+    links = masses if isinstance(masses, list) else []
+    fields = dynamics if isinstance(dynamics, dict) else {}
+    return Told(
+        {link: i for link, i in told.inertials.items() if link in links},
+        {
+            name: ToldDynamics(**{k: v for k, v in asdict(d).items() if k in fields[name]})
+            for name, d in told.dynamics.items()
+            if isinstance(fields.get(name), list)
+        },
+    )
+
+
+def told_entry(obj: ArticulatedObject) -> dict[str, Any]:
+    """The entry ``told`` of ``provenance.json``: what of masses and joints the source told."""
+    return {
+        "masses": sorted(obj.inertials),
+        "dynamics": {
+            j.name: [k for k, v in asdict(j.dynamics).items() if v is not None]
+            for j in obj.tree.joints
+            if j.dynamics is not None
+        },
+    }
 
 
 def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
@@ -91,7 +139,7 @@ def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
     over of its meshes or of the source they come from, for people."""
     path = Path(asset)
     model = read_urdf_model(path if path.is_file() else path / URDF)
-    return (*model.notes, *remarks_of(obj.parts))
+    return (*model.notes, *model.told.notes, *remarks_of(obj.parts))
 
 
 def read_provenance(folder: str | Path) -> dict[str, Any]:

@@ -58,6 +58,8 @@ def retyped(
     usual = TURN if kind != "prismatic" else SLIDE * _diagonal(segmented)
     # The ratio to a joint that it follows means nothing to another type.
     bare = replace(joint, type=kind, lower=0.0, upper=usual, mimic=None, give_way=False)
+    if joint.rotates != bare.rotates:  # nor do N s/m
+        bare = replace(bare, dynamics=None)
     if kind == "fixed" or (joint.rotates and bare.rotates):
         return bare
     parts = {p.link for p in segmented.parts}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from model.errors import GeometryError
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
+from model.kinematics.inertial import Inertial
 from model.kinematics.tree import KinematicTree
 
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -54,6 +56,7 @@ class Asset:
         tree: how those parts move where the source tells it: the joints of ``link_<part>`` and of
             helpers, else None.
         category: the object's category where the source tells it.
+        inertials: mass properties of those links where the source tells them.
         warnings: what was passed over on reading (a missing texture, NaN points), for people.
     """
 
@@ -66,6 +69,7 @@ class Asset:
     category: str | None = None
     warnings: tuple[str, ...] = ()
     tree: KinematicTree | None = None
+    inertials: Mapping[str, Inertial] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.mesh is None and self.cloud is None:

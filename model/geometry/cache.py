@@ -1,8 +1,8 @@
 """Assets on disk as memory-mapped arrays, so that processes share them and reopening is instant.
 
-A folder holds ``asset.json`` (format version 3), one ``.npy`` file an array, and the textures.
-Version 1 lacks metallic and roughness, version 2 the joints that a source tells: such copies are
-made again from their source.
+A folder holds ``asset.json`` (format version 4), one ``.npy`` file an array, and the textures.
+Version 1 lacks metallic and roughness, version 2 the joints that a source tells, version 3 its
+masses: such copies are made again from their source.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from model.geometry.asset import Asset, Source
 from model.geometry.formats.textures import TextureError, encode, open_texture
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.kinematics.inertial import Inertial
 from model.kinematics.tree import KinematicTree
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 _META = "asset.json"
 _MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
 _CLOUD = ("points", "normals", "colors")
@@ -65,6 +66,10 @@ def _write(asset: Asset, folder: Path) -> None:
         "part_names": list(asset.part_names),
         "warnings": list(asset.warnings),
         "tree": codec.write(asset.tree, "tree"),
+        "inertials": {
+            link: {"mass": i.mass, "center": i.center.tolist(), "tensor": i.tensor.tolist()}
+            for link, i in asset.inertials.items()
+        },
         "source": None,
         "mesh": None,
         "cloud": asset.cloud is not None,
@@ -184,6 +189,10 @@ def _read(folder: Path, meta: dict[str, Any]) -> Asset:
         meta["category"],
         tuple(meta["warnings"]),
         None if meta["tree"] is None else codec.read(KinematicTree, meta["tree"], "tree"),
+        {
+            link: Inertial(row["mass"], np.array(row["center"]), np.array(row["tensor"]))
+            for link, row in meta["inertials"].items()
+        },
     )
 
 

@@ -250,6 +250,7 @@ def _read_urdf(
         category=found.category,
         warnings=found.notes,
         tree=found.tree,
+        inertials=found.inertials,
     )
 
 

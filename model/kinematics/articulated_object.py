@@ -11,6 +11,7 @@ import numpy.typing as npt
 from model.errors import GeometryError, KinematicsError
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
+from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 
@@ -78,6 +79,10 @@ class SegmentedObject:
 class ArticulatedObject:
     """Parts and tree that agree: every part is a link, every other link is a helper.
 
+    Attributes:
+        inertials: link → mass properties where the source tells them; links that aren't there
+            have what exporters work out.
+
     Raises:
         KinematicsError: where they don't.
     """
@@ -86,6 +91,7 @@ class ArticulatedObject:
     parts: tuple[Part, ...]
     tree: KinematicTree
     category: str | None = None
+    inertials: Mapping[str, Inertial] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         links, owned = set(self.tree.links), {p.link for p in self.parts}

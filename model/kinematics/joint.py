@@ -31,6 +31,23 @@ class Mimic:
 
 
 @dataclass(frozen=True)
+class ToldDynamics:
+    """What a joint's source says of what resists its motion; None where it says nothing.
+
+    Attributes:
+        damping: N s/m or N m s/rad.
+        friction: N or N m that must be overcome.
+        effort: N or N m, most that a motor may give.
+        velocity: m/s or rad/s, most that is allowed.
+    """
+
+    damping: float | None = None
+    friction: float | None = None
+    effort: float | None = None
+    velocity: float | None = None
+
+
+@dataclass(frozen=True)
 class Joint:
     """One joint of an articulated object, in the object's rest frame.
 
@@ -46,6 +63,7 @@ class Joint:
         mimic: the joint that this one follows, or None.
         give_way: whether collision shapes are cut back over the whole range however deep they
             meet there; else only grazes are (see :mod:`model.collision.relief`).
+        dynamics: what the source tells of the joint's own, else None; exporters write it.
     """
 
     name: str
@@ -58,6 +76,7 @@ class Joint:
     upper: float | None = None
     mimic: Mimic | None = None
     give_way: bool = False
+    dynamics: ToldDynamics | None = None
 
     def __post_init__(self) -> None:
         problems = self._problems()
@@ -73,6 +92,8 @@ class Joint:
         if not self.limited:
             set_(self, "lower", None)
             set_(self, "upper", None)
+        if not self.moves:
+            set_(self, "dynamics", None)
 
     def _problems(self) -> list[str]:
         out: list[str] = []

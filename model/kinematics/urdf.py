@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from model.errors import ArtiworldError, KinematicsError
 from model.kinematics.articulated_object import ArticulatedObject
+from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint, Mimic
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_reader import (
@@ -73,21 +74,6 @@ class JointDynamics:
 
 CollisionGeometry: TypeAlias = "str | Primitive"
 """A file in object-frame coordinates, or a box, cylinder or sphere."""
-
-
-@dataclass(frozen=True, eq=False)
-class Inertial:
-    """Mass properties of a link at rest.
-
-    Attributes:
-        mass: kg.
-        center: (3,) centre of mass in metres, object frame.
-        tensor: (3, 3) inertia about ``center`` in kg m², object-frame axes.
-    """
-
-    mass: float
-    center: npt.NDArray[np.float64]
-    tensor: npt.NDArray[np.float64]
 
 
 def link_origins(tree: KinematicTree) -> dict[str, npt.NDArray[np.float64]]:

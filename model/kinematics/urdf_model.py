@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from xml.sax.saxutils import unescape
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from model.geometry.formats.references import ReferenceRefused, resolve
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf_told import Told
 from model.progress import Progress, no_progress
 
 
@@ -54,6 +55,7 @@ class UrdfModel:
         renamed: those that tell of a link that became a helper by name alone.
         faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
         swapped: joints whose lower limit was written above the upper one; here they are in order.
+        told: masses and joint dynamics; :meth:`load` leaves them out.
     """
 
     path: Path
@@ -65,6 +67,7 @@ class UrdfModel:
     swapped: tuple[str, ...] = ()
     rescaled: tuple[str, ...] = ()
     renamed: tuple[str, ...] = ()
+    told: Told = field(default_factory=Told)
 
     @cached_property
     def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:

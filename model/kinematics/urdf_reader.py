@@ -24,6 +24,7 @@ from model.kinematics.urdf_model import (
     package_root,
     resolve_mesh,
 )
+from model.kinematics.urdf_told import told_in
 from model.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -146,8 +147,11 @@ class _Reader:
             for v in geometry
         )
         name = robot.get("name") or self.path.stem
+        told = told_in(robot, object_from_link)
+        named = {renamed.get(link, link): i for link, i in told.inertials.items()}
         said = (self.notes, self.faulty, self.swapped, self.rescaled, self.renamed)
-        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said))
+        told = replace(told, inertials=named)
+        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said), told=told)
 
     def _raise(self) -> None:
         if self.problems:

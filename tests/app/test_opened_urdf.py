@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -15,12 +17,16 @@ from app.accepting import accept
 from app.config import ServeConfig
 from app.headless import predict
 from app.open_object import OpenObject
+from app.part_tasks import articulated_object
 from app.serve_command import _scene_of
-from app.tasks import stamp
+from app.tasks import arrays_of, stamp
 from app.viewer.joint_text import joint_note
 from app.viewer.review_panel import summary
 from app.workbench import Workbench
+from model.exporters.physics import PhysicsSettings, physics_of
+from model.exporters.saved import load_object, told_entry
 from model.geometry.readers import read_asset
+from model.kinematics.urdf import JointDynamics
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.test_open_objects import wait
@@ -123,6 +129,48 @@ def test_the_saved_asset_says_that_the_joints_came_from_the_file(opened, urdf: P
     again = read_asset(folder)
     assert again.tree is not None and again.tree.joint_of["link_1"].name == "hinge"
     assert again.part_names == ("body", "door")
+
+
+MASS = """<inertial><origin xyz="0.3 0 0"/><mass value="2.5"/><inertia ixx="0.03" ixy="0" ixz="0"
+iyy="0.04" iyz="0" izz="0.05"/></inertial>"""
+
+
+def test_masses_and_dynamics_of_the_file_are_kept(opened, urdf: Path) -> None:
+    text = URDF.replace('name="body">', 'name="body">' + MASS.replace("2.5", "7"))
+    text = text.replace('name="door">', 'name="door">' + MASS)
+    told = '<limit effort="12" velocity="1.5"'
+    text = text.replace("<limit", '<dynamics damping="0.7" friction="0.3"/>' + told)
+    urdf.write_text(text)
+    obj = opened(urdf)
+    tree: Any = obj.document.tree
+    told_of = articulated_object(obj.source(obj.document), tree).inertials
+    assert {k: i.mass for k, i in told_of.items()} == {"link_0": 7.0, "link_1": 2.5}
+    wait(lambda: obj.judging.report is not None and not obj.jobs, "the gate")
+    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    wait(lambda: obj.document.saved, "it is saved")
+    folder = Path(obj.document.saved.folder)
+    asset = json.loads((folder / "provenance.json").read_text())["asset"]
+    every = ["damping", "friction", "effort", "velocity"]
+    assert asset["told"] == {"masses": ["link_0", "link_1"], "dynamics": {"hinge": every}}
+    again = load_object(folder)
+    door = again.inertials["link_1"]
+    assert door.mass == 2.5 and door.center == pytest.approx([0.0, -0.151, 0.0])
+    assert np.diag(door.tensor) == pytest.approx([0.03, 0.04, 0.05])
+    assert physics_of(again, PhysicsSettings(collision=None)).dynamics["hinge"] == JointDynamics(
+        0.7, 0.3, 12.0, 1.5
+    )
+
+
+def test_a_part_that_was_cut_again_has_a_mass_of_ours(opened, urdf: Path) -> None:
+    urdf.write_text(URDF.replace('name="door">', 'name="door">' + MASS))
+    obj = opened(urdf)
+    arrays = arrays_of(obj.bench.workspace)
+    labels = arrays.get(obj.document.segmentation.labels).copy()
+    labels[-2:] = 0
+    source = replace(obj.source(obj.document), labels=arrays.put(labels))
+    made = articulated_object(source, obj.document.tree)
+    assert not made.inertials
+    assert told_entry(made) == {"masses": [], "dynamics": {}}
 
 
 def test_a_mesh_that_changed_is_read_again(urdf: Path) -> None:

@@ -40,6 +40,7 @@ JOINT = {
     "upper": 1.5,
     "mimic": None,
     "give_way": False,
+    "dynamics": None,
 }
 SPIN = JOINT | {
     "name": "spin",

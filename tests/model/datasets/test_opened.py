@@ -54,6 +54,80 @@ def numbers(asset: Asset) -> list[int]:
     return list(dict.fromkeys(asset.element_part.tolist()))
 
 
+def weighing(kilograms: float, moments: str = 'ixx="1" iyy="1" izz="1"', at: str = "0 0 0") -> str:
+    return (
+        f'<inertial><origin xyz="{at}"/><mass value="{kilograms}"/><inertia {moments}/></inertial>'
+    )
+
+
+BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+
+
+def test_what_is_fixed_together_weighs_together_in_the_frame_that_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    path = robot(
+        tmp_path, link("base", BOX), link("arm", BOX + weighing(3, at="0 2 0")),
+        link("tool", weighing(1)), joint("turn", "base", "arm"),
+        joint("bolt", "arm", "tool", "fixed", ""),
+    )  # fmt: skip
+    got = read_asset(path, up_axis="y", unit_scale=0.5)
+    assert set(got.inertials) == {"link_1"}, "of the base nothing is told"
+    found = got.inertials["link_1"]
+    # At (1, 2, 0) and (2, 0, 0) of the file; y is up there.
+    assert found.mass == 4 and found.center == pytest.approx([0.625, 0.0, 0.75])
+    # Before: 5, 2.75 and 5.75 kg m² about x, y and z.
+    assert np.diag(found.tensor) == pytest.approx([1.25, 1.4375, 0.6875])
+    assert load_asset_again(got, tmp_path).inertials["link_1"].mass == 4
+
+
+def test_the_mass_of_a_handle_alone_is_not_its_doors(tmp_path: Path) -> None:
+    path = robot(
+        tmp_path, link("base"), link("door"), link("handle", BOX + weighing(10)),
+        joint("turn", "base", "door"), joint("bolt", "door", "handle", "fixed", ""),
+    )  # fmt: skip
+    assert not read_asset(path).inertials
+
+
+def load_asset_again(asset: Asset, folder: Path) -> Asset:
+    save_asset(asset, folder / "copy")
+    return load_asset(folder / "copy")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        weighing(-1),
+        weighing(1, 'ixx="1" iyy="1" izz="3"'),
+        weighing(1, 'ixx="a" iyy="1" izz="1"'),
+        weighing(1, at="0 0"),
+        '<inertial><mass value="1"/></inertial>',
+    ],
+)
+def test_a_mass_that_no_body_has_is_left_out_and_told(tmp_path: Path, wrong: str) -> None:
+    path = robot(tmp_path, link("base"), link("arm", BOX + wrong), joint("turn", "base", "arm"))
+    got = read_asset(path)
+    assert not got.inertials and got.tree is not None
+    assert any("link 'arm'" in w and "left out" in w for w in got.warnings)
+
+
+def test_rounded_moments_and_frames_without_mass_are_no_mistake(tmp_path: Path) -> None:
+    arm = BOX + weighing(1, 'ixx="0.1" iyy="0.1" izz="0.201"')
+    path = robot(
+        tmp_path, link("base"), link("arm", arm), link("tip", weighing(0)),
+        joint("turn", "base", "arm"), joint("bolt", "arm", "tip", "fixed", ""),
+    )  # fmt: skip
+    got = read_asset(path)
+    assert got.inertials["link_1"].tensor[2, 2] == pytest.approx(0.2) and not got.warnings
+
+
+def test_effort_and_velocity_of_zero_tell_nothing(tmp_path: Path) -> None:
+    limit = '<limit lower="0" upper="1" effort="0" velocity="0"/>'
+    path = robot(tmp_path, link("base"), link("arm"), joint("turn", "base", "arm", inner=limit))
+    tree = read_asset(path).tree
+    assert tree is not None and tree.joints[0].dynamics is None
+
+
 def test_links_are_parts_and_joints_the_tree(tmp_path: Path) -> None:
     path = robot(
         tmp_path, link("handle"), link("cabinet"), link("door"), link("tcp", ""),
