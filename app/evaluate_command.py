@@ -212,7 +212,7 @@ def _export(args: argparse.Namespace, progress: Progress) -> Answer:
     from model.evaluation.run import chosen_ids
 
     config = configurations(args)[0]
-    check_output(args.export, *([args.root] if args.root else []))
+    check_output(args.export, *([args.root] if args.root else []), option="--export")
     dataset, ids = open_dataset(config.data), chosen_ids(config)
     written, problems = [], []
     for i, object_id in enumerate(ids):

@@ -146,6 +146,7 @@ def predict(
     from model.collision.store import default_store
     from model.exporters.asset_folder import write_asset
     from model.exporters.physics import physics_of, plain_physics
+    from model.geometric.vocabulary import category_remark
     from model.geometry.readers import read_part_files
     from model.predictors import load_predictor
 
@@ -157,8 +158,10 @@ def predict(
     segmented = read_part_files(folder, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
     if category:
         segmented = replace(segmented, category=category)
+    near = category_remark(category)
     answer = chosen.predict(segmented, seed=seed, progress=part_of(progress, 0.1, 0.7))
     report = prediction_json(segmented, answer)
+    report["problems"][:0] = [near] if near else []
     if answer.tree is None:
         write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"
@@ -266,8 +269,11 @@ def part_of(progress: Progress, start: float, end: float) -> Progress:
     return scaled
 
 
-def check_output(out: Path, *inputs: Path) -> None:
+def check_output(out: Path, *inputs: Path, option: str = "--out") -> None:
     """Refuse an output folder that can't be one, or that would overwrite what is read.
+
+    Args:
+        option: what names the folder.
 
     Raises:
         ConfigurationError: with what to do.
@@ -277,16 +283,16 @@ def check_output(out: Path, *inputs: Path) -> None:
     except (OSError, ValueError) as error:  # too long, or nothing that a file can be called
         why = getattr(error, "strerror", None) or error
         raise ConfigurationError(
-            f"--out {str(out)[:80]}… can't be a folder ({why}); give another name"
+            f"{option} {str(out)[:80]}… can't be a folder ({why}); give another name"
         ) from error
     if taken:
-        raise ConfigurationError(f"--out {out} is a file; give a folder")
+        raise ConfigurationError(f"{option} {out} is a file; give a folder")
     for source in inputs:
         if os.path.realpath(out) == os.path.realpath(source):  # where links lead in a circle, too
-            raise ConfigurationError(f"--out {out} is where the input is; give another folder")
+            raise ConfigurationError(f"{option} {out} is where the input is; give another folder")
     above = next((p for p in (out, *out.absolute().parents) if p.exists()), Path("/"))
     if not above.is_dir() or not os.access(above, os.W_OK):
-        raise ConfigurationError(f"--out {out} can't be written; choose a folder of your own")
+        raise ConfigurationError(f"{option} {out} can't be written; choose a folder of your own")
 
 
 def _check_replaceable(out: Path) -> None:

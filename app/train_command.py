@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from model.training.full_loop import Sources
 
 
-CONFIDENCE = "confidence"
-"""Preset that fits no network but the predictors' confidence."""
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add = parser.add_argument
@@ -77,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from app.headless import check_output
     from model.errors import ConfigurationError
+    from model.training.config import CONFIDENCE
     from model.training.full_config import full_presets
 
     if args.samples < 1 or args.minutes <= 0 or args.jobs < 0:
@@ -104,6 +101,7 @@ def _fit_confidence(args: argparse.Namespace) -> int:
     from model.errors import ConfigurationError
     from model.evaluation.table import progress_bar
     from model.training.confidence import PREDICTORS, fit_confidence
+    from model.training.config import CONFIDENCE
 
     if args.data or args.steps is not None or not math.isinf(args.minutes):
         raise ConfigurationError(

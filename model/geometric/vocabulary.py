@@ -32,6 +32,11 @@ def words(name: str | None) -> tuple[str, ...]:
     return tuple(SYNONYMS.get(w, w) for w in found)
 
 
+_CATEGORIES = (*CATEGORY_WORDS, *OTHER_CATEGORIES, *CATEGORY_ALIASES)
+_SAME, _ALIKE = 0.85, 0.72
+"""Likeness from which a category is taken for a known one, and from which one is asked for."""
+
+
 @lru_cache(maxsize=4096)
 def known_word(word: str, vocabulary: tuple[str, ...]) -> str | None:
     """The word of the vocabulary that ``word`` means: itself, its singular, or a near spelling."""
@@ -47,15 +52,24 @@ def known_word(word: str, vocabulary: tuple[str, ...]) -> str | None:
 
 def category_key(category: str | None) -> str:
     """``"Kitchen Pot"`` → ``"kitchenpot"``; the nearest known category, "" where none is near."""
-    if not category:
-        return ""
-    plain = re.sub(r"[^a-z]", "", category.lower())
-    if plain in CATEGORY_ALIASES:
-        return CATEGORY_ALIASES[plain]
-    known = (*CATEGORY_WORDS, *OTHER_CATEGORIES)
-    if plain in known:
-        return plain
-    close = difflib.get_close_matches(plain, known, n=1, cutoff=0.85)
+    plain = re.sub(r"[^a-z]", "", (category or "").lower())
+    found = plain if plain in _CATEGORIES else _nearest(plain, _SAME)
+    return CATEGORY_ALIASES.get(found, found)
+
+
+def category_remark(category: str | None) -> str | None:
+    """What to tell who misspelt a category; None where it is known, or like none that is."""
+    plain = re.sub(r"[^a-z]", "", (category or "").lower())
+    near = "" if plain in _CATEGORIES else _nearest(plain, _ALIKE)
+    if not near:
+        return None
+    if near == _nearest(plain, _SAME):
+        return f"category {category!r} is taken for {near!r}"
+    return f"category {category!r} is none that is known; did you mean {near!r}?"
+
+
+def _nearest(word: str, cutoff: float) -> str:
+    close = difflib.get_close_matches(word, _CATEGORIES, n=1, cutoff=cutoff)
     return close[0] if close else ""
 
 

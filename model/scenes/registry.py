@@ -173,6 +173,8 @@ def _checked(scene: Scene) -> Scene:
 
 
 def _head(path: Path) -> bytes:
+    if path.is_dir():
+        raise InputFileError(path, "is a folder", "name the scene's file")
     size_of(path)  # a pipe would never be read to its end
     try:
         with path.open("rb") as file:

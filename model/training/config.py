@@ -57,6 +57,10 @@ class TrainingConfig:
         )
 
 
+CONFIDENCE = "confidence"
+"""Preset that fits no network but the predictors' confidence."""
+
+
 def presets() -> dict[str, TrainingConfig]:
     """Name → configuration of the small model and its ablations."""
     nano = TrainingConfig()
@@ -77,6 +81,6 @@ def preset(name: str) -> TrainingConfig:
     """
     found = presets()
     if name not in found:
-        known = ", ".join([*found, *full_presets()])
+        known = ", ".join([*found, *full_presets(), CONFIDENCE])
         raise ConfigurationError(f"no preset {name!r}; there are {known}")
     return found[name]

@@ -315,6 +315,12 @@ def test_predict_writes_a_urdf_that_other_readers_open(parts, tmp_path):
     assert prediction["category"] == "cupboard"
 
 
+def test_predict_tells_of_a_misspelt_category_and_goes_on(parts, tmp_path):
+    done = artiworld("predict", parts, "--out", tmp_path / "asset", "--category", "cabnit")
+    assert done.returncode == 0, done.stderr
+    assert "note: category 'cabnit' is none that is known; did you mean 'cabinet'?" in done.stdout
+
+
 def test_predict_is_repeatable_and_replaces_its_own_result(parts, tmp_path):
     out = tmp_path / "asset"
     texts = []
@@ -659,3 +665,14 @@ def test_a_file_is_no_folder_to_write_to(tmp_path, capfd):
     for words in (["generate", "--family", "Safe"], ["train", "--samples", "1"]):
         assert main([*words, "--out", str(tmp_path / "taken")]) == 2
         assert "taken is a file; give a folder" in capfd.readouterr().err
+
+
+def test_what_is_wrong_is_told_by_the_option_that_was_given(tmp_path, capsys):
+    taken = tmp_path / "taken"
+    taken.touch()
+    assert main(["evaluate", "--data", "procedural", "--export", str(taken)]) == 2
+    assert "--export" in (said := capsys.readouterr().err) and "--out" not in said
+    assert main(["scene", "inspect", str(tmp_path)]) == 2
+    assert "is a folder; name the scene's file" in capsys.readouterr().err
+    assert main(["train", "--preset", "nope", "--out", str(tmp_path / "run")]) == 2
+    assert "confidence" in capsys.readouterr().err

@@ -158,6 +158,8 @@ def size_of(path: Path) -> int:
     except (OSError, ValueError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         raise InputFileError(path, reason, "check the path") from None
+    if stat.S_ISDIR(info.st_mode):
+        raise InputFileError(path, "is a folder", "name a file")
     if not stat.S_ISREG(info.st_mode):
         raise InputFileError(path, "is not a regular file", "give a mesh or point cloud file")
     if info.st_size == 0:

@@ -6,7 +6,13 @@ import pytest
 
 from model.geometric.mechanisms import BUILDERS
 from model.geometric.motion_words import CATEGORY_WORDS, MECHANISMS, SLIDING, TURNING, WORDS
-from model.geometric.vocabulary import base_score, category_key, mechanism_of, words
+from model.geometric.vocabulary import (
+    base_score,
+    category_key,
+    category_remark,
+    mechanism_of,
+    words,
+)
 
 
 @pytest.mark.parametrize(
@@ -58,10 +64,32 @@ def test_words_are_split() -> None:
 
 @pytest.mark.parametrize(
     ("given", "key"),
-    [("Kitchen Pot", "kitchenpot"), ("fridge", "refrigerator"), ("Plier", "pliers"), ("??", "")],
+    [
+        ("Kitchen Pot", "kitchenpot"),
+        ("fridge", "refrigerator"),
+        ("Plier", "pliers"),
+        ("cupbord", "storagefurniture"),
+        ("??", ""),
+    ],
 )
 def test_categories(given: str, key: str) -> None:
     assert category_key(given) == key
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("Refridgerator", "taken for 'refrigerator'"),
+        ("cabnit", "did you mean 'cabinet'?"),
+        ("Storage Furniture", ""),
+        ("fridge", ""),
+        ("Helicopter", ""),
+        (None, ""),
+    ],
+)
+def test_a_misspelt_category_is_told(given: str | None, said: str) -> None:
+    told = category_remark(given)
+    assert said in told if told else not said
 
 
 def test_every_mechanism_of_the_tables_can_be_built() -> None:
