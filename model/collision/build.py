@@ -17,9 +17,10 @@ from model.collision.fitting import primitive_of
 from model.collision.hulls import Hull, hull_of, simplified, thick_hull
 from model.collision.merging import merge
 from model.collision.pieces import cut_into_pieces
-from model.collision.relief import Bodies, Free, in_the_way, relieve
+from model.collision.relief import Free, in_the_way, relieve
 from model.collision.shapes import Shape, hull_of_shape
 from model.collision.store import fingerprint, load_shapes, save_shapes
+from model.collision.touching import Bodies
 from model.collision.voxels import Occupancy, occupancy
 from model.errors import GeometryError
 from model.geometry.mesh import Mesh

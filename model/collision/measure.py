@@ -11,8 +11,9 @@ import numpy as np
 from model.collision.build import Collision, covered, thinned
 from model.collision.coacd_process import coacd_hulls
 from model.collision.hulls import Hull, thick_hull
-from model.collision.relief import moving_pairs, overlaps, poses_over_range
+from model.collision.relief import moving_pairs, poses_over_range
 from model.collision.shapes import hull_of_shape
+from model.collision.touching import overlaps
 from model.collision.voxels import occupancy
 from model.kinematics.articulated_object import ArticulatedObject
 
@@ -74,9 +75,9 @@ def overlaps_of(obj: ArticulatedObject, collision: Collision) -> Overlaps:
         moved = obj.tree.descendants(joint.child)
         crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
         for touch in overlaps(bodies, crossing, poses):
-            worst[joint.name] = max(worst[joint.name], touch.found.depth)
+            worst[joint.name] = max(worst[joint.name], touch.depth)
     return Overlaps(
-        max((t.found.depth for t in rest), default=0.0),
+        max((t.depth for t in rest), default=0.0),
         tuple(dict.fromkeys((t.a, t.b) for t in rest)),
         worst,
     )

@@ -12,6 +12,9 @@ from model.collision.hulls import Hull
 MOST_EDGES = 24
 """Edge directions a body: products of more say nothing new but cost time."""
 
+TOGETHER = 32
+"""Poses that are looked at in one go: the arrays stay in the processor's cache."""
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -54,8 +57,9 @@ def overlap(a: Hull, b: Hull, least: float = 0.0) -> Overlap | None:
     return edges if edges.depth < 0.95 * found.depth else found
 
 
-def _few(edges: FloatArray) -> FloatArray:
-    return edges[:: -(-len(edges) // MOST_EDGES)]
+def _few(edges: FloatArray, axis: int = 0) -> FloatArray:
+    step = -(-edges.shape[axis] // MOST_EDGES)
+    return edges[::step] if axis == 0 else edges[:, ::step]
 
 
 def _along(a: Hull, b: Hull, axes: FloatArray, least: float) -> Overlap | None:
@@ -70,3 +74,50 @@ def _along(a: Hull, b: Hull, axes: FloatArray, least: float) -> Overlap | None:
     if forward[i] <= backward[i]:
         return Overlap(float(depth[i]), axes[i], float(other[:, i].min()), float(one[:, i].max()))
     return Overlap(float(depth[i]), -axes[i], float(-other[:, i].max()), float(-one[:, i].min()))
+
+
+def depths(a: Hull, b: Hull, a_from_b: FloatArray, least: float = 0.0) -> FloatArray:
+    """(S,) the depth that :func:`overlap` finds of ``a`` and ``b`` under (S, 4, 4) motions; minus
+    infinity where it finds none."""
+    parts = range(0, len(a_from_b), TOGETHER)
+    return np.concatenate([_depths(a, b, a_from_b[k : k + TOGETHER], least) for k in parts])
+
+
+def _depths(a: Hull, b: Hull, a_from_b: FloatArray, least: float) -> FloatArray:
+    turned = a_from_b[:, :3, :3].swapaxes(1, 2)
+    corners = b.vertices @ turned + a_from_b[:, None, :3, 3]
+    out = np.full(len(a_from_b), -np.inf)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    on = np.flatnonzero((np.maximum(a.bounds[0] - high, low - a.bounds[1]) < -least).all(axis=1))
+    if not len(on):
+        return out
+    own = np.broadcast_to(a.normals, (len(on), *a.normals.shape))
+    faces = np.concatenate([own, b.normals @ turned[on]], axis=1)
+    out[on] = _least_along(a.vertices, corners[on], faces)
+    out[out <= least] = -np.inf
+    on = np.flatnonzero(out > 0)
+    if not len(on):
+        return out
+    one, other = _few(a.edges), _few(b.edges @ turned[on], axis=1)
+    cross = np.cross(one[None, :, None], other[:, None]).reshape(len(on), -1, 3)
+    length = np.linalg.norm(cross, axis=2)
+    real = length > 1e-3
+    cross /= np.where(real, length, 1.0)[..., None]
+    edges = _least_along(a.vertices, corners[on], cross, real)
+    closer = edges < 0.95 * out[on]
+    out[on[closer]] = edges[closer]
+    out[on[edges <= least]] = -np.inf
+    return out
+
+
+def _least_along(
+    one: FloatArray, others: FloatArray, axes: FloatArray, real: npt.NDArray[np.bool_] | None = None
+) -> FloatArray:
+    """(S,) the least overlap of (V, 3) corners and (S, W, 3) ones along (S, N, 3) unit axes, of
+    which those count that are ``real``; infinity where none is."""
+    across = axes.swapaxes(1, 2)
+    mine, its = one @ across, others @ across
+    depth = np.minimum(mine.max(axis=1) - its.min(axis=1), its.max(axis=1) - mine.min(axis=1))
+    if real is not None:
+        depth[~real] = np.inf
+    return np.asarray(depth.min(axis=1))

@@ -14,7 +14,6 @@ for people to mend, with the range or by saying that the shapes are to give way
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy.typing as npt
 
 from model.collision.hulls import Hull, clipped
 from model.collision.overlap import Overlap, overlap
+from model.collision.touching import Bodies, Touching, Way, overlaps
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.ways import joint_poses
@@ -42,27 +42,8 @@ LEAST = 0.3
 """Share of a body that must be left where it is cut."""
 
 FloatArray = npt.NDArray[np.float64]
-Bodies = dict[str, list[Hull]]
 Free = Callable[[Joint], tuple[float, float]]
 """Joint → the joint values, about 0, between which nothing may be in its way."""
-
-
-@dataclass(frozen=True, eq=False)
-class Touching:
-    """Two bodies of two links that overlap in a pose.
-
-    Attributes:
-        a, b: links; i, j: which of their bodies.
-        found: seen from a's rest frame.
-        a_from_b: (4, 4) motion from b's rest frame to a's.
-    """
-
-    a: str
-    b: str
-    i: int
-    j: int
-    found: Overlap
-    a_from_b: FloatArray
 
 
 def moving_pairs(tree: KinematicTree) -> list[tuple[str, str]]:
@@ -125,21 +106,29 @@ def _to_cut(
         if not joint.moves or joint.mimic is not None:
             continue
         for end in limits_of(joint):
-            q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal)
+            known: _Ways = {}
+            q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal, known)
             for _ in range(2):
-                if max((t.found.depth for each in found for t in each), default=0.0) <= most:
+                if max((t.depth for each in found for t in each), default=0.0) <= most:
                     break
                 low, high = free(joint)
+                before = {link: list(hulls) for link, hulls in bodies.items()}
                 yield [t for v, each in zip(q, found, strict=True) if low <= v <= high
                        for t in each], True  # fmt: skip
-                q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal)
+                if bodies == before:  # bodies are equal where they are the same
+                    break
+                q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal, known)
             for touches in _shallow(found, most):
                 yield touches, False
 
 
+_Ways = dict[float, tuple[FloatArray, Mapping[str, FloatArray], Way]]
+"""Travel in diagonals → joint values, poses, and what was found there."""
+
+
 def _on_the_way(
     bodies: Bodies, tree: KinematicTree, joint: Joint, end: float,
-    pairs: list[tuple[str, str]], diagonal: float,
+    pairs: list[tuple[str, str]], diagonal: float, known: _Ways,
 ) -> tuple[FloatArray, list[list[Touching]]]:  # fmt: skip
     """Joint values from rest to ``end``, and what touches at each."""
     moved = frozenset(tree.descendants(joint.child))
@@ -147,15 +136,16 @@ def _on_the_way(
     travel = abs(end) * _travel(bodies, joint, moved) / diagonal
     if travel < FIRST_STEP:
         return np.zeros(0), []
-    q = end * _steps(travel)
-    poses = joint_poses(tree, joint, q)
+    if travel not in known:
+        q = end * _steps(travel)
+        poses = joint_poses(tree, joint, q)
+        known[travel] = q, poses, Way(poses, len(q))
+    q, poses, way = known[travel]
     close = CLOSE * GAP * diagonal
     near = _meeting(bodies, crossing, poses, close)
     if not near:
         return np.zeros(0), []
-    return q, [
-        overlaps(bodies, near, {k: p[i] for k, p in poses.items()}, -close) for i in range(len(q))
-    ]
+    return q, way.overlaps(bodies, near, -close)
 
 
 def _meeting(
@@ -185,7 +175,7 @@ def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
     runs: dict[tuple[str, str, int, int], list[tuple[int, Touching]]] = {}
 
     def end(run: list[tuple[int, Touching]]) -> None:
-        if max(t.found.depth for _, t in run) <= most:
+        if max(t.depth for _, t in run) <= most:
             for k, touch in run:
                 out[k].append(touch)
 
@@ -198,49 +188,6 @@ def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
     for run in runs.values():
         end(run)
     return out
-
-
-def overlaps(
-    bodies: Bodies,
-    pairs: list[tuple[str, str]],
-    poses: Mapping[str, FloatArray],
-    least: float = 0.0,
-) -> list[Touching]:
-    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose; a negative
-    one finds what a smaller gap parts, too.
-
-    Args:
-        poses: link → (4, 4) ``posed_from_rest``; links that aren't there rest.
-    """
-    asked = {link for pair in pairs for link in pair}
-    rest = np.eye(4)
-    boxes = {
-        k: _boxes(hulls, poses.get(k, rest)) for k, hulls in bodies.items() if hulls and k in asked
-    }
-    out: list[Touching] = []
-    for a, b in pairs:
-        if a not in boxes or b not in boxes:
-            continue
-        apart = (boxes[a][:, None, 0] - boxes[b][None, :, 1] >= -least).any(axis=2)
-        apart |= (boxes[b][None, :, 0] - boxes[a][:, None, 1] >= -least).any(axis=2)
-        if apart.all():
-            continue
-        a_from_b = np.linalg.inv(poses.get(a, rest)) @ poses.get(b, rest)
-        seen: dict[int, Hull] = {}
-        for i, j in np.argwhere(~apart).tolist():
-            if j not in seen:
-                seen[j] = bodies[b][j].moved(a_from_b)
-            found = overlap(bodies[a][i], seen[j], least)
-            if found is not None:
-                out.append(Touching(a, b, i, j, found, a_from_b))
-    return out
-
-
-def _boxes(hulls: list[Hull], pose: FloatArray) -> FloatArray:
-    """(N, 2, 3) boxes of moved bodies."""
-    at = np.concatenate([h.vertices for h in hulls]) @ pose[:3, :3].T + pose[:3, 3]
-    start = np.cumsum([0, *(len(h.vertices) for h in hulls[:-1])])
-    return np.stack([np.minimum.reduceat(at, start), np.maximum.reduceat(at, start)], axis=1)
 
 
 def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free) -> Bodies:
@@ -285,7 +232,7 @@ def _cut_all(
     """
     changed = False
     gone: set[tuple[str, int]] = set()
-    for touch in sorted(found, key=lambda t: -t.found.depth):
+    for touch in sorted(found, key=lambda t: -t.depth):
         if {(touch.a, touch.i), (touch.b, touch.j)} & gone:
             continue
         a, b = bodies[touch.a][touch.i], bodies[touch.b][touch.j].moved(touch.a_from_b)

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.build import Collision, CollisionSettings, collision_of
-from model.collision.relief import moving_pairs, overlaps
+from model.collision.relief import moving_pairs
 from model.collision.shapes import hull_of_shape
+from model.collision.touching import overlaps
 from model.exporters.inertia import inertials_of
 from model.exporters.materials import MaterialTable, read_materials
 from model.kinematics.articulated_object import ArticulatedObject

@@ -15,8 +15,8 @@ from xml.etree import ElementTree as ET  # only types; reading is defusedxml's
 import numpy as np
 
 from model.collision.hulls import Hull, hull_of
-from model.collision.relief import overlaps
 from model.collision.shapes import Primitive, hull_of_shape
+from model.collision.touching import overlaps
 from model.exporters.mjcf import COLLISION_GROUP
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.poses import pose, rotation_from_quaternion
@@ -109,7 +109,7 @@ def _found(stands: Sequence[Stand], bodies: Sequence[_Body]) -> list[tuple[_Body
             poses = {k: stands[x.stand].world_from_asset for k, x in (("a", a), ("b", b))}
             touching = overlaps({"a": a.hulls, "b": b.hulls}, [("a", "b")], poses, INSIDE)
             if touching:
-                out.append((a, b, max(t.found.depth for t in touching)))
+                out.append((a, b, max(t.depth for t in touching)))
     return out
 
 

@@ -16,6 +16,7 @@ from model.collision.hulls import hull_of
 from model.collision.measure import free_volume, overlaps_of
 from model.collision.overlap import overlap
 from model.collision.shapes import Primitive, hull_of_shape
+from model.collision.touching import Way, overlaps
 from model.errors import GeometryError
 from model.exporters.physics import physics_of
 from model.gate.physics import run_physics
@@ -257,6 +258,26 @@ def test_overlap_of_two_boxes_is_exact():
 
 
 # keeping, coacd, arbitrary input
+
+
+def test_along_a_way_bodies_overlap_as_they_do_pose_by_pose():
+    rng = np.random.default_rng(0)
+    made = [hull_of(rng.normal(size=(12, 3)) + 1.2 * rng.normal(size=3)) for _ in range(8)]
+    bodies = {"a": made[:4], "b": made[4:]}
+    turns = [trimesh.transformations.rotation_matrix(q, (1, 2, 3), (2, 0, 0)) for q in range(40)]
+    way = Way({"b": np.stack(turns)}, len(turns))
+    for least in (0.0, -0.2):
+        found = way.overlaps(bodies, [("a", "b")], least)
+        alone = [overlaps(bodies, [("a", "b")], {"b": pose}, least) for pose in turns]
+        assert any(alone) and not all(alone)
+        for at_once, one in zip(found, alone, strict=True):
+            assert [(t.i, t.j) for t in at_once] == [(t.i, t.j) for t in one]
+            assert [t.depth for t in at_once] == pytest.approx([t.depth for t in one], abs=1e-12)
+    bodies["b"] = bodies["b"][1:]
+    left = way.overlaps(bodies, [("a", "b")], 0.0)
+    assert [(t.i, t.j) for t in left[3]] == [
+        (t.i, t.j) for t in overlaps(bodies, [("a", "b")], {"b": turns[3]})
+    ]
 
 
 def test_shapes_are_kept_by_content(tmp_path, monkeypatch):

@@ -1,0 +1,142 @@
+"""Which bodies of two links overlap, in one pose or all along a way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from model.collision.hulls import Hull
+from model.collision.overlap import depths, overlap
+
+FloatArray = npt.NDArray[np.float64]
+Bodies = dict[str, list[Hull]]
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """Two bodies of two links that overlap in a pose.
+
+    Attributes:
+        a, b: links; i, j: which of their bodies.
+        depth: metres, seen from a's rest frame; minus the gap between them.
+        a_from_b: (4, 4) motion from b's rest frame to a's.
+    """
+
+    a: str
+    b: str
+    i: int
+    j: int
+    depth: float
+    a_from_b: FloatArray
+
+
+def overlaps(
+    bodies: Bodies,
+    pairs: list[tuple[str, str]],
+    poses: Mapping[str, FloatArray],
+    least: float = 0.0,
+) -> list[Touching]:
+    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose; a negative
+    one finds what a smaller gap parts, too.
+
+    Args:
+        poses: link → (4, 4) ``posed_from_rest``; links that aren't there rest.
+    """
+    asked = {link for pair in pairs for link in pair}
+    rest = np.eye(4)
+    boxes = {
+        k: _boxes(hulls, poses.get(k, rest)[None])[0]
+        for k, hulls in bodies.items() if hulls and k in asked
+    }  # fmt: skip
+    out: list[Touching] = []
+    for a, b in pairs:
+        if a not in boxes or b not in boxes:
+            continue
+        near = _near(boxes[a][None], boxes[b][None], least)[0]
+        if not near.any():
+            continue
+        a_from_b = np.linalg.inv(poses.get(a, rest)) @ poses.get(b, rest)
+        seen: dict[int, Hull] = {}
+        for i, j in np.argwhere(near).tolist():
+            if j not in seen:
+                seen[j] = bodies[b][j].moved(a_from_b)
+            found = overlap(bodies[a][i], seen[j], least)
+            if found is not None:
+                out.append(Touching(a, b, i, j, found.depth, a_from_b))
+    return out
+
+
+class Way:
+    """Poses in a row, in which bodies are asked for what overlaps again and again.
+
+    What was found of two bodies is kept: they are cut, but few of them each time.
+
+    Args:
+        poses: link → (S, 4, 4) ``posed_from_rest``; links that aren't there rest.
+        count: S.
+    """
+
+    def __init__(self, poses: Mapping[str, FloatArray], count: int) -> None:
+        self._poses, self._count = poses, count
+        # The bodies are kept with it: what is gone must not lend its id to another one.
+        self._known: dict[tuple[int, int, float], tuple[Hull, Hull, FloatArray]] = {}
+
+    def overlaps(
+        self, bodies: Bodies, pairs: list[tuple[str, str]], least: float
+    ) -> list[list[Touching]]:
+        """:func:`overlaps` in each pose."""
+        out: list[list[Touching]] = [[] for _ in range(self._count)]
+        asked = {link for pair in pairs for link in pair}
+        boxes = {
+            k: _boxes(hulls, self._of(k)) for k, hulls in bodies.items() if hulls and k in asked
+        }
+        for a, b in pairs:
+            if a not in boxes or b not in boxes:
+                continue
+            near = _near(boxes[a], boxes[b], least)
+            if not near.any():
+                continue
+            a_from_b = np.broadcast_to(
+                np.linalg.inv(self._of(a)) @ self._of(b), (self._count, 4, 4)
+            )
+            for i, j in np.argwhere(near.any(axis=0)).tolist():
+                at = np.flatnonzero(np.broadcast_to(near, (self._count, *near.shape[1:]))[:, i, j])
+                found = self._depths(bodies[a][i], bodies[b][j], a_from_b, at, least)
+                for k in at[found[at] > least].tolist():
+                    out[k].append(Touching(a, b, i, j, float(found[k]), a_from_b[k]))
+        return out
+
+    def _of(self, link: str) -> FloatArray:
+        """(S, 4, 4), or (1, 4, 4) where it rests."""
+        return self._poses.get(link, np.eye(4)[None])
+
+    def _depths(
+        self, a: Hull, b: Hull, a_from_b: FloatArray, at: npt.NDArray[np.int64], least: float
+    ) -> FloatArray:
+        """(S,) depths in the poses ``at``."""
+        key = (id(a), id(b), least)
+        if key not in self._known:
+            found = np.full(self._count, -np.inf)
+            found[at] = depths(a, b, a_from_b[at], least)
+            self._known[key] = a, b, found
+        return self._known[key][2]
+
+
+def _near(a: FloatArray, b: FloatArray, least: float) -> npt.NDArray[np.bool_]:
+    """(S, N, M) whether (S, N, 2, 3) and (S, M, 2, 3) boxes overlap by more than ``least``."""
+    a, b = a[:, :, None], b[:, None]
+    apart = (a[..., 0, :] - b[..., 1, :] >= -least).any(axis=-1)
+    apart |= (b[..., 0, :] - a[..., 1, :] >= -least).any(axis=-1)
+    return np.logical_not(apart)
+
+
+def _boxes(hulls: list[Hull], poses: FloatArray) -> FloatArray:
+    """(S, N, 2, 3) boxes of bodies in (S, 4, 4) poses."""
+    corners = np.concatenate([h.vertices for h in hulls])
+    at = corners @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    start = np.cumsum([0, *(len(h.vertices) for h in hulls[:-1])])
+    low, high = (f.reduceat(at, start, axis=1) for f in (np.minimum, np.maximum))
+    return np.stack([low, high], axis=2)
