@@ -7,7 +7,7 @@
     OUT/<name of the source>  JSON and LISDF sources, as they came, with the URDFs' paths
     OUT/summary.json        counts, Sim-Id, times, problems
     OUT/assets/<key>/       a saved asset for each asset and size, with mjcf/ beside it; where an
-                            object's limits were shortened, scene_<n>.urdf
+                            object's limits were shortened or it is tilted, scene_<n>.urdf
     work/ in OUT            what is done already
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -51,9 +52,13 @@ def write_results(
         ambiguous: ids that several assets have.
         formats: what the scene is written as besides MJCF; the assets are there in them already.
     """
-    urdfs = {o.obj.id: _urdf(o, i, out) for i, o in enumerate(outcomes) if o.state in MOVING}
     stands, held = at_rest(_stands(outcomes, free_bases, out), out)
     told = {s.id: s for s in stands}
+    urdfs = {
+        o.obj.id: standing_urdf(o, i, out, told[o.obj.id].friction if o.obj.id in told else {})
+        for i, o in enumerate(outcomes)
+        if o.state in MOVING
+    }
     said = {
         o.obj.id: _said(o, urdfs.get(o.obj.id), told.get(o.obj.id), held.get(o.obj.id))
         for o in outcomes
@@ -86,12 +91,15 @@ def _write_about(
     write_scene_about(out, scene.path, scene.reader, files, assets, notes)
 
 
-def _urdf(o: Outcome, index: int, out: Path) -> str:
-    """The object's URDF below ``out``; its own one where its limits were shortened."""
+def standing_urdf(o: Outcome, index: int, out: Path, friction: Mapping[str, float]) -> str:
+    """The object's URDF below ``out``; its own one where its limits were shortened, or where its
+    joints need another friction as it stands."""
     folder = f"{ASSETS}/{o.key}"
-    if not o.changes:
+    if not (o.changes or friction):
         return f"{folder}/{URDF}"
     root = parse_xml(out / folder / URDF)
+    if not (_resist(root, friction) or o.changes):
+        return f"{folder}/{URDF}"
     changes = {xml_name(c["joint"]): c["limits"] for c in o.changes}
     for joint in root.findall("joint"):
         limits = changes.get(xml_name(joint.get("name", "")))
@@ -109,6 +117,23 @@ def _urdf(o: Outcome, index: int, out: Path) -> str:
     draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
     draft.replace(out / folder / name)
     return f"{folder}/{name}"
+
+
+def _resist(root: ET.Element, friction: Mapping[str, float]) -> bool:
+    """Give joints their friction, and the effort that still moves them; whether any has changed."""
+    changed = False
+    for joint in root.findall("joint"):
+        asked = friction.get(joint.get("name", ""))
+        resists, limit = joint.find("dynamics"), joint.find("limit")
+        if asked is None or resists is None:
+            continue
+        if math.isclose(asked, float(resists.get("friction", 0.0)), rel_tol=1e-6):
+            continue
+        changed = True
+        resists.set("friction", number(asked))
+        if limit is not None:
+            limit.set("effort", number(max(float(limit.get("effort", 0.0)), 2 * asked)))
+    return changed
 
 
 def _said(o: Outcome, urdf: str | None, stand: Stand | None, held: str | None) -> dict[str, Any]:

@@ -12,12 +12,18 @@ from scipy.spatial.transform import Rotation
 from model.exporters.mjcf import MjcfExporter
 from model.exporters.physics import PhysicsSettings, holding_load, physics_of
 from model.exporters.sdf import SdfExporter
+from model.exporters.urdf import UrdfExporter
 from model.geometry.parts import Part
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, Mimic
 from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf import read_urdf_model
+from model.scenes.convert import Outcome
 from model.scenes.holding import frictions
-from model.scenes.jobs import ASSETS, MJCF
+from model.scenes.jobs import ASSETS, MJCF, PREDICTED
+from model.scenes.protocol import Decision
+from model.scenes.results import standing_urdf
+from model.scenes.scene import SceneObject
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 from model.scenes.scene_sdf import write_scene_sdf
 from tests.model.scenes.scenes_made import cabinet_parts
@@ -67,6 +73,27 @@ def test_the_friction_is_that_of_the_object_as_it_stands(
     assert found["slide"] == pytest.approx(1.5 * weight * math.sin(0.35), rel=1e-3)
     # Tilted the other way gravity shuts it, and nothing is to be held.
     assert frictions(file, standing(-0.35), {})["slide"] == pytest.approx(0.5)
+
+
+def test_the_urdf_of_a_tilted_object_has_its_friction(
+    written: tuple[ArticulatedObject, Path], tmp_path: Path
+) -> None:
+    obj, out = written
+    folder = tmp_path / ASSETS / "cab"
+    folder.mkdir(parents=True)
+    physics = physics_of(obj, PhysicsSettings(collision=None))
+    UrdfExporter().export(obj, folder, physics=physics)
+    tilted_object = SceneObject("c", "c", standing(0.35), np.ones(3))
+    outcome = Outcome(tilted_object, Decision(True), state=PREDICTED, key="cab")
+    file = out / ASSETS / "cab" / MJCF / "object.xml"
+    upright = frictions(file, standing(0.0), {})
+    assert standing_urdf(outcome, 3, tmp_path, upright) == "assets/cab/object.urdf"
+    tilted = frictions(file, standing(0.35), {})
+    assert standing_urdf(outcome, 3, tmp_path, tilted) == "assets/cab/scene_3.urdf"
+    told = read_urdf_model(folder / "scene_3.urdf").told.dynamics
+    for name, friction in tilted.items():
+        assert told[name].friction == pytest.approx(friction)
+        assert (told[name].effort or 0.0) >= 2 * friction
 
 
 def test_a_tilted_cabinet_stays_shut_in_mujoco(written: tuple[ArticulatedObject, Path]) -> None:
