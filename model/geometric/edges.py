@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.geometric.arms import SLENDER, arm_plane
+from model.geometric.arms import SLENDER, arm_plane, is_arm
 from model.geometric.context import PartContext
 from model.geometric.edge_limits import CATEGORY_OPENING, IN_PLANE, NOTED, OPENING
 from model.geometric.hypothesis import UP, Hypothesis, snapped, unit
@@ -141,7 +141,10 @@ def _arm_hypotheses(context: PartContext) -> list[Hypothesis]:
         normal = np.cross(long, unit(along))
         if np.linalg.norm(normal) < 0.25:
             continue
-        axis = snapped(unit(normal), _frame_axes(context), 0.15)
+        normal = unit(normal)
+        axis = snapped(normal, _frame_axes(context), 0.15)
+        if j == context.parent and axis is normal and not is_arm(assembly, j):
+            continue  # a lever under a seat: where the middle of the seat is says nothing
         score = 6.0 + 0.5 * (1 - abs(float(axis[2]))) - (1.0 if j == context.parent else 0.0)
         found.append(Hypothesis("revolute", axis, end, -1.2, 1.2, score, note))
     return found

@@ -191,7 +191,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
 
 
 def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:
-    """What the bundled clicks and the predictor give of a chair, as a person would mend it."""
+    """What the bundled clicks and the predictor give of a chair, with one joint spoilt."""
     path = static_assets() / "examples" / "office_chair.glb"
     file = read_prompts(path.with_suffix(".prompts.json"))
     server = start(path)
@@ -204,7 +204,13 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
         obj.do(cmd.AddClick(click), "tester")
     tab.settled(300)
     tab.button("Predict joints (P)").first.click()
-    wait_until(lambda: obj.document.tree is not None, "joints", 300)
+    tree = wait_until(lambda: obj.document.tree, "joints", 300)
+    # The lever about a line that lies askew in it, so that it runs into the seat either way.
+    askew = replace(
+        tree.joint_of["link_12"], axis=(0.0, 0.871, -0.491), origin=(0.165, -0.017, 0.417),
+        lower=-1.2, upper=1.2,
+    )  # fmt: skip
+    obj.do(cmd.SetJoint(askew), "tester")
     tab.step("Review")
     report = wait_until(lambda: obj.judging.report, "a verdict", 300)
     assert report.verdict == "broken"

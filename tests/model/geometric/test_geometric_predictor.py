@@ -334,3 +334,22 @@ def test_a_backrest_leans_back_a_little(seed: int) -> None:
     assert joint is not None and joint.type == expected.type == "revolute"
     assert np.dot(joint.axis, expected.axis) > 0.99, "back, not onto the seat"
     assert joint.lower == 0.0 and joint.upper == pytest.approx(expected.upper, abs=0.2)
+
+
+def test_a_lever_under_a_seat_turns_square_to_itself() -> None:
+    """Where the middle of the seat is says nothing of how the lever beside it turns."""
+    seat = trimesh.util.concatenate(
+        [
+            trimesh.creation.box(bounds=[[-0.3, -0.23, 0.419], [0.3, 0.23, 0.48]]),
+            trimesh.creation.box(bounds=[[-0.3, -0.2, 0.48], [-0.25, 0.2, 0.67]]),
+            trimesh.creation.box(bounds=[[0.25, -0.2, 0.48], [0.3, 0.2, 0.67]]),
+        ]
+    )
+    lever = trimesh.creation.box(bounds=[[0.09, -0.096, 0.408], [0.22, -0.084, 0.419]])
+    parts = tuple(
+        Part(f"link_{i}", Mesh(m.vertices, m.faces.astype(np.int32)), name=name)
+        for i, (m, name) in enumerate(((seat, "seat"), (lever, "lever")))
+    )
+    found = GeometricPredictor().predict(SegmentedObject("chair", parts, "Chair")).joint("link_1")
+    assert found is not None and found.rotates
+    assert abs(found.axis[1]) > 0.99
