@@ -7,6 +7,7 @@ fault, with its details in a log file. Nothing heavy is imported before a comman
 from __future__ import annotations
 
 import argparse
+import difflib
 import logging
 import os
 import signal
@@ -124,9 +125,18 @@ class _Parser(argparse.ArgumentParser):
             return found, left
         self._within = True  # it comes back here, for the options and then for the paths
         try:
-            return self.parse_known_intermixed_args(args, namespace)  # type: ignore[return-value]
+            found, left = self.parse_known_intermixed_args(args, namespace)  # type: ignore[assignment]
         finally:
             self._within = False
+        if left:  # told here, where the command and its options are known
+            self.error(f"unrecognized arguments: {' '.join(left)}{self._meant(left)}")
+        return found, left
+
+    def _meant(self, words: Sequence[str]) -> str:
+        """The option that is like the first of ``words`` that looks like one, for people."""
+        asked = next((w.partition("=")[0] for w in words if w.startswith("--")), "")
+        near = difflib.get_close_matches(asked, self._option_string_actions, n=1)
+        return f" (did you mean {near[0]}?)" if near else ""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")

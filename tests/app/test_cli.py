@@ -676,3 +676,16 @@ def test_what_is_wrong_is_told_by_the_option_that_was_given(tmp_path, capsys):
     assert "is a folder; name the scene's file" in capsys.readouterr().err
     assert main(["train", "--preset", "nope", "--out", str(tmp_path / "run")]) == 2
     assert "confidence" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["generate", "--famly", "Oven", "--out", "x"], "(did you mean --family?); see"),
+        (["scene", "inspect", "home.json", "--asets=x"], "(did you mean --assets?); see"),
+        (["check", "a", "--zzz", "b"], "artiworld check: unrecognized arguments: --zzz b; see"),
+    ],
+)
+def test_a_misspelt_option_is_told_with_the_one_that_is_near(words, said, capsys):
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
