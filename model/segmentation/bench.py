@@ -90,6 +90,8 @@ class BenchRow:
     how many parts are proposed, how many of these overlap with one that moves by over a half, how
     many parts move, and how many of those are found so.
     ``seen`` holds, for each object and round of clicks on what is seen, the IoU there and of all.
+    ``reachable`` holds the best IoU of each part that any choice of the encoding's cells gives;
+    small parts, which are answered element by element, may get beyond it.
     ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
     ``left_out`` says which objects could not be read, and why.
     """
@@ -99,6 +101,7 @@ class BenchRow:
     objects: int = 0
     curves: list[list[float]] = field(default_factory=list)
     offered: list[list[float]] = field(default_factory=list)
+    reachable: list[float] = field(default_factory=list)
     proposed: list[float] = field(default_factory=list)
     guesses: list[tuple[int, int, int, int]] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
@@ -124,6 +127,13 @@ class BenchRow:
                 there, whole = np.mean([s[number] for s in self.seen], axis=0)
                 out[f"seen all@{number + 1}"] = float(there)
                 out[f"seen all@{number + 1}, hidden too"] = float(whole)
+        if self.reachable:
+            out["cells IoU"] = _mean(self.reachable)
+            for target in (TARGETS[0], TARGETS[-1]):
+                at_once = [[value] for value in self.reachable]
+                out[f"cells NoC@{round(100 * target)}"] = _mean(
+                    [_clicks_to(c, target) for c in at_once]
+                )
         if self.guesses:
             number, right, there, found = np.sum(self.guesses, axis=0)
             out["proposed IoU"] = float(np.mean(self.proposed))
@@ -199,8 +209,10 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
                 if config.competing and item.whole:
                     _all_competing(session, item, row)
                     _as_seen(session, item, row)
-                if isinstance(session, DefaultSession) and item.whole:
-                    _proposal(session, item, row)
+                if isinstance(session, DefaultSession):
+                    _reachable(session, item, row)
+                    if item.whole:
+                        _proposal(session, item, row)
             row.peak_megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             rows.append(row)
     report = BenchReport(config, rows)
@@ -327,6 +339,19 @@ def _as_seen(session: SegmentationSession, item: BenchObject, row: BenchRow) -> 
     rounds = clicked_as_seen(session, picture, item.labels, weight)
     if rounds:
         row.seen.append(rounds)
+
+
+def _reachable(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:
+    """How far the cells go: those of which a part has most, as many as its IoU gains from."""
+    encoding, weight = session.encoding, _Pointer(item).weight
+    cell = encoding.cells.of_node[encoding.nodes.elements.node_of_element]
+    size = np.bincount(cell, weight, len(encoding.cells))
+    for part in item.parts:
+        own = np.bincount(cell, weight * (item.labels == part), len(size))
+        if own.sum() > 0:
+            order = np.argsort(-own / np.maximum(size, 1e-12), kind="stable")
+            inside, taken = np.cumsum(own[order]), np.cumsum(size[order])
+            row.reachable.append(float((inside / (taken + own.sum() - inside)).max()))
 
 
 def _proposal(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:

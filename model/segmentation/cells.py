@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from model.segmentation.cell_colors import has_plain_colors, parted_by_color
 from model.segmentation.features import lab_colors
 from model.segmentation.graph import Graph
 from model.segmentation.nodes import Nodes
@@ -110,11 +111,15 @@ def build_cells(
     weight: npt.NDArray[np.float32],
     target: int = TARGET_CELLS,
 ) -> Cells:
-    """Pair nodes along their most certain edges until about ``target`` clusters are left."""
+    """Pair nodes along their most certain edges until about ``target`` clusters are left.
+
+    Those of two colours are parted then where a cloud's are plain, see :mod:`.cell_colors`; a mesh
+    has its shells and materials.
+    """
     count = len(nodes)
     of_node = np.arange(count, dtype=np.int32)
     reach = np.minimum(graph.length / np.float32(graph.spacing), 8)
-    links = Links(
+    links = edges = Links(
         graph.a,
         graph.b,
         strength.astype(np.float64),
@@ -147,6 +152,11 @@ def build_cells(
         links = links.contract(group, left)
         far = np.zeros(len(links.a))
         number = left
+    colors = None if nodes.of_mesh else nodes.colors
+    if colors is not None and has_plain_colors(colors, graph.neighbors):
+        of_node, after = parted_by_color(of_node, lab_colors(colors), number)
+        if after > number:
+            number, links = after, edges.contract(of_node, after)
     return _describe(nodes, graph, of_node.astype(np.int32), links, number)
 
 

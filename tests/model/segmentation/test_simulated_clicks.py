@@ -152,6 +152,8 @@ def test_bench_says_what_is_offered_without_and_after_one_click():
     number, right, there, found = row.guesses[0]
     assert 0 <= right <= number and 0 <= found <= there
     assert min(right, 1) == min(found, 1), "a part that is right is one that is found"
+    assert len(row.reachable) == 2 and 0.8 < summary["cells IoU"] <= 1
+    assert summary["cells NoC@80"] == 1 + 19 * np.mean(np.array(row.reachable) < 0.8)
     report.print_table()
 
 
