@@ -12,6 +12,7 @@ from model.geometric.context import PartContext
 from model.geometric.edge_limits import CATEGORY_OPENING, IN_PLANE, NOTED, OPENING
 from model.geometric.hypothesis import UP, Hypothesis, snapped, unit
 from model.geometric.scene import TOUCHING
+from model.geometric.shape import fit_panel
 from model.kinematics.barrels import barrel_line
 
 Array = npt.NDArray[np.float64]
@@ -70,17 +71,31 @@ CATEGORY_UPRIGHT: dict[str, float] = {
 """How much more than usual a category's doors turn about upright axes."""
 
 
-def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
-    """Every edge of the panel, scored, with its limits."""
+def edge_hypotheses(
+    context: PartContext, mechanism: str, front: Array | None = None
+) -> list[Hypothesis]:
+    """Every edge of the panel, scored, with its limits.
+
+    Args:
+        front: (3,) unit, where the part is shut and no panel but has its front there, as drawers
+            do: the hinge is at that face.
+    """
     weights = WEIGHTS[mechanism]
-    normal = _panel_normal(context, mechanism)
     shape, box = context.shape, context.shape.box
+    face: float | None = None
+    if front is None:
+        normal = _panel_normal(context, mechanism)
+        out_normal = context.panel_outward(box.axes[:, normal])
+    else:
+        normal = int(np.argmax(np.abs(front @ box.axes)))
+        out_normal = box.axes[:, normal] * np.sign(front @ box.axes[:, normal])
+        slab = fit_panel(shape, normal)
+        face = slab.high if float(out_normal @ box.axes[:, normal]) > 0 else -slab.low
     n_axis = box.axes[:, normal]
-    out_normal = context.panel_outward(n_axis)
     if mechanism == "flap" and context.closed and abs(float(n_axis[2])) < 0.3:
         weights = WEIGHTS["hinge"]  # half of a standing case
     # All edges of a closed door touch; a lid that leans on a wall is open within its body's box.
-    closed = mechanism in ("hinge", "drop") and context.shut
+    closed = mechanism in ("hinge", "drop") and (front is not None or context.shut)
     in_plane = [k for k in range(3) if k != normal]
     local = box.local(shape.points)
     contact = _contact_scores(context, local, in_plane)
@@ -104,6 +119,8 @@ def edge_hypotheses(context: PartContext, mechanism: str) -> list[Hypothesis]:
                 why.append("ajar")
             open_ = not closed and held > 0.3
             origin = _edge_origin(context, normal, across, side, out_normal, open_, local)
+            if face is not None:
+                origin = origin + out_normal * (face - float((origin - box.center) @ out_normal))
             barrels = _barrels(context, axis, origin, across, normal)
             if barrels is not None:
                 origin = barrels[0]

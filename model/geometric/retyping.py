@@ -6,10 +6,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from model.gate.words import moving_chain
 from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
+from model.geometric.edges import edge_hypotheses
+from model.geometric.hypothesis import Hypothesis
 from model.geometric.looks import look
 from model.geometric.mechanisms import find_front, propose
 from model.geometric.motion_words import MECHANISMS, SLIDING, TURNING, Mechanism
@@ -19,6 +22,8 @@ from model.geometric.scene import Scene, make_scene
 from model.kinematics.articulated_object import SegmentedObject
 from model.kinematics.joint import Joint, JointType, canonical_axis_sign
 from model.kinematics.tree import KinematicTree
+
+Array = npt.NDArray[np.float64]
 
 SLIDES: tuple[Mechanism, ...] = ("slide_out", "slide_along", "lift", "press")
 SPINS: tuple[Mechanism, ...] = ("spin", "swivel", "screw")
@@ -33,6 +38,12 @@ ROCKER = 0.6
 """Size over the object's from which nothing is a rocker: it is a front that opens."""
 NAMED = 1.0
 """Score for the way in which a part of that name would slide, or turn, if it did."""
+ALONG = 0.95
+"""Cosine from which two directions are taken for one."""
+FREE, HELD = 0.3, 0.5
+"""How much of a drawer is covered at most in front, and at least on both sides and behind."""
+DEEP = 0.5
+"""Depth over its front's shorter side from which it is no front alone."""
 TURN, SLIDE = math.pi / 2, 0.3
 """Range where nothing says more: radians, and the object's diagonals."""
 
@@ -76,7 +87,10 @@ def retyped(
     mechanisms, _, _ = guess_mechanisms(assembly)
     mechanisms[part] = _mechanism(context, kind)
     assembly.front, assembly.front_certainty = find_front(assembly, mechanisms)
-    best = from_zero(context, propose(context, mechanisms[part])[0])
+    out = scene.frame.object_from_working.T @ np.asarray(joint.axis)
+    best = _front_flap(context, out) if kind == "revolute" else None
+    if best is None:
+        best = from_zero(context, propose(context, mechanisms[part])[0])
     if best.type == "fixed":
         return bare
     [found] = joints_of(scene, links, part, context.parent, replace(best, travel=None))
@@ -84,6 +98,39 @@ def retyped(
     return canonical_axis_sign(
         replace(bare, axis=found.axis, origin=found.origin, lower=limits.lower, upper=limits.upper)
     )
+
+
+def _front_flap(context: PartContext, out: Array) -> Hypothesis | None:
+    """How a drawer opens that is made to turn, as its front is what one means: about the lower
+    edge of a wide front, about a side of a tall one. None for what is no drawer.
+
+    Args:
+        out: (3,) unit, working frame, the way in which it slides.
+    """
+    box = context.shape.box
+    deep = int(np.argmax(np.abs(out @ box.axes)))
+    if abs(float(out @ box.axes[:, deep])) < ALONG or abs(float(out[2])) > 1 - ALONG:
+        return None
+    if _mechanism(context, "prismatic") != "slide_out":
+        return None
+    up = int(np.argmax(np.abs(box.axes[2])))
+    wide = 3 - deep - up
+    ahead = deep if float(out @ box.axes[:, deep]) > 0 else deep + 3
+    covers = context.covers
+    beside = min(covers[wide], covers[wide + 3])
+    if covers[ahead] > FREE or beside < HELD or covers[ahead - 3] < HELD:
+        return None  # it is in nothing, or comes out another way
+    if box.half[deep] < DEEP * min(box.half[up], box.half[wide]):
+        return None  # a front alone: what it looks like says how it opens
+    flap = bool(box.half[up] <= box.half[wide])
+    edge = wide if flap else up
+    fitting = [
+        h
+        for h in edge_hypotheses(context, "drop" if flap else "hinge", front=out)
+        if abs(float(h.axis @ box.axes[:, edge])) > ALONG
+        and (not flap or h.origin[2] < box.center[2])
+    ]
+    return max(fitting, key=lambda h: h.score)
 
 
 def _diagonal(segmented: SegmentedObject) -> float:

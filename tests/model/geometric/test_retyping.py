@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from archetypes import THINGS, Thing
+from archetypes import THINGS, Thing, Truth, box, carcass, join, tray
 
 from model.geometric.retyping import retyped
 from model.kinematics.articulated_object import SegmentedObject
@@ -66,6 +66,36 @@ def test_a_drawer_taken_for_a_door_comes_out_to_the_front() -> None:
     assert drawer.axis == pytest.approx((-1, 0, 0), abs=1e-6)
     assert drawer.lower == 0.0
     assert drawer.upper == pytest.approx(0.8 * 0.45, abs=0.05), "within its rails"
+
+
+def in_a_case(width: float, height: float) -> Thing:
+    """A drawer with a tray behind its front, which is the whole front of a case, facing -x."""
+    inner = (0.5, width - 0.04, height - 0.04)
+    drawer = join(
+        tray((0.26, 0, height / 2), inner), box((-0.01, 0, height / 2), (0.02, *inner[1:]))
+    )
+    case = carcass((0.27, 0, height / 2), (0.54, width, height))
+    parts = {"base": ("furniture_body", case), "drawer": ("drawer", drawer)}
+    return Thing("StorageFurniture", parts, {"drawer": Truth("prismatic", (1, 0, 0))})
+
+
+@pytest.mark.parametrize("names", [True, False])
+def test_a_drawer_that_is_made_to_turn_opens_at_its_front(names: bool) -> None:
+    """It was hinged on a side in depth, or at the back, where nothing can turn."""
+    for made, upright in ((in_a_case(0.8, 0.3), False), (in_a_case(0.3, 0.7), True)):
+        slide = replace(SLID, axis=(-1.0, 0.0, 0.0), child="link_drawer")
+        tree = KinematicTree(("link_base", "link_drawer"), (slide,))
+        front = retyped(made.segmented(names=names), tree, "link_drawer", "revolute")
+        low, high = np.asarray(made.parts["drawer"][1].bounds)
+        assert front.origin[0] == pytest.approx(low[0], abs=0.01), "at the face"
+        assert abs(front.axis[2 if upright else 1]) > 0.99
+        if upright:
+            assert min(abs(front.origin[1] - e) for e in (low[1], high[1])) < 0.01
+        else:
+            assert front.origin[2] == pytest.approx(low[2], abs=0.01)
+        arm = 0.5 * (low + high) - front.origin
+        assert np.cross(front.axis, arm)[0] < 0, "positive q opens"
+        assert front.lower == 0.0 and front.upper == pytest.approx(1.6, abs=0.1)
 
 
 def test_a_large_front_opens_and_does_not_rock() -> None:
