@@ -40,6 +40,13 @@ class ArtiworldToolMessage(_messages.Message, include_in_scene_serialization=Fal
 
 
 @dataclass
+class ArtiworldAnswerMessage(_messages.Message, include_in_scene_serialization=False):
+    """Shift and a digit of the upper row were pressed."""
+
+    number: int
+
+
+@dataclass
 class ArtiworldShownMessage(_messages.Message, include_in_scene_serialization=False):
     """Everything that was sent before ``tell_page(shown=number)`` is on the screen."""
 

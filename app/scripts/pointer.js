@@ -206,6 +206,8 @@
     // A decision is one press: a key that is held doesn't decide about what comes next.
     if (event.repeat && (key === "y" || key === "x")) return stop(event);
     if (event.key === "?") return send({ type: "ArtiworldToolMessage", tool: "help" });
+    const digit = event.shiftKey && !event.repeat && /^Digit(\d)$/.exec(event.code);
+    if (digit) return send({ type: "ArtiworldAnswerMessage", number: Number(digit[1]) });
     if (event.key === "Escape") {
       stroke = null;
       state.tool = "click";

@@ -11,8 +11,9 @@ from app.open_object import OpenObject
 from app.pointer_messages import tell_page
 from app.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
+from app.viewer.category_guess import CategoryGuess, guesses_of
 from app.viewer.prompt_list import PromptEntry, prompt_entries
-from app.viewer.quick_names import QuickNames
+from app.viewer.quick_names import NUMBERED, QuickNames
 from app.viewer.stage import may_be_a_room
 from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
@@ -96,6 +97,7 @@ class AnnotatePanel:
             "Category", (NONE, *palette.CATEGORIES, OTHER), initial_value=NONE
         )
         self._category_text = gui.add_text("Other category", "", visible=False)
+        self._guess = CategoryGuess(app, lambda category: app.do(cmd.SetCategory(category)))
         with gui.add_folder("Parts"):
             self._parts_box = gui.add_folder(None)
             self._buttons: dict[int, Any] = {}
@@ -160,6 +162,24 @@ class AnnotatePanel:
     def _category_typed(self) -> None:
         if self._category_text.value.strip():
             self._app.do(cmd.SetCategory(self._category_text.value))
+
+    def answer(self, number: int) -> str:
+        """What Shift and a number says: 0 the guessed category, else a name of the chosen part.
+
+        Returns:
+            What came of it, for people.
+        """
+        app = self._app
+        if number == 0:
+            category = self._guess.take_first()
+            return f"The object is: {category}" if category else "There is no guess of the category"
+        if number > len(NUMBERED):
+            return ""
+        if app.part == BASE:
+            return "Part 0 is the base: choose another one"
+        name = NUMBERED[number - 1]
+        self._rename(name)
+        return f"Part {app.part} is: {name}"
 
     def _name_chosen(self) -> None:
         value = self._name.value
@@ -405,6 +425,8 @@ class AnnotatePanel:
         _show_choice(self._category, self._category_text, doc.category, palette.CATEGORIES)
         picking = self._app.picking_out  # what is taken out is named above
         self._quick.show(self._app.part != BASE and not picking, name)
+        asked = doc.category is None and not picking and doc.review.state != "accepted"
+        self._guess.show(guesses_of(self._app) if asked else ())
         for choice, text in ((self._name, self._name_text), (self._category, self._category_text)):
             put(choice, "visible", not picking)
             if picking:

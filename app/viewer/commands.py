@@ -127,6 +127,16 @@ class Commands:
         else:
             self._app.choose_part(number)
 
+    def answer(self, number: int) -> None:
+        """Shift and a number: what a part, or with 0 the object, is. What came of it is told."""
+        app = self._app
+        if app.object is None or app.picking_out:
+            return
+        panel = {"Annotate": app.annotate_panel, "Joints": app.joints_panel}.get(app.stage)
+        said = "Names are given in the steps before" if panel is None else panel.answer(number)
+        if said:
+            tell_page(app.client, said=said)
+
     def reject_because(self, reason: RejectReason) -> None:
         """Send the object back to its annotator."""
         app = self._app

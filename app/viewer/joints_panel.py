@@ -9,10 +9,11 @@ import viser
 
 from app.open_object import OpenObject
 from app.titles import joint_title, part_title
+from app.viewer.category_guess import CategoryGuess, guesses_of
 from app.viewer.joint_editor import JointEditor
 from app.viewer.joint_text import shown, tree_text
 from app.viewer.palette import CATEGORIES
-from app.viewer.quick_names import QuickNames
+from app.viewer.quick_names import NUMBERED, QuickNames
 from app.viewer.widgets import NONE, put
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -45,8 +46,9 @@ class JointsPanel:
         )
         self._tree = gui.add_markdown("")
         self._what = gui.add_markdown("")
-        self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
         self._quick = QuickNames(app, self._named)
+        self._guess = CategoryGuess(app, self._said)
+        self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
         self._folder = gui.add_folder("Joint")
         with self._folder:
             self.editor = JointEditor(app)
@@ -131,6 +133,7 @@ class JointsPanel:
         unnamed, uncategorised = ([], False) if wanted else self._unknown(doc)
         put(self._what, "visible", bool(unnamed) or uncategorised)
         put(self._category, "visible", uncategorised)
+        self._guess.show(guesses_of(self._app) if uncategorised else ())
         put(self._category, "value", NONE)
         self._quick.show(bool(unnamed))
         what = "**What is the object?**"
@@ -143,8 +146,30 @@ class JointsPanel:
 
     def _categorised(self) -> None:
         if self._category.value != NONE:
-            self._app.do(cmd.SetCategory(self._category.value))
-            self._predict_what_is_known()
+            self._said(self._category.value)
+
+    def _said(self, category: str) -> None:
+        self._app.do(cmd.SetCategory(category))
+        self._predict_what_is_known()
+
+    def answer(self, number: int) -> str:
+        """What Shift and a number says to the question: 0 the guessed category, else a name.
+
+        Returns:
+            What came of it, for people.
+        """
+        if number == 0:
+            category = self._guess.take_first()
+            return f"The object is: {category}" if category else "There is no guess of the category"
+        doc = self._app.need_object().document
+        unnamed = [] if doc.prediction_stale else self._unknown(doc)[0]
+        if not unnamed:
+            return "Every part has a name: the Annotate step changes it"
+        if number > len(NUMBERED):
+            return ""
+        name = NUMBERED[number - 1]
+        self._named(name)
+        return f"Part {unnamed[0].id} is: {name}"
 
     def _named(self, name: str) -> None:
         unnamed, _ = self._unknown(self._app.need_object().document)

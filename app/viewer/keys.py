@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
+from app.viewer.quick_names import NUMBERED
+
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp
 
@@ -12,6 +14,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Click", "this belongs to the chosen part"),
     ("Shift + click", "this does not belong to it"),
     ("1 … 9, 0", "choose the part; 0 is the base"),
+    ("Shift + 1 … 6, 0", "name the part; 0: the guessed category"),
     ("Tab, Shift+Tab", "next mask and back; next joint"),
     ("Alt + drag", "box (Shift: takes away)"),
     ("L + drag", "lasso (Shift: takes away)"),
@@ -88,6 +91,10 @@ def add_keys(app: ClientApp) -> None:
     add("Flip the axis", "F", app.joints_panel.editor.flip)
     add("Axis handles", "G", app.motion.toggle_gizmo)
     add("Hide or show the part", "H", app.annotate_panel.toggle_hidden)
+    # The page hears Shift and a number: which sign that writes depends on the keyboard.
+    for number, name in enumerate(NUMBERED, 1):
+        add(f"Name: {name}", None, lambda number=number: app.commands.answer(number))
+    add("Take the guessed category", None, lambda: app.commands.answer(0))
     panel = app.annotate_panel
     add("Delete the part", "delete", panel.delete_part)
     for label, key in TOOL_KEYS:

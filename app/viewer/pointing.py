@@ -9,6 +9,7 @@ import viser
 
 from app import picking_tasks, tool_tasks
 from app.pointer_messages import (
+    ArtiworldAnswerMessage,
     ArtiworldHoverMessage,
     ArtiworldStrokeMessage,
     ArtiworldToolMessage,
@@ -102,6 +103,9 @@ class Pointing:
         endpoint.register_handler(ArtiworldHoverMessage, lambda _, m: self.hover.moved(m))
         endpoint.register_handler(ArtiworldStrokeMessage, lambda _, m: self._stroked(m))
         endpoint.register_handler(ArtiworldToolMessage, lambda _, m: self._tool_key(m.tool))
+        endpoint.register_handler(
+            ArtiworldAnswerMessage, lambda _, m: app.act(lambda: app.commands.answer(int(m.number)))
+        )
 
     def begin(self, *, same: bool = False) -> None:
         """Another object: nothing is armed, nothing is previewed.

@@ -12,15 +12,21 @@ if TYPE_CHECKING:
 
 ROWS: Final[tuple[tuple[str, ...], ...]] = (("door", "drawer", "lid"), ("knob", "button", "wheel"))
 """What most parts are; the list beside them has the rest."""
+NUMBERED: Final[tuple[str, ...]] = tuple(name for row in ROWS for name in row)
+"""Shift and a number, from 1 on, says it."""
 _CHOSEN = "● "
 
 
 class QuickNames:
-    """One click names a part."""
+    """One click or key names a part."""
 
     def __init__(self, app: ClientApp, named: Callable[[str], None]) -> None:
         """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
-        self._rows = [app.client.gui.add_button_group("", names) for names in ROWS]
+        first = [1 + NUMBERED.index(names[0]) for names in ROWS]
+        self._rows = [
+            app.client.gui.add_button_group(f"Shift+{k}…{k + len(names) - 1}", names)
+            for k, names in zip(first, ROWS, strict=True)
+        ]
         for row in self._rows:
             row.on_click(lambda e: app.act(lambda: named(e.target.value.removeprefix(_CHOSEN))))
 

@@ -87,6 +87,43 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     assert tab.document.prediction is predicted
 
 
+def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -> None:
+    """Shift and a number says them, where they are clicked and where their joints are looked at;
+    the category is a guess by the file's name until it is taken, and a list changes it."""
+    path, points = cabinet
+    tab = open_tab(start(path))
+    tab.button("StorageFurniture?").wait_for()
+    assert tab.document.category is None, "a guess is said by nobody"
+    tab.prompt(points["door"])
+    tab.key("Shift+Digit1")
+    wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
+    tab.page.get_by_text("Part 1 is: door").wait_for()
+    tab.key("2")
+    wait_until(lambda: tab.app.part == 2, "key 2 chooses part 2")
+    tab.page.get_by_text("Click a part that moves", exact=False).wait_for()
+    tab.prompt(points["drawer"])
+    predict(tab)
+    before = tab.document.prediction
+    tab.page.get_by_text("What is part 2?").wait_for()
+    tab.key("Shift+Digit2")
+    tab.page.get_by_text("What is the object?").wait_for()
+    assert tab.document.part_names == {1: "door", 2: "drawer"}
+    assert tab.document.prediction is before
+    tab.key("Shift+Digit0")
+    wait_until(lambda: tab.document.prediction is not before, "joints are predicted anew")
+    assert tab.document.category == "StorageFurniture"
+    tab.page.get_by_text("What is the object?").wait_for(state="hidden")
+    tab.step("Annotate")
+    assert not tab.button("StorageFurniture?").is_visible()
+    tab.choose("Category", "Table")
+    wait_until(lambda: tab.document.category == "Table", "another category in one step")
+    # While something is typed the keys are letters.
+    tab.choose("Part is a", "other…")
+    tab.field("Other name").click()
+    tab.key("Shift+Digit3")
+    wait_until(lambda: tab.document.part_names == {1: "door", 2: "#"}, "what was typed")
+
+
 def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     server = start(path)

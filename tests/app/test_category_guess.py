@@ -1,0 +1,61 @@
+"""What an object may be, by its file's name and by what was said last."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from app.viewer.category_guess import category_guesses, told_by
+from sessions.records import ObjectRecord
+
+
+def record(number: int, path: str, category: str | None = None, at: str = "") -> ObjectRecord:
+    where = Path(path)
+    return ObjectRecord(
+        number, where, where.stem, None, "todo", 0, 0, category, "you", at, "", None, 0
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "category"),
+    [
+        ("oven_scan_3", "Oven"),
+        ("office_chair_02", "Chair"),
+        ("KitchenCabinet", "StorageFurniture"),
+        ("scene0011_00_i27_refrigerator", "Refrigerator"),
+        ("folding-chair", "FoldingChair"),
+        ("washing_machine_v2", "WashingMachine"),
+        ("table_with_lamp", "Table"),
+        ("boxes", "Box"),
+        ("cartoon", None),
+        ("desktop", None),
+        ("textured_objs", None),
+        ("101773", None),
+    ],
+)
+def test_a_name_tells_what_it_is(name: str, category: str | None) -> None:
+    assert told_by(name) == category
+
+
+def test_a_folder_tells_where_the_file_does_not() -> None:
+    assert category_guesses(record(1, "/data/Oven/101773/mesh.obj"), ()) == ("Oven",)
+    assert category_guesses(record(1, "/data/Oven/fridge.obj"), ()) == ("Refrigerator",)
+    assert category_guesses(record(1, "/desk/data/a/b/mesh.obj"), ()) == ()
+
+
+def test_what_was_said_last_follows_the_own_one_first() -> None:
+    mine = record(1, "/data/lamp.ply")
+    queue = [
+        mine,
+        record(2, "/data/a.ply", "Oven", "2026-01-01T10:00:00"),
+        replace(record(3, "/data/b.ply", "storage furniture", "2026-01-01T09:00:00"), who="me"),
+        record(4, "/data/c.ply", "Safe", "2026-01-01T08:00:00"),
+        record(5, "/data/d.ply", "Contraption", "2026-01-01T11:00:00"),
+        record(6, "/data/e.ply", None, "2026-01-01T12:00:00"),
+    ]
+    assert category_guesses(mine, queue, "me") == ("Lamp", "StorageFurniture", "Oven")
+    assert category_guesses(mine, queue) == ("Lamp", "Oven", "StorageFurniture")
+    other = record(7, "/data/f.ply")
+    assert category_guesses(other, [*queue, other], "me")[0] == "StorageFurniture"
