@@ -206,7 +206,7 @@ def _finder(args: argparse.Namespace, show: Any) -> Any:
 
     options = FinderOptions(
         args.finder_url, args.finder_batch, args.finder_timeout,
-        cache=args.finder_cache or default_cache(),
+        cache=args.finder_cache or default_cache(), asks=not args.dry_run,
     )  # fmt: skip
     return load_finder(args.finder, options, show.progress)
 

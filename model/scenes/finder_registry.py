@@ -29,6 +29,7 @@ class FinderOptions:
         timeout: seconds without an answer.
         retries: after the first try.
         cache: folder of answers; None keeps none.
+        asks: whether it will be asked at all: one whose questions are only counted needs no key.
     """
 
     url: str | None = None
@@ -36,6 +37,7 @@ class FinderOptions:
     timeout: float = 120.0
     retries: int = 5
     cache: Path | None = None
+    asks: bool = True
 
 
 def default_cache() -> Path:
@@ -64,8 +66,9 @@ def load_finder(
         if kind == "qwen3":
             return LanguageFinder(QwenEngine(Path(what)), options.cache, progress=progress)
         engine = OpenAiEngine(
-            what, options.url, batch=options.batch, timeout=options.timeout, retries=options.retries
-        )
+            what, options.url, batch=options.batch, timeout=options.timeout,
+            retries=options.retries, asks=options.asks,
+        )  # fmt: skip
         return LanguageFinder(engine, options.cache, progress=progress)
     plugins = {p.name: p for p in entry_points(group=ENTRY_POINTS)}
     if name not in plugins:

@@ -44,6 +44,7 @@ class OpenAiEngine:
         batch, parallel: see :class:`~model.scenes.language_finder.ChatEngine`.
         timeout: seconds without an answer.
         retries: after the first try.
+        asks: whether it will be asked at all; else neither the package nor a key is needed.
 
     Raises:
         ConfigurationError: where the package is missing, or the key that the server needs.
@@ -58,28 +59,14 @@ class OpenAiEngine:
         parallel: int = 4,
         timeout: float = 120.0,
         retries: int = 5,
+        asks: bool = True,
     ) -> None:
-        try:
-            import openai
-        except ImportError as error:
-            raise ConfigurationError(
-                "asking a language model needs the package openai: "
-                f"{install_command('artiworld[finder]')}"
-            ) from error
         url = url or os.environ.get(URL_VARIABLE)
-        key = os.environ.get(KEY_VARIABLE)
-        if not key and url is None:
-            raise ConfigurationError(
-                f"set {KEY_VARIABLE} for OpenAI, or give the address of your own server"
-            )
         if url is not None and not url.startswith(("http://", "https://")):
             raise ConfigurationError(f"{url!r} is no address; as in http://localhost:11434/v1")
-        # A server of one's own needs no key, but the client wants one.
-        self._client = openai.OpenAI(
-            api_key=key or "none", base_url=url, timeout=timeout, max_retries=retries
-        )
         self.name = f"openai:{model}" if url is None else f"openai:{model} at {url.rstrip('/')}"
         self.model, self.batch, self.parallel = model, batch, parallel
+        self._client: Any = _client(url, timeout, retries) if asks else None
         self._form = 0
         self._under_way: set[Future[Answer]] = set()
 
@@ -140,6 +127,23 @@ class OpenAiEngine:
         given_up = FinderUnavailableError(f"{self.name} wasn't waited for")
         for answer in list(self._under_way):
             _unless_given_up(answer.set_exception, given_up)
+
+
+def _client(url: str | None, timeout: float, retries: int) -> Any:
+    try:
+        import openai
+    except ImportError as error:
+        raise ConfigurationError(
+            "asking a language model needs the package openai: "
+            f"{install_command('artiworld[finder]')}"
+        ) from error
+    key = os.environ.get(KEY_VARIABLE)
+    if not key and url is None:
+        raise ConfigurationError(
+            f"set {KEY_VARIABLE} for OpenAI, or give the address of your own server"
+        )
+    # A server of one's own needs no key, but the client wants one.
+    return openai.OpenAI(api_key=key or "none", base_url=url, timeout=timeout, max_retries=retries)
 
 
 def _unless_given_up(give: Callable[[T], None], value: T) -> None:

@@ -226,6 +226,20 @@ def test_from_the_command_line_with_its_cost(
     assert json.loads(capsys.readouterr().out)["estimate"]["requests"] == 0
 
 
+def test_counting_the_questions_needs_no_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL"):
+        monkeypatch.delenv(name, raising=False)
+    scene = made.write_scene(tmp_path / "layout.json", made.mesatask())
+    words = ["scene", "convert", str(scene), "--finder", "openai:tiny", "--assets", str(tmp_path),
+             "--out", str(tmp_path / "out"), "--finder-cache", str(tmp_path / "cache")]  # fmt: skip
+    assert main([*words, "--dry-run", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["estimate"]["requests"] == 1 and told["finder"] == "openai:tiny"
+    assert main(words) == 2 and "OPENAI_API_KEY" in capsys.readouterr().err
+
+
 def test_a_local_qwen3_always_writes_valid_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
