@@ -133,8 +133,8 @@ def predict(
     """Predict the joints of a folder of part meshes.
 
     Writes ``object.urdf``, ``tree.json``, ``meshes/``, ``provenance.json`` and ``prediction.json``.
-    Masses are those of the table of materials; there are collision shapes only with ``collision``,
-    as they take long.
+    Masses are those that a URDF tells of its links, else those of the table of materials; there are
+    collision shapes only with ``collision``, as they take long.
 
     Returns:
         What ``prediction.json`` holds.
@@ -166,7 +166,8 @@ def predict(
         write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
-    made = ArticulatedObject(segmented.name, segmented.parts, answer.tree, segmented.category)
+    told = {k: i for k, i in segmented.inertials.items() if k in answer.tree.links}
+    made = ArticulatedObject(segmented.name, segmented.parts, answer.tree, segmented.category, told)
     if collision:
         physics = physics_of(made, store=default_store(), progress=part_of(progress, 0.7, 0.8))
     else:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from model.errors import KinematicsError
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
+from model.kinematics.inertial import Inertial, together
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds
@@ -25,6 +26,7 @@ def merge_rigid(
     names: Mapping[str, str] | None = None,
     category: str | None = None,
     apart: Collection[str] = (),
+    inertials: Mapping[str, Inertial] | None = None,
 ) -> tuple[ArticulatedObject, tuple[str, ...]]:
     """The object with one part for each group of links that move together.
 
@@ -39,6 +41,8 @@ def merge_rigid(
         names: link → what it is in people's words.
         category: of the object.
         apart: names of fixed joints whose two sides stay two parts.
+        inertials: link → mass properties that the source tells; of a group they count together,
+            where they are told of all of it that can be seen.
 
     Returns:
         The object and what was merged, for people.
@@ -53,6 +57,7 @@ def merge_rigid(
     rename: dict[str, str] = {}
     out: list[Part] = []
     notes: list[str] = []
+    weighed: dict[str, Inertial] = {}
     for head, links in groups.items():
         shown = [link for link in links if link in parts]
         if not shown:
@@ -62,11 +67,23 @@ def merge_rigid(
         link = rename[head] = chosen if chosen.startswith("link_") else f"link_{chosen}"
         label = names.get(chosen, parts[shown[0]].name if len(shown) == 1 else None)
         out.append(_joined(link, [parts[s] for s in shown], label))
+        own = group_inertial(links, parts, inertials or {})
+        if own is not None:
+            weighed[link] = own
         if len(shown) > 1:
             notes.append(f"{link}: merged from {', '.join(shown)}")
     made = _moving_tree(tree, groups, rename)
     parts_in_order = tuple(sorted(out, key=lambda p: _natural(p.link)))
-    return ArticulatedObject(name, parts_in_order, made, category), tuple(notes)
+    return ArticulatedObject(name, parts_in_order, made, category, weighed), tuple(notes)
+
+
+def group_inertial(
+    links: Sequence[str], seen: Collection[str], told: Mapping[str, Inertial]
+) -> Inertial | None:
+    """What links that are fixed to each other weigh together; None unless it is told of all of
+    them that can be seen: a handle's mass alone is not its door's."""
+    own = [told[link] for link in links if link in told]
+    return together(own) if own and all(link in told for link in links if link in seen) else None
 
 
 def rigid_groups(tree: KinematicTree, apart: Collection[str] = ()) -> dict[str, list[str]]:

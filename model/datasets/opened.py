@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.datasets.merging import rigid_groups
+from model.datasets.merging import group_inertial, rigid_groups
 from model.datasets.partnet_mobility import partnet_category, semantic_names
 from model.datasets.urdf_folders import description_beside
 from model.errors import InputFileError
@@ -24,7 +24,7 @@ from model.geometry.formats.mtl import MaterialFiles
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
-from model.kinematics.inertial import Inertial, together
+from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
@@ -258,14 +258,13 @@ def _weighed(
     number: Mapping[str, int],
     matrix: npt.NDArray[np.float64],
 ) -> dict[str, Inertial]:
-    """Link of each part, or helper → what its links weigh together, where that is told of all that
-    can be seen: a handle's mass alone is not its door's."""
+    """Link of each part, or helper → what its links weigh together."""
     told, seen = obj.inertials, {p.link for p in obj.parts}
     out: dict[str, Inertial] = {}
     for top, links in groups.items():
-        own = [told[link].moved(matrix) for link in links if link in told]
-        if own and all(link in told for link in links if link in seen):
-            out[f"link_{number[top]}" if top in number else top] = together(own)
+        own = group_inertial(links, seen, told)
+        if own is not None:
+            out[f"link_{number[top]}" if top in number else top] = own.moved(matrix)
     return out
 
 

@@ -87,8 +87,9 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
     if not parts:
         raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
     obj, merged = merge_rigid(
-        folder.name, model.tree, parts, names=names, category=partnet_category(folder)
-    )
+        folder.name, model.tree, parts, names=names, category=partnet_category(folder),
+        inertials=model.told.inertials,
+    )  # fmt: skip
     notes = (*model.notes, *merged, *_disagreements(folder, model))
     return GroundTruth(folder.name, obj, notes)
 

@@ -71,7 +71,10 @@ class UrdfFolders:
             if link in parts
         }
         category = self.category(object_id)
-        obj, notes = merge_rigid(object_id, model.tree, parts, names=named, category=category)
+        obj, notes = merge_rigid(
+            object_id, model.tree, parts, names=named, category=category,
+            inertials=model.told.inertials,
+        )  # fmt: skip
         return GroundTruth(object_id, obj, (*model.notes, *notes))
 
     def _path(self, object_id: str) -> Path:

@@ -122,6 +122,16 @@ def _listed(told: Told, entry: Any) -> Told:
     )
 
 
+def told_masses(folder: Path) -> list[str] | None:
+    """Links of a saved asset whose masses its own source told; None where ``folder`` is none, and
+    its URDF tells all of them."""
+    if not (folder / PROVENANCE).is_file():
+        return None
+    named = read_provenance(folder)["asset"].get(TOLD)
+    masses = named.get("masses") if isinstance(named, dict) else None
+    return masses if isinstance(masses, list) else []
+
+
 def told_entry(obj: ArticulatedObject) -> dict[str, Any]:
     """The entry ``told`` of ``provenance.json``: what of masses and joints the source told."""
     return {

@@ -346,7 +346,7 @@ def _read_told_parts(
             path, "doesn't tell its parts", "cut it with artiworld segment, or serve it"
         )
     parts = split(asset, asset.element_part, dict(enumerate(asset.part_names)))
-    return SegmentedObject(asset.name, parts, asset.category)
+    return SegmentedObject(asset.name, parts, asset.category, asset.inertials)
 
 
 def find_assets(paths: Iterable[str | Path]) -> list[Path]:

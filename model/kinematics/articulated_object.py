@@ -54,11 +54,15 @@ class SegmentedObject:
     """What a predictor reads: the rigid parts of one object, in one frame.
 
     The order of the parts says nothing about which one is the base.
+
+    Attributes:
+        inertials: link → mass properties where the source tells them; no predictor reads them.
     """
 
     name: str
     parts: tuple[Part, ...]
     category: str | None = None
+    inertials: Mapping[str, Inertial] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.parts:

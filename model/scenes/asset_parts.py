@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
 from model.errors import ArtiworldError
+from model.exporters.saved import told_masses
 from model.geometric.vocabulary import MOST_NAMED
 from model.geometry.asset import Asset
 from model.geometry.part_folder import is_part_folder
@@ -21,6 +23,7 @@ from model.geometry.readers import FOLDER_SUFFIXES, read_asset, read_part_files
 from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
 from model.kinematics.articulated_object import Part, SegmentedObject, remarks_of
+from model.kinematics.inertial import Inertial
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY
@@ -43,12 +46,14 @@ class AssetParts:
         how: where the cut comes from, for people.
         truth: the joints of the asset's own URDF, where it has one.
         notes: what was changed on reading that URDF, for people.
+        inertials: link → mass properties where that URDF tells them.
     """
 
     parts: tuple[Part, ...]
     how: str
     truth: KinematicTree | None = None
     notes: tuple[str, ...] = ()
+    inertials: Mapping[str, Inertial] = field(default_factory=dict)
 
 
 def known_parts(path: Path) -> AssetParts:
@@ -174,7 +179,14 @@ def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
 def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     found = _at_least_two(truth.object.parts, "links of its URDF")
     # Not those on merged links: that fixed links are one part is no change.
-    return replace(found, truth=truth.object.tree, notes=read_urdf_model(path).notes)
+    model, listed = read_urdf_model(path), told_masses(path.parent)
+    masses = {
+        link: i
+        for link, i in truth.object.inertials.items()
+        if listed is None or {link, link.removeprefix("link_")} & set(listed)
+    }
+    notes = (*model.notes, *model.told.notes)
+    return replace(found, truth=truth.object.tree, notes=notes, inertials=masses)
 
 
 def _pieces(asset: Asset) -> AssetParts:

@@ -46,6 +46,9 @@ REJECTED, TODO = "rejected", "todo"
 MISSING, PLAIN = "missing", "plain"
 """States of objects whose asset isn't there, and of plain boxes without one."""
 
+SAME = 1e-3
+"""Scales that differ less from 1 are rounding."""
+
 
 @dataclass(frozen=True)
 class AssetJob:
@@ -149,7 +152,12 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
             reason = "no joint was predicted: " + ("; ".join(problems) or "no reason was given")
             parts = scaled((whole(job.path),), placement.scale)
             tree = KinematicTree((parts[0].link,))
-    obj = ArticulatedObject(name, parts, tree, job.category)
+    # At another size it weighs something else.
+    told = (
+        found is not None and state == PREDICTED and bool((abs(placement.scale - 1) < SAME).all())
+    )
+    masses = found.inertials if found is not None and told else {}
+    obj = ArticulatedObject(name, parts, tree, job.category, masses)
     physics: Physics = physics_of(obj, PhysicsSettings()) if job.collision else plain_physics(obj)
     folder = out / ASSETS / job.key
     # Of the source's path the name alone: the asset may be moved.

@@ -193,6 +193,15 @@ def test_a_glb_whose_meshes_are_called_after_parts_opens_with_them(opened, tmp_p
     assert not obj.document.prompts
 
 
+def test_predict_keeps_the_masses_that_a_file_tells(urdf: Path, tmp_path: Path) -> None:
+    urdf.write_text(URDF.replace('name="door">', 'name="door">' + MASS))
+    predict(urdf, tmp_path / "out")
+    made = load_object(tmp_path / "out")
+    assert {k: i.mass for k, i in made.inertials.items()} == {"link_1": 2.5}
+    told = json.loads((tmp_path / "out" / "provenance.json").read_text())["asset"]["told"]
+    assert told == {"masses": ["link_1"], "dynamics": {}}, "its joints are predicted"
+
+
 @pytest.mark.parametrize("source", ["urdf", "glb"])
 def test_predict_takes_what_tells_its_parts(source: str, urdf: Path, tmp_path: Path) -> None:
     path = urdf if source == "urdf" else glb(tmp_path / "cab.glb", "body", "door")

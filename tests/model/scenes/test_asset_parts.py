@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 import trimesh
 
+from model.exporters.asset_folder import write_asset
+from model.exporters.physics import plain_physics
+from model.exporters.saved import load_object
 from model.geometry.readers import read_asset
 from model.scenes.asset_parts import known_parts
+from model.scenes.jobs import AssetJob, ConvertAsset
 from tests.model.scenes import scenes_made as made
 
 
@@ -43,3 +48,68 @@ def test_meshes_that_are_called_after_parts_are_parts(tmp_path: Path) -> None:
 @pytest.mark.parametrize("names", [("Object_1", "Object_2", "Object_3"), ("wood", "glass", "1")])
 def test_meshes_without_such_a_name_may_be_materials(tmp_path: Path, names: tuple) -> None:
     assert known_parts(gltf(tmp_path / "cab.glb", names)).how == "its connected pieces"
+
+
+def weighing(kilograms: float) -> str:
+    moments = " ".join(f'{k}="0.1"' for k in ("ixx", "iyy", "izz"))
+    zeros = " ".join(f'{k}="0"' for k in ("ixy", "ixz", "iyz"))
+    return f'<inertial><mass value="{kilograms}"/><inertia {moments} {zeros}/></inertial>'
+
+
+def robot(**kilograms: float) -> str:
+    """A body with a door, which has a grip screwed to it; what each weighs is told."""
+    links = "".join(
+        f'<link name="{name}">{weighing(kilograms[name]) if name in kilograms else ""}'
+        f'<visual><geometry><mesh filename="{name}.ply"/></geometry></visual></link>'
+        for name in ("body", "door", "grip")
+    )
+    return f"""<robot name="r">{links}
+<joint name="hinge" type="revolute"><origin xyz="-0.3 -0.151 0"/><axis xyz="0 0 -1"/>
+<parent link="body"/><child link="door"/><limit lower="0" upper="1.2"/></joint>
+<joint name="screwed" type="fixed"><parent link="door"/><child link="grip"/></joint></robot>"""
+
+
+@pytest.fixture
+def cupboard(tmp_path: Path) -> Path:
+    folder = tmp_path / "cupboard"
+    folder.mkdir()
+    boxes = {
+        "body": [[-0.3, -0.13, 0], [0.3, 0.15, 0.4]],
+        "door": [[0, 0, 0], [0.6, 0.02, 0.4]],
+        "grip": [[0.5, -0.03, 0.1], [0.52, 0, 0.3]],
+    }
+    for name, bounds in boxes.items():
+        trimesh.creation.box(bounds=bounds).export(folder / f"{name}.ply")
+    (folder / "object.urdf").write_text(robot(body=9.0, grip=0.2))
+    return folder
+
+
+def masses(asset: Path, out: Path, scale: float = 1.0) -> dict[str, float]:
+    size = (scale, scale, scale)
+    job = AssetJob("k", asset, size, None, True, "Cabinet", "geometric", 0, False, 120.0)
+    report = ConvertAsset(out, {"k": job}, None)("k")
+    assert report["state"] == "predicted", report["reason"]
+    root = ET.parse(out / "assets" / "k" / "mjcf" / "object.xml")
+    return {
+        b.get("name", ""): float(weighed.get("mass", 0))
+        for b in root.iter("body")
+        if (weighed := b.find("inertial")) is not None
+    }
+
+
+def test_a_urdf_tells_masses_at_its_own_size(cupboard: Path, tmp_path: Path) -> None:
+    told = masses(cupboard, tmp_path / "out")
+    assert told["link_body"] == pytest.approx(9.0)
+    assert told["link_door"] != pytest.approx(0.2), "a grip's mass alone is not its door's"
+    (cupboard / "object.urdf").write_text(robot(body=9.0, door=9.0, grip=0.2))
+    known = known_parts(cupboard).inertials
+    assert {k: round(i.mass, 3) for k, i in known.items()} == {"link_body": 9.0, "link_door": 9.2}
+    larger = masses(cupboard, tmp_path / "larger", 1.5)
+    assert larger["link_body"] != pytest.approx(9.0)
+
+
+def test_of_a_saved_asset_only_what_its_source_told(cupboard: Path, tmp_path: Path) -> None:
+    obj = load_object(cupboard)
+    folder = tmp_path / "asset"
+    write_asset(obj, folder, provenance={}, physics=plain_physics(obj))
+    assert set(known_parts(folder).inertials) == {"link_body"}
