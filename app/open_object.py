@@ -309,6 +309,8 @@ class OpenObject(Watched):
             gives_way=EDITS,
         )
 
+        self.bench.prepare_bodies(source)
+
         def keep(prediction: Any) -> None:
             self.backend_away = self.backend_away and here
             if prediction.tree is None:

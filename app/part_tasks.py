@@ -82,6 +82,13 @@ def _told_masses(source: PartSource) -> dict[str, Inertial]:
     return {link: i for link, i in asset.inertials.items() if link not in changed}
 
 
+def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
+    """Make what judging and saving need of the parts whatever the joints will be."""
+    from model.collision.build import prepare_bodies as prepare
+
+    prepare(parts_of(source), source.workspace / "collision", progress)
+
+
 def predict(
     source: PartSource,
     predictor: str,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app import saving_tasks
+from app import part_tasks, saving_tasks
 from app.accepting import take_up
 from app.config import ServeConfig
 from app.jobs import Job, WorkerProcess
@@ -246,6 +246,13 @@ class Workbench:
         self.stop_preparing()
         job = self.saving.submit(saving_tasks.prepare_asset, source, tree)
         self._preparing = (source, tree, job)
+
+    def prepare_bodies(self, source: PartSource) -> None:
+        """Make collision bodies of parts while their joints are predicted: most of what the gate
+        waits for doesn't depend on the joints. What is being saved goes before."""
+        self.saving.submit(
+            part_tasks.prepare_bodies, source, priority=-1, key="bodies", gives_way=0
+        )
 
     def stop_preparing(self) -> None:
         """The joints changed, or something else is saved."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -114,8 +114,8 @@ def collision_of(
         return kept
     for i, part in enumerate(obj.parts):
         progress(0.4 * i / len(obj.parts), f"surface of {part.link}")
-        part_mesh(part)  # one without geometry is named here
-    diagonal = _diagonal(obj)
+        part_mesh(part, store)  # one without geometry is named here
+    diagonal = _diagonal_of(obj.parts)
     bodies: Bodies = {}
     for i, part in enumerate(obj.parts):
         progress(0.4 + 0.5 * i / len(obj.parts), f"collision shapes of {part.link}")
@@ -147,6 +147,19 @@ def _remember(key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
         _recent.popitem(last=False)
 
 
+def prepare_bodies(parts: Sequence[Part], store: Path, progress: Progress = no_progress) -> None:
+    """Keep what :func:`collision_of` will ask for whatever the joints are, the last part first:
+    whoever asks meanwhile begins with the first one."""
+    from model.exporters.part_files import part_mesh
+
+    settings = CollisionSettings()
+    diagonal = _diagonal_of(parts)
+    for i, part in enumerate(reversed(parts)):
+        progress(i / len(parts), f"collision shapes of {part.link}")
+        part_mesh(part, store)
+        _kept_bodies(part, diagonal, settings, store)
+
+
 def _free_ranges(obj: ArticulatedObject) -> Free:
     """The range over which a joint's parts run into nothing; all of it where shapes are to give
     way."""
@@ -175,8 +188,8 @@ def _kept_bodies(
     return bodies
 
 
-def _diagonal(obj: ArticulatedObject) -> float:
-    bounds = np.stack([p.bounds for p in obj.parts]) if obj.parts else np.zeros((1, 2, 3))
+def _diagonal_of(parts: Sequence[Part]) -> float:
+    bounds = np.stack([p.bounds for p in parts]) if parts else np.zeros((1, 2, 3))
     return float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
 
 

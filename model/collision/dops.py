@@ -121,14 +121,14 @@ def _directions(mesh: Mesh) -> FloatArray:
     normals, areas = mesh.face_normals, mesh.face_areas.copy()
     for direction in found:
         areas[np.abs(normals @ direction) > SAME] = 0.0
+    # Faces of like normals are summed roughly, by rounding.
+    key = np.round(normals * np.sign(normals.sum(axis=1, keepdims=True) + 1e-12) * 16)
+    group = np.unique((key + 16) @ (33**2, 33, 1), return_inverse=True)[1]
     for _ in range(NORMALS):
-        # Faces of like normals are summed roughly, by rounding.
-        key = np.round(normals * np.sign(normals.sum(axis=1, keepdims=True) + 1e-12) * 16)
-        _, group = np.unique(key, axis=0, return_inverse=True)
-        weight = np.bincount(group.reshape(-1), areas)
+        weight = np.bincount(group, areas)
         if not weight.max() > 0.005 * float(mesh.face_areas.sum()):
             break
-        face = np.flatnonzero(group.reshape(-1) == weight.argmax())
+        face = np.flatnonzero(group == weight.argmax())
         found.append(normals[face[areas[face].argmax()]])
         areas[np.abs(normals @ found[-1]) > SAME] = 0.0
     return np.array(found)

@@ -94,8 +94,11 @@ def write_parts(
 _OF_CLOUDS: WeakKeyDictionary[PointCloud, Mesh] = WeakKeyDictionary()
 
 
-def part_mesh(part: Part) -> Mesh:
+def part_mesh(part: Part, store: Path | None = None) -> Mesh:
     """The part's mesh, or a surface through its cloud, which is made once.
+
+    Args:
+        store: folder where such surfaces are kept between runs and for other processes.
 
     Raises:
         GeometryError: where it has neither a face nor a point.
@@ -104,17 +107,15 @@ def part_mesh(part: Part) -> Mesh:
         return part.mesh
     if part.cloud is not None and len(part.cloud):
         if part.cloud not in _OF_CLOUDS:
-            _OF_CLOUDS[part.cloud] = _surface_of_cloud(part.cloud)
+            _OF_CLOUDS[part.cloud] = _surface_of_cloud(part.cloud, store)
         return _OF_CLOUDS[part.cloud]
     raise GeometryError(f"part {part.link!r} has no face and no point; give it some or remove it")
 
 
-def _surface_of_cloud(cloud: PointCloud) -> Mesh:
+def _surface_of_cloud(cloud: PointCloud, store: Path | None) -> Mesh:
     """A mesh for the simulator; a box for points that span no surface."""
-    from model.geometry.reconstruct import mesh_from_cloud
-
     with contextlib.suppress(GeometryError):
-        mesh = mesh_from_cloud(cloud)
+        mesh = _reconstructed(cloud, store)
         if len(mesh.faces):
             return mesh
     import trimesh
@@ -128,6 +129,19 @@ def _surface_of_cloud(cloud: PointCloud) -> Mesh:
         mean = np.rint(cloud.colors.mean(axis=0))
         colors = np.tile(np.array([*mean, 255], np.uint8), (len(box.vertices), 1))
     return Mesh(np.asarray(box.vertices), np.asarray(box.faces), vertex_colors=colors)
+
+
+def _reconstructed(cloud: PointCloud, store: Path | None) -> Mesh:
+    from model.exporters.kept_surfaces import load_surface, save_surface
+    from model.geometry.reconstruct import mesh_from_cloud
+
+    if store is None:
+        return mesh_from_cloud(cloud)
+    mesh = load_surface(store, cloud)
+    if mesh is None:
+        mesh = mesh_from_cloud(cloud)
+        save_surface(store, cloud, mesh)
+    return mesh
 
 
 def is_flat(mesh: Mesh) -> bool:

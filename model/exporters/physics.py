@@ -16,6 +16,7 @@ from model.collision.shapes import hull_of_shape
 from model.collision.touching import overlaps
 from model.exporters.inertia import inertials_of
 from model.exporters.materials import MaterialTable, read_materials
+from model.exporters.part_files import part_mesh
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -93,7 +94,8 @@ def physics_of(
     would not hold itself by its friction then.
 
     Args:
-        store: where collision shapes are kept between runs; None keeps none.
+        store: where collision shapes, and surfaces through clouds, are kept between runs; None
+            keeps none.
 
     Raises:
         ArtiworldError: for a part without geometry.
@@ -104,6 +106,9 @@ def physics_of(
     if settings.collision is not None:
         collision = collision_of(obj, settings.collision, store=store, progress=progress)
     progress(1.0, "weighing the parts")
+    for part in obj.parts if store is not None else ():
+        if part.cloud is not None and len(part.cloud):
+            part_mesh(part, store)
     inertials = inertials_of(
         obj, material_of=lambda part: table.of(part, obj.category), told=settings.told_masses
     )

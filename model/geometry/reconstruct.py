@@ -66,6 +66,13 @@ def mesh_from_cloud(
     return _colored(*found, small)
 
 
+def mesh_of_scan(vertices: Array, faces: Array, rgba: Array | None) -> Mesh:
+    """A surface with the scan's colours, (V, 4) uint8; without them where there are none."""
+    if rgba is None:
+        return Mesh(vertices, faces)
+    return Mesh(vertices, faces, materials=(Material("scan", WHITE),), vertex_colors=rgba)
+
+
 def _centred(points: Array) -> Array:
     out = points.astype(np.float64)
     out = out - out.mean(axis=0)
@@ -173,4 +180,4 @@ def _colored(vertices: Array, faces: Array, cloud: PointCloud) -> Mesh:
     weight /= weight.sum(axis=1, keepdims=True)
     rgb = np.einsum("nk,nkc->nc", weight, cloud.colors[index].astype(np.float64))
     rgba = np.column_stack([np.rint(rgb), np.full(len(rgb), 255)]).astype(np.uint8)
-    return Mesh(vertices, faces, materials=(Material("scan", WHITE),), vertex_colors=rgba)
+    return mesh_of_scan(vertices, faces, rgba)

@@ -54,6 +54,35 @@ class Hits:
 
 
 @dataclass(frozen=True, eq=False)
+class Triangles:
+    """What rays hit of a part: the same however many samples stand for it.
+
+    Attributes:
+        vertices, faces: (V, 3) and (F, 3).
+    """
+
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.uint32]
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """(2, 3) lowest and highest corner that a face uses."""
+        corners = self.vertices[np.unique(self.faces)]
+        return np.stack([corners.min(0), corners.max(0)])
+
+    @cached_property
+    def scene(self) -> Any:
+        """open3d's tree of them."""
+        import open3d as o3d
+
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(
+            o3d.core.Tensor.from_numpy(self.vertices), o3d.core.Tensor.from_numpy(self.faces)
+        )
+        return scene
+
+
+@dataclass(frozen=True, eq=False)
 class Surface:
     """Sampled and ray-traceable geometry of one part at rest, metres, object frame.
 
@@ -61,7 +90,7 @@ class Surface:
         link: the part's link.
         points: (N, 3) samples.
         normals: (N, 3) unit normals; a cloud's have no meaningful sign.
-        vertices, faces: (V, 3) and (F, 3) triangles: the mesh, or one disc a cloud point.
+        triangles: the mesh, or one disc a cloud point.
         oriented: whether the triangles' winding may mean something (False for clouds).
         spacing: typical distance between neighbouring samples.
         resolution: spacing of a cloud's discs, or three times its noise where that is more:
@@ -71,18 +100,27 @@ class Surface:
     link: str
     points: FloatArray
     normals: FloatArray
-    vertices: npt.NDArray[np.float32]
-    faces: npt.NDArray[np.uint32]
+    triangles: Triangles
     oriented: bool
     spacing: float
     resolution: float
 
+    @property
+    def vertices(self) -> npt.NDArray[np.float32]:
+        """(V, 3) corners of the triangles."""
+        return self.triangles.vertices
+
+    @property
+    def faces(self) -> npt.NDArray[np.uint32]:
+        """(F, 3) triangles."""
+        return self.triangles.faces
+
     @cached_property
     def bounds(self) -> FloatArray:
         """(2, 3) lowest and highest corner of samples and triangles' vertices."""
-        corners = self.vertices[np.unique(self.faces)]
-        low = np.minimum(self.points.min(0), corners.min(0))
-        return np.stack([low, np.maximum(self.points.max(0), corners.max(0))])
+        corners = self.triangles.bounds
+        low = np.minimum(self.points.min(0), corners[0])
+        return np.stack([low, np.maximum(self.points.max(0), corners[1])])
 
     @cached_property
     def diagonal(self) -> float:
@@ -99,15 +137,9 @@ class Surface:
         """(≤ COARSE, 3) samples; their order is random."""
         return self.points[:COARSE]
 
-    @cached_property
+    @property
     def _scene(self) -> Any:
-        import open3d as o3d
-
-        scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            o3d.core.Tensor.from_numpy(self.vertices), o3d.core.Tensor.from_numpy(self.faces)
-        )
-        return scene
+        return self.triangles.scene
 
     def _element(self, face: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return face if self.oriented else face % (len(self.faces) // 2)
@@ -185,6 +217,7 @@ class Surface:
 
 
 _CACHE: WeakKeyDictionary[Part, dict[int, Surface | None]] = WeakKeyDictionary()
+_MESHES: WeakKeyDictionary[Mesh, Triangles] = WeakKeyDictionary()
 
 
 def surface_of(part: Part, count: int = POINTS) -> Surface | None:
@@ -199,15 +232,15 @@ def surface_of(part: Part, count: int = POINTS) -> Surface | None:
 
 
 def _build(part: Part, count: int) -> Surface | None:
-    rng = np.random.default_rng(0)
     if part.mesh is not None and len(part.mesh.faces):
-        return _of_mesh(part.link, part.mesh, count, rng)
+        return _of_mesh(part.link, part.mesh, count)
     if part.cloud is not None and len(part.cloud):
-        return _of_cloud(part.link, part.cloud, count, rng)
+        return _of_cloud(part.link, part.cloud, count)
     return None
 
 
-def _of_mesh(link: str, mesh: Mesh, count: int, rng: np.random.Generator) -> Surface:
+def _of_mesh(link: str, mesh: Mesh, count: int) -> Surface:
+    rng = np.random.default_rng(0)
     areas = mesh.face_areas
     total = float(areas.sum())
     # Corners and edges touch first, and a random sample misses them. A little inside of a face of
@@ -228,16 +261,9 @@ def _of_mesh(link: str, mesh: Mesh, count: int, rng: np.random.Generator) -> Sur
         normals = np.concatenate([normals, mesh.face_normals[face]])
     order = rng.permutation(len(points))
     spacing = float(np.sqrt(total / max(len(points), 1)))
-    return Surface(
-        link,
-        points[order],
-        normals[order],
-        mesh.vertices.astype(np.float32),
-        mesh.faces.astype(np.uint32),
-        True,
-        spacing,
-        0.0,
-    )
+    if mesh not in _MESHES:
+        _MESHES[mesh] = Triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+    return Surface(link, points[order], normals[order], _MESHES[mesh], True, spacing, 0.0)
 
 
 def _on_triangles(
@@ -252,7 +278,36 @@ def _on_triangles(
     return (1 - root) * a + root * (1 - v) * b + root * v * c, face
 
 
-def _of_cloud(link: str, cloud: PointCloud, count: int, rng: np.random.Generator) -> Surface:
+@dataclass(frozen=True, eq=False)
+class _Discs:
+    """What every number of samples of a cloud has in common.
+
+    Attributes:
+        points, normals: (N, 3) in an order that is random: the first ones are the samples.
+        apart: median spacing. resolution: see :class:`Surface`.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    triangles: Triangles
+    apart: float
+    resolution: float
+
+
+_DISCS: WeakKeyDictionary[PointCloud, _Discs] = WeakKeyDictionary()
+
+
+def _of_cloud(link: str, cloud: PointCloud, count: int) -> Surface:
+    if cloud not in _DISCS:
+        _DISCS[cloud] = _discs_of(cloud)
+    made = _DISCS[cloud]
+    points, normals = made.points[:count], made.normals[:count]
+    spacing = made.apart * float(np.sqrt(len(made.points) / len(points)))
+    return Surface(link, points, normals, made.triangles, False, spacing, made.resolution)
+
+
+def _discs_of(cloud: PointCloud) -> _Discs:
+    rng = np.random.default_rng(0)
     everything = cloud.points.astype(np.float64)
     chosen = np.arange(len(everything))
     if len(chosen) > SURFELS:
@@ -274,10 +329,9 @@ def _of_cloud(link: str, cloud: PointCloud, count: int, rng: np.random.Generator
     # A lone outlier must not become a large disc.
     radius = SURFEL_RADIUS * np.minimum(radius, 3 * resolution + 1e-12)
     vertices, faces = _discs(centers[flat], normals[flat], radius[flat])
-    kept = rng.permutation(len(points))[:count]
-    spacing = resolution * float(np.sqrt(len(points) / len(kept)))
-    resolution = max(resolution, 3 * float(np.median(noise[flat])))
-    return Surface(link, points[kept], normals[kept], vertices, faces, False, spacing, resolution)
+    order = rng.permutation(len(points))
+    finest = max(resolution, 3 * float(np.median(noise[flat])))
+    return _Discs(points[order], normals[order], Triangles(vertices, faces), resolution, finest)
 
 
 def _planes(

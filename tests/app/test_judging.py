@@ -19,7 +19,9 @@ from app.accepting import accept, asset_folder
 from app.config import ServeConfig
 from app.judging import LookFirstError
 from app.open_object import OpenObject
+from app.part_tasks import parts_of
 from app.workbench import Workbench
+from model.collision import build
 from model.errors import CommandError
 from model.gate import gate
 from model.kinematics.articulated_object import Prediction
@@ -277,6 +279,23 @@ def test_what_was_kept_is_forgotten_when_a_threshold_changes(tmp_path: Path) -> 
     examine.write_text(examine.read_text().replace("SHALLOW = 0.03", "SHALLOW = 0.02"))
     judging_tasks.judge_version.cache_clear()
     assert judging_tasks.judge_version(tmp_path) != judging_tasks.judge_version()
+
+
+def test_bodies_are_made_while_joints_are_predicted(
+    cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the process that would be idle; most of what the gate waits for knows no joint."""
+    obj, bench = cupboard, cupboard.bench
+    shutil.rmtree(bench.workspace / "collision", ignore_errors=True)
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait(lambda: held.state == "running", "prediction is held up")
+    obj.predict("tester")
+    wait(lambda: len(list((bench.workspace / "collision").glob("*.npz"))) == 2, "both bodies")
+    monkeypatch.setattr(build, "hollow_bodies", None)
+    build.prepare_bodies(parts_of(obj.source()), bench.workspace / "collision")
+    obj.jobs.cancel("predict")
+    held.cancel()
+    wait(lambda: not obj.predicting, "it is cancelled")
 
 
 def test_what_was_said_while_the_joints_were_being_judged_is_kept(cupboard: OpenObject) -> None:

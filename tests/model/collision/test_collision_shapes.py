@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from model.collision import build
-from model.collision.build import CollisionSettings, collision_of
+from model.collision.build import CollisionSettings, collision_of, prepare_bodies
 from model.collision.coacd_process import coacd_hulls
 from model.collision.hulls import hull_of
 from model.collision.measure import free_volume, overlaps_of
@@ -18,8 +18,11 @@ from model.collision.overlap import overlap
 from model.collision.shapes import Primitive, hull_of_shape
 from model.collision.touching import Way, overlaps
 from model.errors import GeometryError
+from model.exporters import kept_surfaces
+from model.exporters.part_files import part_mesh
 from model.exporters.physics import physics_of
 from model.gate.physics import run_physics
+from model.geometry import reconstruct
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
@@ -295,6 +298,46 @@ def test_shapes_are_kept_by_content(tmp_path, monkeypatch):
         path.write_bytes(path.read_bytes()[:100])
     build._recent.clear()
     assert collision_of(obj, store=tmp_path).keys() == first.keys()
+
+
+def scanned_chest() -> ArticulatedObject:
+    """The chest as clouds with colours."""
+    obj, rng = chest(), np.random.default_rng(0)
+    parts = []
+    for part in obj.parts:
+        points = sample_surface(part.mesh, 3000, rng)[0].points.astype(np.float32)
+        colors = rng.integers(0, 255, (len(points), 3)).astype(np.uint8)
+        parts.append(Part(part.link, cloud=PointCloud(points, None, colors), name=part.name))
+    return ArticulatedObject(obj.name, tuple(parts), obj.tree)
+
+
+def test_what_is_made_of_parts_before_there_are_joints_is_taken(tmp_path, monkeypatch):
+    """By whatever process asks: neither surfaces nor bodies of a scan are made twice."""
+    expected = physics_of(scanned_chest())
+    prepare_bodies(scanned_chest().parts, tmp_path)
+    build._recent.clear()
+    obj = scanned_chest()
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "hollow_bodies", None)
+        patch.setattr(reconstruct, "mesh_from_cloud", None)
+        found = physics_of(obj, store=tmp_path)
+    for fresh, part in zip(scanned_chest().parts, obj.parts, strict=True):
+        before, after = part_mesh(fresh), part_mesh(part)
+        np.testing.assert_array_equal(before.vertices, after.vertices)
+        np.testing.assert_array_equal(before.faces, after.faces)
+        np.testing.assert_array_equal(before.vertex_colors, after.vertex_colors)
+        assert before.materials[0].name == after.materials[0].name == "scan"
+        mass, told = expected.inertials[part.link], found.inertials[part.link]
+        assert told.mass == mass.mass
+        assert len(expected.collision[part.link]) == len(found.collision[part.link])
+    # What is damaged counts for nothing, and what was asked for long ago goes.
+    surfaces = sorted(tmp_path.glob("surface-*.npz"))
+    assert len(surfaces) == len(obj.parts)
+    surfaces[0].write_bytes(b"PK")
+    monkeypatch.setattr(kept_surfaces, "KEPT", 1)
+    for part in scanned_chest().parts:
+        assert len(part_mesh(part, tmp_path).faces)
+    assert len(list(tmp_path.glob("surface-*.npz"))) == 1
 
 
 def test_coacd_answers_or_is_stopped():

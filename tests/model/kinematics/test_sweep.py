@@ -14,6 +14,7 @@ from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint, Mimic
+from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_range, sweep_joint, sweep_way
 from model.kinematics.tree import KinematicTree
 
@@ -299,3 +300,14 @@ def test_a_fixed_or_missing_joint_is_named():
     fixed = replace(scene.tree.joints[0], type="fixed")
     with pytest.raises(KinematicsError, match="fixed"):
         free_range(scene, fixed)
+
+
+@pytest.mark.parametrize("kind", ["mesh", "cloud"])
+def test_what_rays_hit_is_made_once_for_all_numbers_of_samples(kind):
+    door = door_and_wall(kind).parts[0]
+    few, many = surface_of(door, 300), surface_of(replace(door, name="door"), 900)
+    assert few.triangles is many.triangles
+    assert (len(few.points), len(many.points)) == (300, 900)
+    if kind == "cloud":
+        np.testing.assert_array_equal(few.points, many.points[:300])
+        assert few.spacing == pytest.approx(many.spacing * 3**0.5)

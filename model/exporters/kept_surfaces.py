@@ -1,0 +1,69 @@
+"""Surfaces through clouds on disk, named by the cloud: several processes ask for the same ones, and
+one of a scan takes seconds."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.collision.store import fingerprint
+from model.geometry.mesh import Mesh
+from model.geometry.point_cloud import PointCloud
+from model.geometry.reconstruct import mesh_of_scan
+
+KEPT = 48
+"""Files; those that were asked for last. One of a whole scan has some megabytes."""
+VERSION = 1
+"""Counted up when the same cloud gets another surface."""
+
+
+def load_surface(folder: Path, cloud: PointCloud) -> Mesh | None:
+    """The surface that was kept of ``cloud``, or None; what is damaged counts as not there."""
+    path = _path(folder, cloud)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        os.utime(path)
+        return mesh_of_scan(arrays["vertices"], arrays["faces"], arrays.get("colors"))
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+    except Exception as error:  # zipfile has its own, which needs no import here
+        if type(error).__name__ == "BadZipFile":
+            return None
+        raise
+
+
+def save_surface(folder: Path, cloud: PointCloud, mesh: Mesh) -> None:
+    """Keep it; a folder that can't be written is let be."""
+    path = _path(folder, cloud)
+    draft = folder / f".{path.stem}.{secrets.token_hex(4)}.npz"
+    arrays: dict[str, npt.NDArray[Any]] = {"vertices": mesh.vertices, "faces": mesh.faces}
+    if mesh.vertex_colors is not None:
+        arrays["colors"] = mesh.vertex_colors
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(draft, **arrays)  # type: ignore[arg-type]
+        draft.replace(path)
+        _drop_oldest(folder)
+    except OSError:
+        draft.unlink(missing_ok=True)
+
+
+def _path(folder: Path, cloud: PointCloud) -> Path:
+    key = fingerprint("surface", VERSION, cloud.points, cloud.normals, cloud.colors)
+    return folder / f"surface-{key}.npz"
+
+
+def _drop_oldest(folder: Path) -> None:
+    found: list[tuple[float, Path]] = []
+    for path in folder.glob("surface-*.npz"):
+        with suppress(FileNotFoundError):  # another process drops them, too
+            found.append((path.stat().st_mtime, path))
+    for _, old in sorted(found)[:-KEPT]:
+        old.unlink(missing_ok=True)
