@@ -9,10 +9,12 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.judging import Wish
+from app.titles import in_words
 from model.errors import CommandError
 from model.exporters.asset_folder import publish
 from model.exporters.saved import recover
@@ -66,17 +68,24 @@ def accept(
     source = obj.source(doc)
     store = obj.bench.store
 
+    begun = Begun(state.seq, comment, override)
+
     def again() -> None:
         try:
             _check_unchanged(obj, doc, source)
-            accept(obj, comment, who, at, override, looked_at=looked_at, refused=refused)
         except CommandError as error:
             store.accepting_ends(obj.record.id)
             _refuse(obj, error, refused)
+            obj.bench.tell_queue()
+            return
+        try:
+            _check_judged(obj)
+            accept(obj, comment, who, at, override, looked_at=looked_at, refused=refused)
+        except CommandError as error:
+            _hold(obj, begun, str(error))
+            _refuse(obj, error, refused)
 
-    begun = Begun(state.seq, comment, override)
-    if not obj.judging.admits(Wish(override, looked_at, again)):
-        store.accepting_begins(obj.record.id, begun)  # what was typed outlives this server
+    if not _admits(obj, Wish(override, looked_at, again), begun):
         return
     gate = obj.judging.report
     command = cmd.Accept(comment, obj.judging.doubts(), override)
@@ -105,11 +114,57 @@ def accept(
     obj.changed()
 
 
+def _admits(obj: OpenObject, wish: Wish, begun: Begun) -> bool:
+    """Whether it may be accepted now; False where the wish waits for the gate.
+
+    Raises:
+        CommandError: where it may not.
+    """
+    judging, store = obj.judging, obj.bench.store
+    waits = judging.report is None and not judging.problem
+    if waits and judging.waiting and not (begun.comment or begun.override):
+        obj.tell("Accepting", "As soon as the joints are judged, as was asked before", "gray")
+        return False
+    if waits:  # first, as the gate may answer any moment: what was typed outlives this server
+        store.accepting_begins(obj.record.id, begun)
+    try:
+        admitted = judging.admits(wish)
+    except CommandError:
+        if waits:
+            store.accepting_ends(obj.record.id)
+        raise
+    if not admitted:
+        obj.bench.tell_queue()
+        obj.changed()
+    return admitted
+
+
+def _check_judged(obj: OpenObject) -> None:
+    """Refuse where there is no verdict: whoever went on meanwhile doesn't know.
+
+    Raises:
+        CommandError: saying why there is none.
+    """
+    if obj.judging.report is None:
+        why = obj.judging.problem.rstrip(".")
+        raise CommandError(f"The joints couldn't be judged: {why}. Y accepts it unjudged")
+
+
+def _hold(obj: OpenObject, begun: Begun, why: str) -> None:
+    """Keep that the gate held it back, and what was typed for it, until it is decided or changed;
+    whoever asked may have gone on."""
+    if obj.bench.desk is not None:  # a scene holds back what it asked for itself
+        obj.bench.store.accepting_ends(obj.record.id)
+        return
+    why = in_words(obj.document, why)
+    obj.bench.hold(obj.record.id, replace(begun, seq=obj.state.seq, held=why))
+
+
 def take_up(bench: Workbench) -> dict[int, Begun]:
     """See to the acceptances that a server which died has begun.
 
     One that was decided is finished. The others wait for a person: what the gate says of them, and
-    what it showed, is gone.
+    what it showed, is gone. So does what the gate held back.
 
     Returns:
         Objects that wait → what was begun; they do so until their next command.
@@ -121,6 +176,8 @@ def take_up(bench: Workbench) -> dict[int, Begun]:
         recover(folder)
         if record.seq == begun.seq:
             waiting[object_id] = begun
+            if begun.held:
+                continue
             log.warning(
                 "%s: its acceptance was begun and not finished; accept it again, unless another "
                 "server is at it", record.name,

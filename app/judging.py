@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -71,6 +72,13 @@ class Judging:
         self._asked: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
         self._waiting: Wish | None = None
+        self._wished: Revision | None = None  # what the waiting wish is about
+        self._lock = threading.Lock()
+
+    @property
+    def waiting(self) -> bool:
+        """Whether somebody wants it accepted as soon as the joints are judged."""
+        return self._waiting is not None
 
     @property
     def report(self) -> GateReport | None:
@@ -104,6 +112,8 @@ class Judging:
         """Start the gate where the present joints have no answer yet."""
         obj = self._obj
         revision = self._revision(obj.document)
+        if self._waiting is not None and revision != self._wished:
+            self._accept_waiting()  # it hears that this is another object now
         if revision is None:
             self._asked = None
             return
@@ -125,11 +135,13 @@ class Judging:
     def failed(self, message: str) -> None:
         """The gate broke on the joints it was asked for last."""
         if self._asked is not None:
-            self._problem = (self._asked, message)
+            with self._lock:
+                self._problem = (self._asked, message)
         self._accept_waiting()
 
     def _keep(self, revision: Revision, report: GateReport) -> None:
-        self._answers[revision] = report
+        with self._lock:
+            self._answers[revision] = report
         while len(self._answers) > KEPT:
             self._answers.popitem(last=False)
         self._told = {k: v for k, v in self._told.items() if k[0] in self._answers}
@@ -162,12 +174,14 @@ class Judging:
             CommandError: where the gate calls a joint broken and no reason is given.
             LookFirstError: where it doubts something that the person wasn't shown.
         """
-        report = self.report
-        if report is None and not self.problem:
-            self._waiting = wish
+        with self._lock:  # the gate may answer just now
+            report = self.report
+            waits = report is None and not self.problem
+            self._waiting = wish if waits else None
+            self._wished = self._revision(self._obj.document)
+        if waits:
             self._obj.tell("Accepting", "As soon as the joints are judged", "blue")
             return False
-        self._waiting = None
         document = self._obj.document
         if report is not None and report.verdict == "broken" and not wish.override.strip():
             count, worst = len(report.with_verdict("broken")), report.joints[0]
@@ -184,7 +198,8 @@ class Judging:
         return True
 
     def _accept_waiting(self) -> None:
-        waiting, self._waiting = self._waiting, None
+        with self._lock:
+            waiting, self._waiting = self._waiting, None
         if waiting is not None:
             waiting.again()
 

@@ -116,11 +116,17 @@ class OpenObject(Watched):
     @property
     def interrupted(self) -> bool:
         """Whether it was being accepted when this server started, and isn't decided since."""
-        return self.begun is not None
+        begun = self.begun
+        return begun is not None and not begun.held
+
+    @property
+    def held(self) -> str:
+        """Why the gate held it back after whoever wanted it accepted had gone on, or ""."""
+        return self.bench.held(replace(self.record, seq=self.state.seq))
 
     @property
     def begun(self) -> Begun | None:
-        """That acceptance, with what was said for it."""
+        """An acceptance that was cut off or held back, with what was said for it."""
         return self.bench.begun(replace(self.record, seq=self.state.seq))
 
     def source(self, document: Document | None = None) -> PartSource:
@@ -144,8 +150,8 @@ class OpenObject(Watched):
 
     @property
     def in_use(self) -> bool:
-        """Whether a tab shows it or a job works on it."""
-        return self.watched or bool(self.jobs)
+        """Whether a tab shows it, a job works on it, or it waits to be accepted."""
+        return self.watched or bool(self.jobs) or self.judging.waiting
 
     def let_go(self) -> None:
         """Hear of nothing any more: what is decided is on disk, all else can be made again."""

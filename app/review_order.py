@@ -37,14 +37,20 @@ class ReviewOrder:
         self._known: dict[int, tuple[int, float]] = {}
 
     def next(
-        self, records: Sequence[ObjectRecord], current: int, skipped: Collection[int] = ()
+        self,
+        records: Sequence[ObjectRecord],
+        current: int,
+        skipped: Collection[int] = (),
+        again: Collection[int] = (),
     ) -> int | None:
-        """The predicted object that is least sure, else the next unfinished one after ``current``.
+        """What is to be looked at again, else the predicted object that is least sure, else the
+        next unfinished one after ``current``.
 
         Args:
             records: the queue.
             current: id of the object that was decided.
             skipped: ids that a person went past; they come when nothing else is left.
+            again: ids that were to be accepted and are not; they come first.
 
         Returns:
             An object's id; None where everything else is decided.
@@ -56,6 +62,9 @@ class ReviewOrder:
             [r for r in ahead if r.id not in skipped],
             [r for r in ahead if r.id in skipped],
         ):
+            for record in some:
+                if record.id in again:
+                    return record.id
             predicted = [r for r in some if r.state == "predicted"]
             if predicted:
                 return min(predicted, key=self._confidence).id

@@ -76,7 +76,7 @@ class Workbench:
             self.taken_off = tuple(i for i in self.taken_off if i not in ids)
         if back:
             self.store.put_back(back)
-        self._tell_queue()
+        self.tell_queue()
         return ids
 
     def _enter(self, paths: list[Path]) -> list[int]:
@@ -119,7 +119,7 @@ class Workbench:
             self._ids = [i for i in self._ids if i != object_id]
             self.taken_off = (*(i for i in self.taken_off if i != object_id), object_id)
         self.store.take_off(object_id, _stamp(self._records[object_id].path))
-        self._tell_queue()
+        self.tell_queue()
 
     def put_back(self) -> int:
         """Put what was taken off the queue last back to its end; its id.
@@ -134,7 +134,7 @@ class Workbench:
             self.taken_off = tuple(left)
             self._ids = [*self._ids, object_id]
         self.store.put_back([object_id])
-        self._tell_queue()
+        self.tell_queue()
         return object_id
 
     def add_upload(self, name: str, content: bytes) -> int:
@@ -177,13 +177,36 @@ class Workbench:
         opened = self._open.get(object_id)
         return opened is not None and "save" in opened.jobs
 
+    def judging_now(self, object_id: int) -> bool:
+        """Whether an object is to be accepted as soon as its joints are judged here."""
+        opened = self._open.get(object_id)
+        return opened is not None and opened.judging.waiting
+
+    def under_way(self, object_id: int) -> bool:
+        """Whether an object is being accepted here: nobody need do anything about it."""
+        return self.judging_now(object_id) or self.saving_now(object_id)
+
     def was_interrupted(self, record: ObjectRecord) -> bool:
         """Whether an acceptance of the object as it is now was begun before this server started,
         and isn't decided: its server ended, or is still at it."""
-        return self.begun(record) is not None
+        begun = self.begun(record)
+        return begun is not None and not begun.held
+
+    def held(self, record: ObjectRecord) -> str:
+        """Why the gate held back the object as it is now after a person went on, or ""."""
+        begun = self.begun(record)
+        return "" if begun is None or self.under_way(record.id) else begun.held
+
+    def hold(self, object_id: int, begun: Begun) -> None:
+        """Keep that an object is to be looked at again, also for later runs."""
+        with self._lock:
+            self.store.accepting_begins(object_id, begun)
+            self._interrupted[object_id] = begun
+        self.tell_queue()
 
     def begun(self, record: ObjectRecord) -> Begun | None:
-        """What was said for that acceptance; None where there is none."""
+        """What was said for an acceptance that was cut off or held back; None where there is
+        none."""
         begun = self._interrupted.get(record.id)
         return begun if begun is not None and begun.seq == record.seq else None
 
@@ -202,8 +225,8 @@ class Workbench:
         record = self.store.object(object_id)
         with self._lock:
             before, self._records[object_id] = self._records.get(object_id), record
-        if before is None or before.state != record.state:
-            self._tell_queue()
+        if before is None or before.state != record.state or object_id in self._interrupted:
+            self.tell_queue()
 
     def follow(self) -> None:
         """Take in what other servers of the workspace did."""
@@ -217,7 +240,7 @@ class Workbench:
             for object_id in over:  # by another server that was at it, or again by this one
                 del self._interrupted[object_id]
             if over:
-                self._tell_queue()
+                self.tell_queue()
         for object_id in stale:
             self.queue_changed(object_id)
 
@@ -235,9 +258,10 @@ class Workbench:
             before = self.broken
             self.broken = before | {object_id} if broken else before - {object_id}
         if self.broken != before:
-            self._tell_queue()
+            self.tell_queue()
 
-    def _tell_queue(self) -> None:
+    def tell_queue(self) -> None:
+        """Something in the queue stands elsewhere now."""
         for listener in list(self._queue_listeners):
             listener()
 

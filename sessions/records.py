@@ -74,11 +74,14 @@ class Begun:
     Attributes:
         seq: number of the object's last command then.
         comment, override: what the person had typed for it.
+        held: why the gate held it back once it had answered, where the person had gone on; ""
+            where it is under way, or was cut off.
     """
 
     seq: int
     comment: str = ""
     override: str = ""
+    held: str = ""
 
 
 def now() -> str:

@@ -221,8 +221,10 @@ class Store:
 
     def accepting_begins(self, object_id: int, begun: Begun) -> None:
         """Keep that an object is being accepted; a server that dies now leaves that behind."""
-        said = json.dumps({"comment": begun.comment, "override": begun.override})
-        self._mark(_ACCEPTING, object_id, f"{begun.seq} {said}")
+        said = {"comment": begun.comment, "override": begun.override}
+        if begun.held:
+            said["held"] = begun.held
+        self._mark(_ACCEPTING, object_id, f"{begun.seq} {json.dumps(said)}")
 
     def accepting_ends(self, object_id: int) -> None:
         """It was accepted, or whoever wanted it was told why not."""

@@ -207,12 +207,14 @@ class ClientApp:
         """Draw again soon."""
         self._threads.invalidate()
 
-    def notify(self, title: str, body: str, color: Any = "blue") -> None:
-        """A note in the corner."""
+    def notify(
+        self, title: str, body: str, color: Any = "blue", seconds: float | None = 5.0
+    ) -> None:
+        """A note in the corner; it stays until it is closed where ``seconds`` is None."""
         if not self._threads.closed:
             obj = self.object  # another thread may close it
             body = body if obj is None else in_words(obj.document, body)
-            seconds = 10.0 if color == "red" else 5.0
+            seconds = 10.0 if color == "red" else seconds
             self.client.add_notification(title, body[:400], auto_close_seconds=seconds, color=color)
 
     # --- what a person does
@@ -230,22 +232,29 @@ class ClientApp:
         self.hidden, self.redraw.asset = frozenset(), None
         doc = self.object.document
         self.set_stage("Joints" if doc.tree is not None else "Annotate")
+        if self.object.held:
+            self.set_stage("Review")
+            self.review_panel.gate.show_soon(self.object)
         self.remember()
         if self.object.problem:
             self.notify("Can't open this file", self.object.problem, "red")
 
     def _hear_out(self, obj: OpenObject | None) -> None:
         """What comes of an acceptance is told here, too, once another object is looked at."""
-        if obj is None or "save" not in obj.jobs:
+        if obj is None or not self.bench.under_way(obj.record.id):
             return
 
+        def over() -> bool:
+            return not obj.judging.waiting and "save" not in obj.jobs
+
         def tell(title: str, body: str, color: str) -> None:
-            stop()
+            if over():
+                stop()
             self.notify(title, f"{obj.record.name}: {in_words(obj.document, body)}", color)
 
         def changed() -> None:
             self.invalidate()
-            if "save" not in obj.jobs and obj.document.review.state != "accepted":
+            if over() and obj.document.review.state != "accepted":
                 stop()  # why it was refused is told by whoever asked for it
 
         stop = obj.watch(changed, tell)

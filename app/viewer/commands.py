@@ -100,6 +100,8 @@ class Commands:
             app.set_stage("Review")
             app.review_panel.gate.show_worst()
             app.notify("Look at it first", str(error), "yellow")
+        elif app.object is not obj and obj.held:
+            app.notify("Look again", f"{obj.record.name}: {obj.held}", "yellow", seconds=None)
         else:
             app.notify("Not accepted", f"{obj.record.name}: {error}", "yellow")
 
@@ -159,8 +161,9 @@ class Commands:
             app.in_scene.step(1)
             return
         bench, current = app.bench, app.need_object().record
-        waiting = [r for r in bench.records() if r.id == current.id or not bench.saving_now(r.id)]
-        following = bench.review_order.next(waiting, current.id, app.skipped)
+        waiting = [r for r in bench.records() if r.id == current.id or not bench.under_way(r.id)]
+        again = {r.id for r in waiting if bench.held(r) or bench.was_interrupted(r)}
+        following = bench.review_order.next(waiting, current.id, app.skipped, again)
         if following is None:
             return
         app.open(following)

@@ -59,6 +59,10 @@ class GateView:
         if report is not None and report.verdict != "fine":
             self.show(report.joints[0].joint)
 
+    def show_soon(self, obj: OpenObject) -> None:
+        """The same once the object is drawn."""
+        self._wanted = obj.record.id
+
     def show(self, joint: str) -> None:
         """Pose the object at a joint's worst moment and mark the contact."""
         app = self._app
@@ -104,7 +108,8 @@ class GateView:
     def draw(self, obj: OpenObject, doc: Document) -> None:
         """Bring the view up to date."""
         report = obj.judging.report
-        if self._wanted is not None and (report is not None or self._wanted != obj.record.id):
+        there = report is not None and self._app.drawn
+        if self._wanted is not None and (there or self._wanted != obj.record.id):
             wanted, self._wanted = self._wanted, None
             if wanted == obj.record.id:
                 self._app.act(self.show_worst)

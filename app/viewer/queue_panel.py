@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import viser
@@ -38,6 +39,7 @@ class QueuePanel:
         self._first = 0
         self._shown: tuple[Any, ...] | None = None
         self._followed: int | None = None
+        self._held = 0
         gui = app.client.gui
         panel = gui.add_panel()
         with panel.add_tab("Queue", viser.Icon.LIST_DETAILS):
@@ -47,6 +49,11 @@ class QueuePanel:
             self._filter = gui.add_dropdown("Show", options, initial_value=ALL)
             self._search = gui.add_text("Find", "", hint="Part of an object's name")
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
+            self._again = gui.add_button(
+                "", icon=viser.Icon.ALERT_TRIANGLE, color=palette.VERDICT_COLORS["look"],
+                visible=False,
+                hint="You wanted it accepted before its joints were judged; the gate held it back",
+            )  # fmt: skip
             self._back = gui.add_button(
                 "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
             )
@@ -71,6 +78,7 @@ class QueuePanel:
         self._next.on_click(
             lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
         )
+        self._again.on_click(lambda _: app.act(lambda: app.open(self._held)))
         self._back.on_click(lambda _: app.act(lambda: app.open(app.bench.put_back())))
         app.on_update(self._name, self._renamed)
         self._upload.on_upload(lambda e: self._uploaded(e.target.value))
@@ -119,29 +127,25 @@ class QueuePanel:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
 
-        def alarm(record: ObjectRecord) -> str:
-            if record.id in app.bench.broken:
-                return "can't be read"
-            return "was being accepted" if app.bench.was_interrupted(record) else ""
-
-        saving = {r.id for r in page if app.bench.saving_now(r.id)}
+        at_it = {r.id: "being judged, then accepted" for r in page if app.bench.judging_now(r.id)}
+        at_it |= {r.id: "being saved" for r in page if app.bench.saving_now(r.id)}
+        held = [r.id for r in records if app.bench.held(r)]
         now = (
-            tuple((r.id, names[r.id], r.state, alarm(r)) for r in page),
+            tuple((r.id, names[r.id], r.state, self._alarm(r)) for r in page),
             current,
             len(chosen),
             self._first,
             tuple(r.state for r in records),
             app.bench.taken_off,
-            saving,
+            at_it,
+            held,
         )
         if now == self._shown:
             return
         self._shown = now
 
         def stands(record: ObjectRecord) -> str:
-            if record.id in saving:
-                return "being saved"
-            return alarm(record) or words[record.state]
+            return at_it.get(record.id) or self._alarm(record) or words[record.state]
 
         done = sum(r.state == "accepted" for r in records)
         self._summary.content = f"**{done} of {len(records)}** accepted"
@@ -152,6 +156,7 @@ class QueuePanel:
         if off:
             name = app.bench.store.object(off[-1]).name
             put(self._back, "label", f"Put {clipped(name, NAME_LENGTH - 6)} back")
+        self._draw_held([i for i in held if i != current], names)
         put(self._pages, "visible", len(chosen) > PAGE)
         put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
         for k, button in enumerate(self._buttons):
@@ -162,10 +167,12 @@ class QueuePanel:
             record = page[k]
             here = record.id == current
             button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
-            button.icon = viser.Icon.ALERT_TRIANGLE if alarm(record) else _ICONS[record.state]
-            if record.id in saving:
+            button.icon = viser.Icon.ALERT_TRIANGLE if self._alarm(record) else _ICONS[record.state]
+            if record.id in at_it:
                 button.icon = viser.Icon.DEVICE_FLOPPY
             button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
+            if record.id in held:
+                button.color = palette.VERDICT_COLORS["look"]
             button.hint = f"{plain(names[record.id])}: {stands(record)}"
             button.visible = True
         title_buttons(
@@ -175,6 +182,24 @@ class QueuePanel:
                 for button, record in zip(self._buttons, page, strict=False)
             },
         )
+
+    def _alarm(self, record: ObjectRecord) -> str:
+        """What a person has to know of an object before all else, or ""."""
+        bench = self._app.bench
+        if record.id in bench.broken:
+            return "can't be read"
+        if why := bench.held(record):
+            return f"look again: {why}"
+        return "was being accepted" if bench.was_interrupted(record) else ""
+
+    def _draw_held(self, held: list[int], names: Mapping[int, str]) -> None:
+        """The way back to what the gate held back after a person went on."""
+        put(self._again, "visible", bool(held))
+        if held:
+            more = f" (+{len(held) - 1})" if len(held) > 1 else ""
+            name = clipped(names[held[0]], NAME_LENGTH - 10)
+            put(self._again, "label", f"Look again: {name}{more}")
+            self._held = held[0]
 
 
 def _pale(state: str) -> palette.Rgb:

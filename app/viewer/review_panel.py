@@ -138,6 +138,8 @@ class ReviewPanel:
             "save" in obj.busy,
             self.gate.looked_at(obj) is not None,
             obj.interrupted,
+            obj.held,
+            obj.judging.waiting,
         )
         if now == self._drawn:
             return
@@ -146,8 +148,16 @@ class ReviewPanel:
                 self.clear()
             self._say_again(obj)
         self._drawn = now
-        cut_off = f"**{INTERRUPTED}.**\n\n" if obj.interrupted and "save" not in obj.busy else ""
-        put(self._summary, "content", cut_off + summary(doc))
+        begun = ""
+        if obj.judging.waiting:
+            begun = (
+                "**Accepted as soon as the joints are judged, if the gate has nothing against it.**"
+            )
+        elif obj.held:
+            begun = f"**Look again:** {plain(obj.held, 500)}"
+        elif obj.interrupted and "save" not in obj.busy:
+            begun = f"**{INTERRUPTED}.**"
+        put(self._summary, "content", (f"{begun}\n\n" if begun else "") + summary(doc))
         decided = doc.review.state in DECIDED
         broken = report is not None and report.verdict == "broken" and not decided
         put(self._override, "visible", broken)
@@ -167,8 +177,9 @@ class ReviewPanel:
         self._draw_history()
         id, before = self._asked or (None, 0)
         saving = "save" in obj.busy
-        # Nobody need wait for the asset to be written; in a scene the object is left with it.
-        done = saving and self._app.bench.desk is None
+        # Nobody need wait for the gate's answer, nor for the asset to be written; in a scene the
+        # object is left with it.
+        done = (saving or obj.judging.waiting) and self._app.bench.desk is None
         if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
             if self._go_on.value:

@@ -302,18 +302,94 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(cupboard: Open
     obj, bench = cupboard, cupboard.bench
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
+    refused: list[CommandError] = []
     for upper, reason, accepted in ((1.04, "", False), (1.03, "it gives way", True)):
         held = bench.prediction.submit(time.sleep, 600.0, priority=99)
         wait(lambda held=held: held.state == "running", "judging is held up")
         obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=upper)), "tester")
-        refused: list[CommandError] = []
+        refused.clear()
         accept(obj, "seen in person", "tester", NOW, reason, refused=refused.append)
         kept = Begun(obj.state.seq, "seen in person", reason)
         assert bench.store.accepting() == {obj.record.id: kept}
         held.cancel()
         judged(obj)
-        wait(lambda: not obj.jobs and not bench.store.accepting(), "it is decided")
+        wait(lambda: not obj.jobs and (refused or not bench.store.accepting()), "it is decided")
         assert (obj.document.review.state == "accepted", bool(refused)) == (accepted, not accepted)
+
+
+def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
+    cupboard: OpenObject,
+) -> None:
+    obj, bench = cupboard, cupboard.bench
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    told: list[None] = []
+    bench.on_queue(lambda: told.append(None))
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait(lambda: held.state == "running", "judging is held up")
+    obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.02)), "tester")
+    told.clear()
+    accept(obj, "seen in person", "ann", NOW)
+    record = bench.store.object(obj.record.id)
+    assert told and bench.judging_now(record.id) and bench.under_way(record.id) and obj.in_use
+    accept(obj, "", "rob", NOW)  # in another tab: what the first one typed stays
+    assert bench.store.accepting()[record.id].comment == "seen in person"
+    held.cancel()
+    why = wait(lambda: bench.held(record), "it is held back")
+    assert "part 1 is broken" in why and obj.held == why
+    assert obj.document.review.state != "accepted" and not obj.interrupted
+    assert not bench.under_way(record.id) and "save" not in obj.jobs
+    kept = Begun(record.seq, "seen in person", "", why)
+    assert obj.begun == kept and bench.store.accepting() == {record.id: kept}
+    bench.follow()
+    assert bench.held(record) == why
+    # The next server says so, too.
+    other = Workbench(bench.config, Store(bench.workspace), [Path(obj.record.path)])
+    try:
+        assert other.held(record) == why and not other.was_interrupted(record)
+    finally:
+        other.close()
+    # What is changed is another object; asked for with a reason it is accepted.
+    obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.01)), "tester")
+    assert not obj.held and not bench.held(bench.store.object(record.id))
+    judged(obj)
+    accept(obj, "", "ann", NOW, "it gives way")
+    wait(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
+    wait(lambda: not bench.store.accepting(), "it is over")
+
+
+def test_a_wish_hears_at_once_that_the_joints_changed(cupboard: OpenObject) -> None:
+    """Also where nothing will be judged any more."""
+    obj, bench = cupboard, cupboard.bench
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait(lambda: held.state == "running", "judging is held up")
+    obj.do(cmd.SetJoint(replace(DOOR, upper=0.97)), "tester")
+    said: list[CommandError] = []
+    accept(obj, "", "ann", NOW, refused=said.append)
+    assert not said and obj.judging.waiting
+    obj.do(cmd.SetJoint(replace(DOOR, upper=0.96)), "rob")
+    wait(lambda: said, "it is told")
+    assert "edited meanwhile" in str(said[0]) and not obj.judging.waiting and not obj.held
+    held.cancel()
+    judged(obj)
+    assert obj.document.review.state != "accepted" and not bench.store.accepting()
+
+
+def test_what_could_not_be_judged_is_not_accepted_unseen(cupboard: OpenObject) -> None:
+    obj, bench = cupboard, cupboard.bench
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait(lambda: held.state == "running", "judging is held up")
+    obj.do(cmd.SetJoint(replace(DOOR, upper=0.95)), "tester")
+    accept(obj, "", "ann", NOW)
+    obj.judging.failed("its process ended")
+    assert "couldn't be judged: its process ended" in obj.held
+    assert obj.document.review.state != "accepted" and "save" not in obj.jobs
+    held.cancel()
+    judged(obj)
+    obj.do(cmd.SetJoint(DOOR), "tester")
+    judged(obj)
 
 
 def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(

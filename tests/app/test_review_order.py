@@ -57,6 +57,13 @@ def test_the_least_confident_prediction_comes_first():
     assert order.next([record(1, "predicted", seq=2), queue[2]], 2) == 1
 
 
+def test_what_is_to_be_looked_at_again_comes_before_what_is_new():
+    order = ReviewOrder({1: predicted(0.9, 0.9), 2: predicted(0.1, 0.9)}.__getitem__)
+    queue = [record(1, "predicted"), record(2, "predicted"), record(3, "todo")]
+    assert order.next(queue, 3, again={1}) == 1
+    assert order.next(queue, 3, {1}, {1}) == 2  # it was gone past
+
+
 def test_where_nothing_is_predicted_the_next_unfinished_object_follows():
     order = ReviewOrder(lambda number: pytest.fail("no prediction needs to be read"))
     queue = [record(1, "todo"), record(2, "accepted"), record(3, "rejected"), record(4, "todo")]

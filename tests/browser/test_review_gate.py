@@ -190,6 +190,61 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     assert other.document.review.state == "predicted"
 
 
+def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
+    start: Any, open_tab: Any, tmp_path: Path
+) -> None:
+    names = ("grazing", "clean", "third")
+    server = start(*(write_cupboard(tmp_path / name) for name in names))
+    tab = open_tab(server)
+    bench = server.bench
+    grazing, clean, third = (bench.object(r.id) for r in bench.records())
+    for obj, sure in ((grazing, 0.6), (clean, 0.7), (third, 0.8)):
+        record_prediction(obj, sure)
+    wait_until(lambda: all(o.judging.report for o in (grazing, clean, third)), "verdicts")
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait_until(lambda: held.state == "running", "judging is held up")
+    grazing.do(cmd.SetJoint(replace(DOOR, origin=(-0.28, -0.003, 0.2))), "tester")
+    for obj in (clean, third):
+        obj.do(cmd.SetJoint(DOOR), "tester")
+    tab.step("Review")
+    tab.field("Comment").fill("the hinge is bent")
+    tab.page.evaluate("document.activeElement?.blur()")
+    wait_until(lambda: tab.app.review_panel.comment_text == "the hinge is bent", "the comment")
+    tab.wait_seen()
+    tab.key("y")
+    wait_until(lambda: tab.app.object is clean, "the next object")
+    first = tab.app.queue_panel._buttons[0]
+    wait_until(lambda: first.hint.endswith("being judged, then accepted"), "the queue tells it")
+    tab.wait_seen()
+    tab.key("y")
+    wait_until(lambda: tab.app.object is third, "the next object again")
+    assert {o.document.review.state for o in (grazing, clean)} == {"predicted"}
+    tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
+
+    held.cancel()
+    tab.page.get_by_text("clean: Saved in", exact=False).wait_for()
+    assert clean.document.review.state == "accepted"
+    tab.page.get_by_text("Y again accepts it as it is", exact=False).first.wait_for()
+    assert grazing.document.review.state == "predicted" and tab.app.object is third
+    wait_until(lambda: "grazing: look again: part 1: Runs" in first.hint, "the queue says why")
+    tab.page.screenshot(path=str(tmp_path / "look_again.png"))
+
+    # The way back leads to the worst moment, with what was typed; Y has seen it now.
+    tab.button("Look again: grazing").click()
+    wait_until(lambda: tab.app.object is grazing, "back at it")
+    worst = grazing.judging.report.joints[0].worst
+    wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
+    tab.wait_node("/moment")
+    assert tab.app.stage == "Review" and tab.app.review_panel.comment_text == "the hinge is bent"
+    joint_button(tab, "Accept as it is").wait_for()
+    tab.wait_seen()
+    tab.page.screenshot(path=str(tmp_path / "back.png"))
+    tab.key("y")
+    wait_until(lambda: grazing.document.saved is not None, "saved")
+    assert grazing.document.review.comment == "the hinge is bent"
+    wait_until(lambda: not tab.app.queue_panel._again.visible, "nothing is held back")
+
+
 def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:
     """What the bundled clicks and the predictor give of a chair, with one joint spoilt."""
     path = static_assets() / "examples" / "office_chair.glb"
