@@ -43,17 +43,17 @@ def parted_by_color(
     Returns:
         (N,) the cell of each node now, and how many cells there are.
     """
-    of_node = of_node.astype(np.int64)
+    cells: npt.NDArray[np.int64] = of_node.astype(np.int64)
     for _ in range(_ROUNDS):
-        side, step, spread, fewer = _two_colors(of_node, lab, number)
+        side, step, spread, fewer = _two_colors(cells, lab, number)
         cut = (step > _LEAST_STEP) & (step > _CLEAR * spread) & (fewer >= _LEAST_NODES)
         if not cut.any():
             break
-        other = (side == 1) & cut[of_node]
+        other = (side == 1) & cut[cells]
         new = np.cumsum(cut) - 1 + number
-        of_node = np.where(other, new[of_node], of_node)
+        cells = np.where(other, new[cells], cells)
         number += int(cut.sum())
-    return of_node, number
+    return cells, number
 
 
 def _two_colors(
