@@ -379,9 +379,11 @@ def test_a_wish_hears_at_once_that_the_joints_changed(cupboard: OpenObject) -> N
 
 def test_what_could_not_be_judged_is_not_accepted_unseen(cupboard: OpenObject) -> None:
     obj, bench = cupboard, cupboard.bench
+    judged(obj)
     held = bench.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.95)), "tester")
+    wait(lambda: "check" in obj.jobs, "the gate is asked")
     accept(obj, "", "ann", NOW)
     obj.judging.failed("its process ended")
     assert "couldn't be judged: its process ended" in obj.held
