@@ -7,6 +7,7 @@ import os
 import secrets
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -47,29 +48,35 @@ def _content(part: Part) -> list[Any]:
 
 def load_shapes(folder: Path | None, key: str) -> dict[str, tuple[Shape, ...]] | None:
     """Link → shapes, or None where they aren't kept, or their file is damaged."""
-    if folder is None:
-        return None
+    data = None if folder is None else load_arrays(folder / f"{key}.npz")
     try:
-        with np.load(folder / f"{key}.npz", allow_pickle=False) as file:
-            data = {name: file[name] for name in file.files}
-        return _unpacked(data)
-    except (OSError, ValueError, KeyError, EOFError, AssertionError):
+        return None if data is None else _unpacked(data)
+    except (ValueError, KeyError, AssertionError):
         return None
-    except Exception as error:  # zipfile has its own, which needs no import here
-        if type(error).__name__ == "BadZipFile":
-            return None
-        raise
 
 
 def save_shapes(folder: Path | None, key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
     """Keep shapes; a folder that can't be written is let be."""
-    if folder is None:
-        return
-    draft = folder / f".{key}.{secrets.token_hex(4)}.npz"
+    if folder is not None:
+        save_arrays(folder / f"{key}.npz", _packed(shapes))
+
+
+def load_arrays(path: Path) -> dict[str, npt.NDArray[Any]] | None:
+    """What :func:`save_arrays` kept, or None where it isn't there or is damaged."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez(draft, **_packed(shapes))  # type: ignore[arg-type]
-        draft.replace(folder / f"{key}.npz")
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None
+
+
+def save_arrays(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
+    """Keep arrays, all or none of them; a folder that can't be written is let be."""
+    draft = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.npz")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(draft, **arrays)  # type: ignore[arg-type]
+        draft.replace(path)
     except OSError:
         draft.unlink(missing_ok=True)
 

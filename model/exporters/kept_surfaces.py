@@ -4,15 +4,13 @@ one of a scan takes seconds."""
 from __future__ import annotations
 
 import os
-import secrets
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
-from model.collision.store import fingerprint
+from model.collision.store import fingerprint, load_arrays, save_arrays
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.geometry.reconstruct import mesh_of_scan
@@ -26,33 +24,25 @@ VERSION = 1
 def load_surface(folder: Path, cloud: PointCloud) -> Mesh | None:
     """The surface that was kept of ``cloud``, or None; what is damaged counts as not there."""
     path = _path(folder, cloud)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        os.utime(path)
-        return mesh_of_scan(arrays["vertices"], arrays["faces"], arrays.get("colors"))
-    except (OSError, ValueError, KeyError, EOFError):
+    arrays = load_arrays(path)
+    if arrays is None:
         return None
-    except Exception as error:  # zipfile has its own, which needs no import here
-        if type(error).__name__ == "BadZipFile":
-            return None
-        raise
+    with suppress(OSError):  # a folder that can't be written; another process drops files, too
+        os.utime(path)
+    try:
+        return mesh_of_scan(arrays["vertices"], arrays["faces"], arrays.get("colors"))
+    except (ValueError, KeyError):
+        return None
 
 
 def save_surface(folder: Path, cloud: PointCloud, mesh: Mesh) -> None:
     """Keep it; a folder that can't be written is let be."""
-    path = _path(folder, cloud)
-    draft = folder / f".{path.stem}.{secrets.token_hex(4)}.npz"
     arrays: dict[str, npt.NDArray[Any]] = {"vertices": mesh.vertices, "faces": mesh.faces}
     if mesh.vertex_colors is not None:
         arrays["colors"] = mesh.vertex_colors
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez(draft, **arrays)  # type: ignore[arg-type]
-        draft.replace(path)
+    save_arrays(_path(folder, cloud), arrays)
+    with suppress(OSError):
         _drop_oldest(folder)
-    except OSError:
-        draft.unlink(missing_ok=True)
 
 
 def _path(folder: Path, cloud: PointCloud) -> Path:
