@@ -10,7 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 T = TypeVar("T")
 A = TypeVar("A")
@@ -79,11 +79,23 @@ def in_processes(
             futures = [pool.submit(function, task) for task in tasks]
         yield futures
     except BaseException:
-        for process in list((pool._processes or {}).values()):
-            process.kill()
-        pool.shutdown(wait=False, cancel_futures=True)
+        kill_pool(pool)
         raise
     pool.shutdown()
+
+
+def kill_pool(pool: ProcessPoolExecutor) -> None:
+    """End a pool and its processes at once, without waiting for the tasks under way.
+
+    The pool's own thread is waited for, 5 s at most: where Python ends while the thread closes
+    its pipes, Python wakes it through one that is closed already (a traceback at exit).
+    """
+    manager = cast("threading.Thread | None", pool._executor_manager_thread)
+    for process in list((pool._processes or {}).values()):
+        process.kill()
+    pool.shutdown(wait=False, cancel_futures=True)
+    if manager is not None:
+        manager.join(5)
 
 
 def in_order(function: Callable[[A], T], tasks: Sequence[A], jobs: int) -> list[T]:

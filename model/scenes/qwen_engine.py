@@ -11,6 +11,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 
 from model.errors import ArtiworldError, ConfigurationError
+from model.evaluation.pool import kill_pool
 from model.scenes.language_finder import Answer, FinderUnavailableError
 
 
@@ -63,9 +64,7 @@ class QwenEngine:
             pool, self._pool = self._pool, None
         if pool is not None:
             # Between two tokens it could listen, but one look at a long prompt takes long, too.
-            for process in list((pool._processes or {}).values()):
-                process.kill()
-            pool.shutdown(wait=False, cancel_futures=True)
+            kill_pool(pool)
 
 
 def _decide(folder: Path, system: str, user: str) -> tuple[str, str | None]:
