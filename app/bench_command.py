@@ -24,8 +24,9 @@ class Bench:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
-    add("what", choices=("ui", "scene", "segment", "predict"),
-        help="the screen of one object, of a scene; the segmenter; the predictor")  # fmt: skip
+    add("what", choices=("ui", "scene", "segment", "predict", "networks"),
+        help="the screen of one object, of a scene; the segmenter; the predictor; "
+        "the paper-size networks with random weights")  # fmt: skip
     add("--data", type=Path, metavar="DIR", help="segment: folder of real data, by default made up")
     add("--sets", nargs="+", metavar="NAME",
         help="segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs")  # fmt: skip
@@ -39,6 +40,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--offset", type=int, metavar="N", help="segment: with which object the subset begins")
     add("--parts", type=count, metavar="N", help="segment: parts asked for in an object at most")
     add("--first", choices=("deepest", "random"), help="segment: where the first click goes")
+    add("--sizes", nargs="+", metavar="NAME",
+        help="networks: language models (0.6b 1.7b 4b 8b)")  # fmt: skip
+    add("--train", action="store_true", default=None,
+        help="networks: train without a GPU, too (minutes a step)")  # fmt: skip
     add_json(parser)
 
 
@@ -60,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
             first=args.first,
         ),
         "predict": lambda: bench_predict(show.progress),
+        "networks": lambda: bench_networks(args.sizes, args.train, show.progress),
     }
     with printing.session(args.json) as show:
         answer = runs[args.what]()
@@ -130,6 +136,29 @@ def bench_predict(progress: Progress = no_progress) -> Bench:
     report = measure(progress)
     title = "Prediction, a chest of drawers (milliseconds, medians; forward passes)"
     return Bench(report, lambda: _show(title, upright(report["rows"])))
+
+
+def bench_networks(
+    sizes: list[str] | None, train: bool | None, progress: Progress = no_progress
+) -> Bench:
+    """The paper-size networks, see :mod:`app.bench_networks`."""
+    from model.training.full_config import LORA_RANK, FullConfig, require_extras
+
+    require_extras(FullConfig(lora_rank=LORA_RANK))
+    from app.bench_networks import NetworksConfig, measure, tables
+    from model.arti4urdf.language_model import QWEN3
+
+    for name in sizes or ():
+        if name not in QWEN3:
+            raise ConfigurationError(f"no size {name!r}; there are {', '.join(QWEN3)}")
+    asked = {name: QWEN3[name] for name in sizes} if sizes else None
+    report = measure(NetworksConfig(sizes=asked, train=train), progress)
+
+    def show() -> None:
+        for title, rows in tables(report):
+            _show(title, rows)
+
+    return Bench(report, show)
 
 
 def _nothing() -> None:
