@@ -211,7 +211,8 @@ class ArtiModel(nn.Module):
         count = self.config.point_bert.points
         points = self._stacked(prompts, lambda p: p.arrays.points)
         clouds = whitened_cloud(points[:, :count])
-        wholes = whitened_cloud(torch.from_numpy(np.stack([_whole(p, count) for p in prompts])))
+        whole = torch.from_numpy(np.stack([_whole(p, count) for p in prompts]))
+        wholes = whitened_cloud(whole.to(points.device))
         groups = group_points(torch.cat([clouds, wholes]), self.config.point_bert)
         features = self.point_encoder(groups)
         parts, whole = features[: len(clouds)], features[len(clouds) :]
