@@ -134,7 +134,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         display_points=None if cloud is None else np.asarray(cloud.points),
         display_colors=None if cloud is None else _colors(cloud),
         glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
-        glb_order=None if mesh is None else face_order(mesh),
+        glb_order=None if mesh is None else face_order(mesh, matt=True),
         part_names=part_names,
         category=category,
         warnings=(*asset.warnings, *remarks),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,24 +46,28 @@ def mesh_to_glb(
     """
     builder = _Builder()
     if matt:
-        plain = tuple(replace(m, metallic=None, roughness=None) for m in mesh.materials)
-        mesh = replace(mesh, materials=plain)
-    look = _looks(mesh)[mesh.face_material]
+        mesh = replace(mesh, materials=tuple(map(_matt, mesh.materials)))
+    look = _looks(mesh.materials)[mesh.face_material]
     for i in np.unique(look):
         builder.material(mesh.materials[i], mesh.vertex_colors is not None, max_texture)
     builder.geometry(mesh, look, y_up, smooth)
     return builder.finish()
 
 
-def face_order(mesh: Mesh) -> npt.NDArray[np.int32]:
-    """(F,) the faces of ``mesh`` in the order in which its GLB file has them."""
-    return np.argsort(_looks(mesh)[mesh.face_material], kind="stable").astype(np.int32)
+def face_order(mesh: Mesh, *, matt: bool = False) -> npt.NDArray[np.int32]:
+    """(F,) the faces of ``mesh`` in the order in which its GLB file has them, all matt or not."""
+    materials = tuple(map(_matt, mesh.materials)) if matt else mesh.materials
+    return np.argsort(_looks(materials)[mesh.face_material], kind="stable").astype(np.int32)
 
 
-def _looks(mesh: Mesh) -> Array:
+def _matt(material: Material) -> Material:
+    return replace(material, metallic=None, roughness=None)
+
+
+def _looks(materials: Sequence[Material]) -> Array:
     """The first material that looks like each one: fewer primitives draw faster."""
     first: dict[tuple[Any, ...], int] = {}
-    keys = [(m.base_color, id(m.texture), m.metallic, m.roughness) for m in mesh.materials]
+    keys = [(m.base_color, id(m.texture), m.metallic, m.roughness) for m in materials]
     return np.array([first.setdefault(key, i) for i, key in enumerate(keys)])
 
 

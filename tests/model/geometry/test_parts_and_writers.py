@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,13 @@ def test_faces_of_a_glb_come_material_by_material() -> None:
     scene = trimesh.load(io.BytesIO(mesh_to_glb(mesh)), file_type="glb")
     written = np.concatenate([g.triangles for g in scene.geometry.values()])
     np.testing.assert_allclose(written, mesh.triangles[face_order(mesh)], atol=1e-6)
+    # On a screen, where all is matt, the first and the last material are one.
+    shiny = replace(materials[0], metallic=1.0)
+    mesh = replace(mesh, materials=(*materials[:2], shiny))
+    scene = trimesh.load(io.BytesIO(mesh_to_glb(mesh, matt=True)), file_type="glb")
+    written = np.concatenate([g.triangles for g in scene.geometry.values()])
+    np.testing.assert_allclose(written, mesh.triangles[face_order(mesh, matt=True)], atol=1e-6)
+    assert not np.array_equal(face_order(mesh), face_order(mesh, matt=True))
 
 
 def test_glb_is_what_other_programs_read(textured: Mesh) -> None:
