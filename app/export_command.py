@@ -109,9 +109,8 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     from model.exporters.about import write_about
     from model.exporters.physics import physics_of
     from model.exporters.readback import read_back
-    from model.exporters.registry import BUILT_IN, load_exporter, write_object
+    from model.exporters.registry import BUILT_IN, load_exporter, losses_of, write_object
     from model.exporters.saved import load_object, reading_notes
-    from model.exporters.urdf import losses_of
     from model.progress import no_progress
 
     progress = progress or no_progress
@@ -124,7 +123,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
         start = 0.5 + 0.5 * i / len(task.folders)
         span = part_of(progress, start, 0.5 + 0.5 * (i + 1) / len(task.folders))
         files = write_object(obj, load_exporter(name), folder, physics=physics, progress=span)
-        said = [*notes, *(losses_of(obj) if name == "urdf" else ())]
+        said = [*notes, *(losses_of(name, obj))]
         about = write_about(folder, task.asset, name, said)
         entry: dict[str, Any] = {
             "format": name,

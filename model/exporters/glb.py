@@ -102,9 +102,10 @@ class _Scene:
             for texture in tree.get("textures", [])
         ]
         for material in tree.get("materials", []):
-            picture = material["pbrMetallicRoughness"].get("baseColorTexture")
-            if picture is not None:
-                picture["index"] = textures[picture["index"]]
+            for slot in _texture_slots(material):
+                slot["index"] = textures[slot["index"]]
+        for extension in tree.get("extensionsUsed", []):
+            self._shared("extensionsUsed", extension)
         materials = [self._shared("materials", m) for m in tree.get("materials", [])]
         for mesh in tree["meshes"]:
             mesh["name"] = link
@@ -119,7 +120,7 @@ class _Scene:
         node = {"name": f"{link} mesh", "mesh": base["meshes"], "translation": back}
         self._node(self.node[link], node)
 
-    def _shared(self, key: str, entry: dict[str, Any]) -> int:
+    def _shared(self, key: str, entry: dict[str, Any] | str) -> int:
         """An entry's number in a list; one that is there already is used again, as viewers keep
         a picture and a shader for each."""
         entries = self.lists.setdefault(key, [])
@@ -218,6 +219,13 @@ class _Scene:
         head = b"glTF" + struct.pack("<II", 2, size)
         head += struct.pack("<I", len(text)) + b"JSON" + text
         return head + struct.pack("<I", len(self.binary)) + b"BIN\0" + bytes(self.binary)
+
+
+def _texture_slots(material: dict[str, Any]) -> list[dict[str, Any]]:
+    """What refers to textures in a material."""
+    found = [material["pbrMetallicRoughness"].get("baseColorTexture")]
+    found += [material.get(f"{kind}Texture") for kind in ("normal", "occlusion", "emissive")]
+    return [slot for slot in found if slot is not None]
 
 
 def _chunks(glb: bytes) -> tuple[dict[str, Any], bytes]:

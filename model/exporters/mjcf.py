@@ -2,7 +2,8 @@
 
 One body a link, its frame as in the URDF (see ``model.kinematics.urdf``), so link poses agree.
 Each material of a part is a geom of its own, as MuJoCo has one material a geom; those are for
-looking at only. Collision shapes are geoms of another group that nobody sees.
+looking at only. Collision shapes are geoms of another group that nobody sees. Maps are layers of
+materials, which MuJoCo compiles and renderers of such models draw; its own viewer shows the colour.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.collision.shapes import Primitive
@@ -20,8 +22,10 @@ from model.exporters.collision_files import write_collision
 from model.exporters.part_files import file_stems, part_mesh
 from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import MESHES
-from model.geometry.formats.textures import encode
+from model.geometry.formats.srgb import to_linear
+from model.geometry.formats.textures import decode, encode
 from model.geometry.mesh import Material, Mesh
+from model.geometry.surface_maps import ImageFile, SurfaceMaps
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
@@ -184,24 +188,33 @@ class _Writer:
         if piece.vertex_colors is not None:  # MuJoCo has none; their mean is nearest
             color = piece.vertex_colors.mean(axis=0) / 255.0
         made = ET.SubElement(self.assets, "material", name=name, specular="0.2", shininess="0.2")
+        texture = None
         if look.texture is not None and piece.uv is not None:
-            made.set("texture", self._texture(look))
+            texture = self._texture(ImageFile(*encode(look.texture)))
             color = np.array([1.0, 1.0, 1.0, color[3]])
-        for key, value in (("metallic", look.metallic), ("roughness", look.roughness)):
+        glow = _emission(look.maps, color) if look.maps.emissive is None else 0.0
+        surface = {"metallic": look.metallic, "roughness": look.roughness, "emission": glow or None}
+        for key, value in surface.items():
             if value is not None:
                 made.set(key, f"{value:.4g}")
         made.set("rgba", " ".join(f"{v:.4g}" for v in color))
+        layers = {} if piece.uv is None else _layers(look.maps)
+        if texture is not None and not layers:
+            made.set("texture", texture)
+        elif texture is not None:  # MuJoCo takes either the attribute or layers
+            ET.SubElement(made, "layer", role="rgb", texture=texture)
+        for role, image in layers.items():
+            ET.SubElement(made, "layer", role=role, texture=self._texture(image))
         return name
 
-    def _texture(self, look: Material) -> str:
-        assert look.texture is not None
+    def _texture(self, image: ImageFile) -> str:
         # Parts that were cut from one mesh have equal textures, not the same ones.
-        digest = hashlib.sha256(encode(look.texture)[0]).hexdigest()[:12]
+        digest = hashlib.sha256(image.data).hexdigest()[:12]
         name = f"texture_{digest}"
         if name not in self.textures:
             self.textures.add(name)
             path = self.folder / MESHES / f"{name}.png"
-            look.texture.convert("RGB").save(path)
+            decode(image.data, name).convert("RGB").save(path)
             self.files.append(path)
             ET.SubElement(self.assets, "texture", name=name, type="2d", file=path.name)
         return name
@@ -218,6 +231,44 @@ class _Writer:
                 equality, "joint", joint1=joint.name, joint2=joint.mimic.joint,
                 polycoef=vector(terms),
             )  # fmt: skip
+
+
+def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
+    """What of its materials MuJoCo has no place for, in words; empty where nothing is lost."""
+    left: set[str] = set()
+    for part in obj.parts:
+        for material in part_mesh(part).materials:
+            left |= _left_of(material)
+    if not left:
+        return ()
+    return (f"MJCF has no place for {', '.join(sorted(left))} of its materials",)
+
+
+def _left_of(material: Material) -> set[str]:
+    maps = material.maps
+    left = {
+        "the scale of normal maps": maps.normal is not None and maps.normal_scale != 1.0,
+        "the strength of occlusion maps": maps.occlusion_strength != 1.0,
+        "the factor of emissive maps": maps.emissive is not None and set(maps.emission) != {1.0},
+    }
+    if any(maps.emission) and maps.emissive is None:
+        color = np.asarray(material.base_color if material.texture is None else (255,) * 4) / 255.0
+        told = _emission(maps, color) * to_linear(color[:3])
+        left["light of another colour"] = bool(np.abs(told - maps.emission).max() > 0.02)
+    return {what for what, is_lost in left.items() if is_lost}
+
+
+def _layers(maps: SurfaceMaps) -> dict[str, ImageFile]:
+    """Images by the roles that MuJoCo calls them by."""
+    roles = {"normal": maps.normal, "occlusion": maps.occlusion, "emissive": maps.emissive}
+    return {role: image for role, image in roles.items() if image is not None}
+
+
+def _emission(maps: SurfaceMaps, color: npt.NDArray[np.float64]) -> float:
+    """The share of its own colour that comes nearest to a surface's light; MuJoCo has no more."""
+    base = to_linear(color[:3])
+    share = float(base @ np.array(maps.emission)) / max(float(base @ base), 1e-9)
+    return min(max(share, 0.0), 1.0)
 
 
 def _plain(piece: Mesh) -> Mesh:

@@ -91,6 +91,14 @@ def write_parts(
     return tuple(out)
 
 
+def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
+    """What other programs won't read of the files of :func:`write_parts`, in words."""
+    shaded = any(m.maps.occlusion is not None for p in obj.parts for m in part_mesh(p).materials)
+    if not shaded:
+        return ()
+    return ("occlusion maps: an MTL has no word for them; map_ao is read by ArtiWorld alone",)
+
+
 _OF_CLOUDS: WeakKeyDictionary[PointCloud, Mesh] = WeakKeyDictionary()
 
 

@@ -74,6 +74,20 @@ def _table() -> dict[str, Callable[[], Exporter]]:
     return table
 
 
+def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
+    """What readers of a built-in format won't show, in words; empty where nothing is known."""
+    from model.exporters import mjcf, part_files, urdf
+
+    told: list[str] = []
+    if name in ("urdf", "ros", "sdf"):
+        told += part_files.losses_of(obj)
+    if name == "urdf":
+        told += urdf.losses_of(obj)
+    if name == "mjcf":
+        told += mjcf.losses_of(obj)
+    return tuple(told)
+
+
 def exporter_names() -> tuple[str, ...]:
     """Names that :func:`load_exporter` takes, built-ins first."""
     return tuple(_table())

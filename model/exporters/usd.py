@@ -26,6 +26,7 @@ from model.exporters.part_files import part_mesh
 from model.exporters.physics import Physics, plain_physics
 from model.geometry.formats.textures import encode
 from model.geometry.mesh import Material, Mesh
+from model.geometry.surface_maps import ImageFile, SurfaceMaps
 from model.installing import install_command
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, Mimic
@@ -199,10 +200,12 @@ class _Writer:
 
     def _look(self, material: Material, shown: tuple[str, ...]) -> Any:
         """The material; ``shown`` of the mesh stands for its colour where it has no texture."""
-        picture = None if material.texture is None else self._picture(material)
+        picture = None
+        if material.texture is not None:
+            picture = self._picture(ImageFile(*encode(material.texture)))
         shown = shown if picture is None else ()
         color_of = material.base_color if not shown else (255, 255, 255, 255)
-        key = (color_of, picture, material.metallic, material.roughness, shown)
+        key = (color_of, picture, material.metallic, material.roughness, material.maps, shown)
         if key in self.looks:
             return self.looks[key]
         types, shade = self.Sdf.ValueTypeNames, self.UsdShade
@@ -220,15 +223,9 @@ class _Writer:
         if material.metallic is not None:
             surface.CreateInput("metallic", types.Float).Set(material.metallic)
         if picture is not None:
-            st = self._primvar(path, "st", "float2", types.Float2)
-            texture = shade.Shader.Define(self.stage, f"{path}/texture")
-            texture.CreateIdAttr("UsdUVTexture")
-            texture.CreateInput("file", types.Asset).Set(self.Sdf.AssetPath(f"./{picture}"))
-            texture.CreateInput("wrapS", types.Token).Set("repeat")
-            texture.CreateInput("wrapT", types.Token).Set("repeat")
-            texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
-            texture.CreateInput("st", types.Float2).ConnectToSource(st)
+            texture = self._texture(path, "texture", picture, "sRGB")
             color.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        self._maps(path, surface, material.maps)
         if "displayColor" in shown:
             color.ConnectToSource(self._primvar(path, "displayColor", "float3", types.Float3))
         if "displayOpacity" in shown:
@@ -237,6 +234,47 @@ class _Writer:
         made.CreateSurfaceOutput().ConnectToSource(output)
         return made
 
+    def _maps(self, path: str, surface: Any, maps: SurfaceMaps) -> None:
+        """What a map holds is times its scale plus its bias, after it was made linear."""
+        types = self.Sdf.ValueTypeNames
+        if maps.normal is not None:
+            picture, bump = self._picture(maps.normal), maps.normal_scale
+            texture = self._texture(path, "normal_map", picture, "raw")
+            self._scaled(texture, (2 * bump, 2 * bump, 2.0, 1.0), (-bump, -bump, -1.0, 0.0))
+            normal = surface.CreateInput("normal", types.Normal3f)
+            normal.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        if any(maps.emission):
+            glow = surface.CreateInput("emissiveColor", types.Color3f)
+            glow.Set(self._vec3f(maps.emission))
+            if maps.emissive is not None:
+                picture = self._picture(maps.emissive)
+                texture = self._texture(path, "emissive_map", picture, "sRGB")
+                self._scaled(texture, (*maps.emission, 1.0), (0.0,) * 4)
+                glow.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        if maps.occlusion is not None:
+            picture, strength = self._picture(maps.occlusion), maps.occlusion_strength
+            texture = self._texture(path, "occlusion_map", picture, "raw")
+            self._scaled(texture, (strength,) * 4, (1.0 - strength,) * 4)
+            occlusion = surface.CreateInput("occlusion", types.Float)
+            occlusion.ConnectToSource(texture.CreateOutput("r", types.Float))
+
+    def _texture(self, path: str, name: str, picture: str, color_space: str) -> Any:
+        types = self.Sdf.ValueTypeNames
+        texture = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", types.Asset).Set(self.Sdf.AssetPath(f"./{picture}"))
+        texture.CreateInput("wrapS", types.Token).Set("repeat")
+        texture.CreateInput("wrapT", types.Token).Set("repeat")
+        texture.CreateInput("sourceColorSpace", types.Token).Set(color_space)
+        st = self._primvar(path, "st", "float2", types.Float2)
+        texture.CreateInput("st", types.Float2).ConnectToSource(st)
+        return texture
+
+    def _scaled(self, texture: Any, scale: Sequence[float], bias: Sequence[float]) -> None:
+        for name, values in (("scale", scale), ("bias", bias)):
+            made = texture.CreateInput(name, self.Sdf.ValueTypeNames.Float4)
+            made.Set(self.Gf.Vec4f(*values))
+
     def _primvar(self, path: str, name: str, kind: str, type: Any) -> Any:
         """What reads a value that the mesh has at each vertex."""
         reader = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
@@ -244,13 +282,12 @@ class _Writer:
         reader.CreateInput("varname", self.Sdf.ValueTypeNames.String).Set(name)
         return reader.CreateOutput("result", type)
 
-    def _picture(self, material: Material) -> str:
-        assert material.texture is not None
-        data, suffix = encode(material.texture)
-        name = f"{TEXTURES}/texture_{hashlib.sha256(data).hexdigest()[:12]}{suffix}"
+    def _picture(self, image: ImageFile) -> str:
+        digest = hashlib.sha256(image.data).hexdigest()[:12]
+        name = f"{TEXTURES}/texture_{digest}{image.suffix}"
         path = self.folder / name
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(data)
+        path.write_bytes(image.data)
         self.files.append(path)
         return name
 

@@ -1,8 +1,9 @@
 """Assets on disk as memory-mapped arrays, so that processes share them and reopening is instant.
 
-A folder holds ``asset.json`` (format version 4), one ``.npy`` file an array, and the textures.
+A folder holds ``asset.json`` (format version 5), one ``.npy`` file an array, and the textures.
 Version 1 lacks metallic and roughness, version 2 the joints that a source tells, version 3 its
-masses: such copies are made again from their source.
+masses, version 4 maps of normals, emission and occlusion: such copies are made again from their
+source.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import os
 import shutil
 import tempfile
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,14 @@ from model.geometry.asset import Asset, Source
 from model.geometry.formats.textures import TextureError, encode, open_texture
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.geometry.surface_maps import ImageFile, SurfaceMaps
 from model.kinematics.inertial import Inertial
 from model.kinematics.tree import KinematicTree
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 _META = "asset.json"
 _MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
+_MAPS = ("normal", "emissive", "occlusion")
 _CLOUD = ("points", "normals", "colors")
 
 
@@ -94,21 +97,28 @@ def _save(path: Path, array: npt.NDArray[Any] | None) -> None:
 
 
 def _write_materials(materials: tuple[Material, ...], folder: Path) -> list[dict[str, Any]]:
-    files: dict[int, str] = {}
+    files: dict[ImageFile, str] = {}
+
+    def file_of(image: ImageFile | None) -> str | None:
+        if image is None:
+            return None
+        if image not in files:
+            files[image] = f"texture_{len(files)}{image.suffix}"
+            (folder / files[image]).write_bytes(image.data)
+        return files[image]
+
     out = []
     for m in materials:
-        if m.texture is not None and id(m.texture) not in files:
-            data, suffix = encode(m.texture)
-            name = f"texture_{len(files)}{suffix}"
-            (folder / name).write_bytes(data)
-            files[id(m.texture)] = name
+        texture = None if m.texture is None else ImageFile(*encode(m.texture))
+        maps = {f.name: getattr(m.maps, f.name) for f in fields(m.maps)}
         out.append(
             {
                 "name": m.name,
                 "base_color": list(m.base_color),
-                "texture": None if m.texture is None else files[id(m.texture)],
+                "texture": file_of(texture),
                 "metallic": m.metallic,
                 "roughness": m.roughness,
+                "maps": maps | {name: file_of(maps[name]) for name in _MAPS},
             }
         )
     return out
@@ -205,6 +215,7 @@ def _load(path: Path) -> npt.NDArray[Any] | None:
 
 def _read_materials(rows: list[dict[str, Any]], folder: Path) -> tuple[Material, ...]:
     textures: dict[str, Image.Image] = {}
+    files: dict[str, ImageFile] = {}
     out = []
     for row in rows:
         name = row["texture"]
@@ -213,5 +224,19 @@ def _read_materials(rows: list[dict[str, Any]], folder: Path) -> tuple[Material,
         red, green, blue, alpha = row["base_color"]
         texture = None if name is None else textures[name]
         color = (red, green, blue, alpha)
-        out.append(Material(row["name"], color, texture, row["metallic"], row["roughness"]))
+        maps = {name: _image_file(folder, row["maps"][name], files) for name in _MAPS}
+        told = row["maps"] | maps | {"emission": tuple(row["maps"]["emission"])}
+        out.append(
+            Material(
+                row["name"], color, texture, row["metallic"], row["roughness"], SurfaceMaps(**told)
+            )
+        )
     return tuple(out)
+
+
+def _image_file(folder: Path, name: str | None, known: dict[str, ImageFile]) -> ImageFile | None:
+    """A map as it was written; its pixels were looked at when it was read from the source."""
+    if name is not None and name not in known:
+        path = folder / Path(name).name
+        known[name] = ImageFile(path.read_bytes(), path.suffix)
+    return None if name is None else known[name]

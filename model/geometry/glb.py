@@ -11,10 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from model.geometry.formats.gltf_materials import BRIGHTER
 from model.geometry.formats.srgb import to_linear
-from model.geometry.formats.textures import encode
+from model.geometry.formats.textures import decode, encode
 from model.geometry.mesh import Material, Mesh
 from model.geometry.shading import corner_normals
+from model.geometry.surface_maps import ImageFile, SurfaceMaps
 
 Array = npt.NDArray[Any]
 METALLIC, ROUGHNESS = 0.0, 0.9
@@ -40,9 +42,10 @@ def mesh_to_glb(
         y_up: turn +z up to +y up, as the glTF standard has it. Off, coordinates stay as they are,
             which is what a browser scene that is +z up itself wants.
         smooth: with normals that are smooth but for creases; else viewers shade each face flat.
-        max_texture: shrink textures whose longer side has more pixels.
-        matt: take all for non-metallic and rough: for a screen where colours are to be seen, and
-            metal without surroundings to reflect would be black.
+        max_texture: shrink textures and maps whose longer side has more pixels.
+        matt: take all for non-metallic, rough and without maps: for a screen where colours are to
+            be seen, metal without surroundings to reflect would be black, and maps would make what
+            is sent up to four times as large.
     """
     builder = _Builder()
     if matt:
@@ -61,13 +64,13 @@ def face_order(mesh: Mesh, *, matt: bool = False) -> npt.NDArray[np.int32]:
 
 
 def _matt(material: Material) -> Material:
-    return replace(material, metallic=None, roughness=None)
+    return replace(material, metallic=None, roughness=None, maps=SurfaceMaps())
 
 
 def _looks(materials: Sequence[Material]) -> Array:
     """The first material that looks like each one: fewer primitives draw faster."""
     first: dict[tuple[Any, ...], int] = {}
-    keys = [(m.base_color, id(m.texture), m.metallic, m.roughness) for m in materials]
+    keys = [(m.base_color, id(m.texture), m.metallic, m.roughness, m.maps) for m in materials]
     return np.array([first.setdefault(key, i) for i, key in enumerate(keys)])
 
 
@@ -84,7 +87,7 @@ class _Builder:
             "bufferViews": [],
             "materials": [],
         }
-        self._images: dict[int, int] = {}
+        self._images: dict[int | ImageFile, int] = {}
 
     def view(self, data: bytes, target: int | None = None) -> int:
         self.binary.extend(b"\0" * (-len(self.binary) % 4))
@@ -126,21 +129,34 @@ class _Builder:
             surface["baseColorTexture"] = {"index": self.texture(material.texture, max_texture)}
             if alpha == 1.0 and _has_holes(material.texture):
                 entry["alphaMode"] = "MASK"
+        self.maps(entry, material.maps, max_texture)
         self.tree["materials"].append(entry)
 
-    def texture(self, image: Image.Image, max_texture: int | None) -> int:
-        if id(image) not in self._images:
-            small = image
-            if max_texture is not None and max(image.size) > max_texture:
-                ratio = max_texture / max(image.size)
-                size = tuple(max(1, round(s * ratio)) for s in image.size)
-                small = image.resize(size, Image.Resampling.LANCZOS)  # type: ignore[arg-type]
-            data, suffix = encode(small)
+    def maps(self, entry: dict[str, Any], maps: SurfaceMaps, max_texture: int | None) -> None:
+        if maps.normal is not None:
+            slot = {"index": self.texture(maps.normal, max_texture), "scale": maps.normal_scale}
+            entry["normalTexture"] = slot
+        if maps.occlusion is not None:
+            at, strength = self.texture(maps.occlusion, max_texture), maps.occlusion_strength
+            entry["occlusionTexture"] = {"index": at, "strength": strength}
+        if maps.emissive is not None:
+            entry["emissiveTexture"] = {"index": self.texture(maps.emissive, max_texture)}
+        if any(maps.emission):
+            strength = max(1.0, *maps.emission)
+            entry["emissiveFactor"] = [c / strength for c in maps.emission]
+            if strength > 1.0:
+                entry["extensions"] = {BRIGHTER: {"emissiveStrength": strength}}
+                self.tree["extensionsUsed"] = [BRIGHTER]
+
+    def texture(self, image: Image.Image | ImageFile, max_texture: int | None) -> int:
+        key = image if isinstance(image, ImageFile) else id(image)
+        if key not in self._images:
+            data, suffix = _sent(image, max_texture)
             images = self.tree.setdefault("images", [])
             images.append({"bufferView": self.view(data), "mimeType": _MIME[suffix]})
             self.tree.setdefault("textures", []).append({"source": len(images) - 1})
-            self._images[id(image)] = len(images) - 1
-        return self._images[id(image)]
+            self._images[key] = len(images) - 1
+        return self._images[key]
 
     def geometry(self, mesh: Mesh, look: Array, y_up: bool, smooth: bool) -> None:
         group, normals = corner_normals(mesh) if smooth else (None, None)
@@ -176,7 +192,7 @@ class _Builder:
         }
         if normal is not None:
             out["NORMAL"] = self.accessor(_turned(normal, y_up).astype("<f4"), "VEC3", 5126)
-        if mesh.uv is not None and mesh.materials[material].texture is not None:
+        if mesh.uv is not None and mesh.materials[material].pictured:
             uv = mesh.uv[vertex]
             st = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]).astype("<f4")
             out["TEXCOORD_0"] = self.accessor(st, "VEC2", 5126)
@@ -204,6 +220,19 @@ def _turned(vectors: Array, y_up: bool) -> Array:
     if not y_up:
         return vectors
     return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
+
+
+def _sent(image: Image.Image | ImageFile, longest: int | None) -> tuple[bytes, str]:
+    """The image's file, shrunk where its longer side has more than ``longest`` pixels."""
+    if isinstance(image, ImageFile):
+        if longest is None:
+            return image.data, image.suffix
+        image = decode(image.data, "map")
+    if longest is not None and max(image.size) > longest:
+        ratio = longest / max(image.size)
+        size = tuple(max(1, round(s * ratio)) for s in image.size)
+        image = image.resize(size, Image.Resampling.LANCZOS)  # type: ignore[arg-type]
+    return encode(image)
 
 
 def _has_holes(image: Image.Image) -> bool:

@@ -11,6 +11,7 @@ from PIL import Image
 
 from model.errors import GeometryError
 from model.geometry.arrays import frozen
+from model.geometry.surface_maps import SurfaceMaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,7 @@ class Material:
         texture: RGB(A) image, or None.
         metallic: 0 (none) to 1 (bare metal), or None where the source doesn't say.
         roughness: 0 (mirror) to 1 (matt), or None where the source doesn't say.
+        maps: normal, emissive and occlusion maps.
     """
 
     name: str = "material"
@@ -30,6 +32,12 @@ class Material:
     texture: Image.Image | None = None
     metallic: float | None = None
     roughness: float | None = None
+    maps: SurfaceMaps = field(default_factory=SurfaceMaps)
+
+    @property
+    def pictured(self) -> bool:
+        """Whether it has an image, which needs texture coordinates."""
+        return self.texture is not None or bool(self.maps.images)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from model.errors import ConfigurationError, GeometryError, InputFileError
 from model.geometry.appearance import vertex_colors
+from model.geometry.formats.srgb import from_linear
 from model.geometry.formats.textures import encode
 from model.geometry.glb import mesh_to_glb
 from model.geometry.mesh import Material, Mesh
@@ -30,8 +30,9 @@ __all__ = ["MESH_SUFFIXES", "mesh_to_glb", "write_cloud", "write_mesh"]
 def write_mesh(mesh: Mesh, path: str | Path) -> tuple[Path, ...]:
     """Write ``mesh`` in the format that the suffix names: .obj, .glb, .ply or .stl.
 
-    OBJ keeps everything: beside it go an MTL of the same stem and the textures, which are called
-    after their content, so that parts in one folder share them. GLB keeps everything in float32.
+    OBJ keeps everything: beside it go an MTL of the same stem (see ``model.geometry.formats.mtl``)
+    and the textures, which are called after their content, so that parts in one folder share them.
+    GLB keeps everything in float32.
     PLY has colours at the vertices, STL has none.
 
     Returns:
@@ -146,10 +147,9 @@ def _write_obj(mesh: Mesh, path: Path) -> tuple[Path, ...]:
     lines: list[str] = []
     textures: list[Path] = []
     for i in used:
-        texture = mesh.materials[i].texture
-        if texture is not None:
-            textures.append(_write_texture(texture, path.parent))
-        lines += _mtl(mesh.materials[i], names[i], textures[-1].name if texture else None)
+        files = _image_files(mesh.materials[i], path.parent)
+        textures += files.values()
+        lines += _mtl(mesh.materials[i], names[i], {key: f.name for key, f in files.items()})
     pieces = [f"# ArtiWorld, metres, +z up\nmtllib {mtl.name}\n"]
     if mesh.vertex_colors is None:
         pieces.append(_lines("v %.9g %.9g %.9g\n", mesh.vertices + 0.0))
@@ -191,18 +191,37 @@ def _material_names(materials: tuple[Material, ...]) -> list[str]:
     return out
 
 
-def _mtl(material: Material, name: str, texture: str | None) -> list[str]:
+def _image_files(material: Material, folder: Path) -> dict[str, Path]:
+    """MTL's word for each image of a material, and the file that it was written to."""
+    maps = material.maps
+    images = {"norm": maps.normal, "map_Ke": maps.emissive, "map_ao": maps.occlusion}
+    named = {key: (i.data, i.suffix) for key, i in images.items() if i is not None}
+    if material.texture is not None:
+        named = {"map_Kd": encode(material.texture), **named}
+    return {key: _write_texture(*image, folder) for key, image in named.items()}
+
+
+def _mtl(material: Material, name: str, images: dict[str, str]) -> list[str]:
     red, green, blue, alpha = (c / 255.0 for c in material.base_color)
     out = [f"newmtl {name}\n", f"Kd {red:.6g} {green:.6g} {blue:.6g}\n", f"d {alpha:.6g}\n"]
     for key, value in (("Pm", material.metallic), ("Pr", material.roughness)):
         if value is not None:
             out.append(f"{key} {value:.6g}\n")
-    return [*out, f"map_Kd {texture}\n"] if texture is not None else out
+    maps = material.maps
+    if any(maps.emission):
+        red, green, blue = from_linear(np.array(maps.emission)).tolist()
+        out.append(f"Ke {red:.6g} {green:.6g} {blue:.6g}\n")
+    options = {}
+    if maps.normal_scale != 1.0:
+        options["norm"] = f"-bm {maps.normal_scale:.6g} "
+    if maps.occlusion_strength != 1.0:
+        strength = maps.occlusion_strength
+        options["map_ao"] = f"-mm {1.0 - strength:.6g} {strength:.6g} "
+    return [*out, *(f"{key} {options.get(key, '')}{file}\n" for key, file in images.items())]
 
 
-def _write_texture(image: Image.Image, folder: Path) -> Path:
+def _write_texture(data: bytes, suffix: str, folder: Path) -> Path:
     """The texture's file, called after its content; one that is there already is left."""
-    data, suffix = encode(image)
     path = folder / f"texture_{hashlib.sha256(data).hexdigest()[:12]}{suffix}"
     if not path.exists():
         _write(path, data)

@@ -78,7 +78,10 @@ def _plain(mesh: Mesh) -> bool:
     materials. A URDF's colour is for such, and for no others."""
     unsaid = Material()
     return mesh.vertex_colors is None and all(
-        m.texture is None and m.base_color == unsaid.base_color and m.metallic is None
+        m.texture is None
+        and m.base_color == unsaid.base_color
+        and m.metallic is None
+        and m.maps == unsaid.maps
         for m in mesh.materials
     )
 

@@ -116,7 +116,8 @@ def _read(out: Path, key: str, assets: ET.Element) -> ET.Element:
         made = copy.deepcopy(element)
         if made.get("file"):
             made.set("file", f"{ASSETS}/{key}/{MJCF}/{below}/{made.get('file')}")
-        _prefix(made, ("name", *_ASSET_NAMES), key)
+        for entry in made.iter():  # a material's layers name textures
+            _prefix(entry, ("name", *_ASSET_NAMES), key)
         assets.append(made)
     for geom in root.iter("geom"):
         _prefix(geom, _ASSET_NAMES, key)

@@ -208,7 +208,7 @@ class Gltf:
         material_index = primitive.get("material")
         material = self._materials.material(material_index)
         name = self._materials.uv_set(material_index)
-        if material.texture is not None and name in attributes:
+        if material.pictured and name in attributes:
             st = self._buffers.accessor(attributes[name], 2).astype(np.float64)
             st = self._materials.transformed(st, material_index)
             uv = np.nan_to_num(np.column_stack([st[:, 0], 1.0 - st[:, 1]]))

@@ -1,4 +1,10 @@
-"""MTL: the materials of OBJ files, and the textures that they name."""
+"""MTL: the materials of OBJ files, and the textures that they name.
+
+Of maps it reads ``norm``, or ``map_Bump`` and ``bump`` where the image holds directions (many
+exporters write normal maps so; grey heights are left out), ``map_Ke``, and ``map_ao``, which is
+this program's own word for occlusion. Option ``-bm`` scales a normal map, ``-mm 1-s s`` gives
+occlusion the strength s. ``Ke`` is sRGB, as ``Kd`` is.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +12,16 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from model.errors import InputFileError
 from model.geometry.formats.loaded import WHITE, read_bytes
 from model.geometry.formats.references import ReferenceRefused, resolve
+from model.geometry.formats.srgb import to_linear
 from model.geometry.formats.textures import TextureError, left_out, open_texture
 from model.geometry.mesh import Material
+from model.geometry.surface_maps import ImageFile, SurfaceMaps, holds_normals, open_image_file
 
 _MAX_MTL = 64 << 20
 # Options of a map_* line and how many values each takes at most.
@@ -20,10 +29,9 @@ _OPTIONS = {
     "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1,
     "-clamp": 1, "-bm": 1, "-imfchan": 1, "-type": 1, "-cc": 1,
 }  # fmt: skip
-_LEFT_OUT = {
-    "norm": "normal map", "map_bump": "normal map", "bump": "normal map",
-    "map_ke": "emissive", "map_pm": "metallic map", "map_pr": "roughness map",
-}  # fmt: skip
+_LEFT_OUT = {"map_pm": "metallic map", "map_pr": "roughness map"}
+_NORMALS = ("norm", "map_bump", "bump")
+_BRIGHTEST = 1e3
 _NUMBER = re.compile(r"^[-+]?[0-9.]+([eE][-+]?\d+)?$")
 
 
@@ -39,6 +47,7 @@ class MaterialFiles:
         self.paths: list[Path] = []
         self._libraries: dict[Path, tuple[dict[str, Material], tuple[str, ...]]] = {}
         self._textures: dict[Path, Image.Image] = {}
+        self._maps: dict[Path, ImageFile] = {}
         self._plain: dict[str, Material] = {}
 
     def plain(self, name: str) -> Material:
@@ -96,8 +105,8 @@ class MaterialFiles:
             key = words[0].lower()
             if key == "newmtl":
                 if name is not None:
-                    out[name] = self._material(name, rows, path, warnings)
-                    left |= _not_read(rows)
+                    out[name] = self._material(name, rows, path, warnings, left)
+                    left |= {what for key, what in _LEFT_OUT.items() if key in rows}
                 name, rows = words[1].strip() if len(words) > 1 else "", {}
             elif len(words) > 1:
                 rows.setdefault(key, words[1].strip())
@@ -106,7 +115,7 @@ class MaterialFiles:
         return out
 
     def _material(
-        self, name: str, rows: dict[str, str], path: Path, warnings: list[str]
+        self, name: str, rows: dict[str, str], path: Path, warnings: list[str], left: set[str]
     ) -> Material:
         texture = None
         if "map_kd" in rows:
@@ -126,7 +135,48 @@ class MaterialFiles:
         red, green, blue, opacity = (round(255 * min(max(c, 0.0), 1.0)) for c in rgba)
         color = WHITE if texture is not None and opacity == 255 else (red, green, blue, opacity)
         metallic, roughness = (_share(rows.get(key, "")) for key in ("pm", "pr"))
-        return Material(name or "material", color, texture, metallic, roughness)
+        maps = self._surface_maps(rows, path, warnings, left)
+        return Material(name or "material", color, texture, metallic, roughness, maps)
+
+    def _surface_maps(
+        self, rows: dict[str, str], path: Path, warnings: list[str], left: set[str]
+    ) -> SurfaceMaps:
+        normal, scale = None, 1.0
+        for key in _NORMALS:
+            found = self._map(rows.get(key), path, warnings) if normal is None else None
+            if found is not None and key != "norm" and not holds_normals(found):
+                left.add("bump map")
+            elif found is not None:
+                normal, scale = found, _option(rows[key], "-bm", 1.0)
+        emissive = self._map(rows.get("map_ke"), path, warnings)
+        ke = _floats(rows.get("ke", ""), 3) or (0.0, 0.0, 0.0)
+        # As with Kd: who writes a black Ke beside its map means the map alone.
+        if emissive is not None and not any(ke):
+            ke = (1.0, 1.0, 1.0)
+        elif emissive is None and "map_ke" in rows:
+            ke = (0.0, 0.0, 0.0)
+        red, green, blue = to_linear(np.clip(ke, 0.0, _BRIGHTEST)).tolist()
+        occlusion = self._map(rows.get("map_ao"), path, warnings)
+        strength = 1.0
+        if occlusion is not None:
+            strength = min(max(1.0 - _option(rows["map_ao"], "-mm", 0.0), 0.0), 1.0)
+        return SurfaceMaps(
+            normal, scale, (red, green, blue), emissive, occlusion, strength
+        )  # fmt: skip
+
+    def _map(self, value: str | None, path: Path, warnings: list[str]) -> ImageFile | None:
+        """The image that a row of the material names; its pixels don't stay in memory."""
+        if value is None:
+            return None
+        target = self._existing(_map_file(value), path.parent, "texture", warnings)
+        if target is not None and target not in self._maps:
+            try:
+                self._maps[target] = open_image_file(target)
+                self.paths.append(target)
+            except TextureError as error:
+                warnings.append(f"{error}; left out")
+                return None
+        return None if target is None else self._maps[target]
 
     def _texture(self, reference: str, path: Path, warnings: list[str]) -> Image.Image | None:
         target = self._existing(reference, path.parent, "texture", warnings)
@@ -143,12 +193,12 @@ class MaterialFiles:
 
 
 def _map_file(value: str) -> str:
-    """The file name in a ``map_Kd`` line, past its options; it may hold spaces."""
+    """The file name in a line of a map, past its options; it may hold spaces."""
     words = value.split(" ")
     at = 0
     while at < len(words) and words[at].lower() in _OPTIONS:
         room = _OPTIONS[words[at].lower()]
-        is_number = words[at].lower() in ("-o", "-s", "-t")
+        is_number = words[at].lower() in ("-o", "-s", "-t", "-mm", "-bm")
         at += 1
         while room and at < len(words) - 1 and (not is_number or _NUMBER.match(words[at])):
             at += 1
@@ -156,10 +206,12 @@ def _map_file(value: str) -> str:
     return " ".join(words[at:]).strip()
 
 
-def _not_read(rows: dict[str, str]) -> set[str]:
-    """What a material has that :class:`Material` has no place for."""
-    left = {what for key, what in _LEFT_OUT.items() if key in rows}
-    return left | {"emissive"} if any(_floats(rows.get("ke", ""), 3) or ()) else left
+def _option(value: str, name: str, default: float) -> float:
+    """The first number after an option of a map's line."""
+    words = value.lower().split()
+    at = words.index(name) + 1 if name in words else len(words)
+    found = _floats(" ".join(words[at : at + 1]), 1)
+    return default if found is None else found[0]
 
 
 def _share(text: str) -> float | None:

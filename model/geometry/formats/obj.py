@@ -72,7 +72,7 @@ def read_obj(
     materials, face_material = _materials(path, lines, used_material, files, warnings)
     flat = triangles.reshape(-1)
     uv_index = corner_t[flat]
-    textured = any(m.texture is not None for m in materials)
+    textured = any(m.pictured for m in materials)
     if textured and lines.vt and (uv_index >= 0).any():
         uv = _uv(path, lines.vt)
         check_indices(path, uv_index[uv_index >= 0][:, None], len(uv))

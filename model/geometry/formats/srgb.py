@@ -16,12 +16,16 @@ def to_srgb(linear: Array) -> npt.NDArray[np.uint8]:
     if linear.dtype.kind in "iu":
         v = v / np.iinfo(linear.dtype).max
     v = np.clip(np.nan_to_num(v), 0.0, 1.0)
-    rgb = v[:, :3]
-    rgb = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * rgb ** (1 / 2.4) - 0.055)
+    rgb = from_linear(v[:, :3])
     alpha = v[:, 3:] if v.shape[1] == 4 else np.ones((len(v), 1))
     return np.rint(255 * np.column_stack([rgb, alpha])).astype(np.uint8)
 
 
+def from_linear(light: Array) -> npt.NDArray[np.float64]:
+    """Linear light, 0 or more, as sRGB; what is brighter than white comes out above 1."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
 def to_linear(srgb: Array) -> npt.NDArray[np.float64]:
-    """sRGB in 0..1 as linear light in 0..1."""
+    """sRGB, 0 or more, as linear light; 1 stays 1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
@@ -23,13 +24,43 @@ def decode(data: bytes, what: str) -> Image.Image:
     Raises:
         TextureError: where it is no image, truncated, or too large.
     """
-    try:
-        image = Image.open(io.BytesIO(data))
-        if image.width * image.height > MAX_PIXELS:
-            raise TextureError(f"{what}: {image.width} x {image.height} pixels are too many")
+    with _readable(what):
+        image = _opened(data, what)
         suffix = _KEPT.get(image.format or "")
         has_alpha = "A" in image.getbands() or "transparency" in image.info
         out = image.convert("RGBA" if has_alpha else "RGB")
+    if suffix:
+        setattr(out, _ATTRIBUTE, (data, suffix))
+    return out
+
+
+def checked(data: bytes, what: str) -> tuple[bytes, str]:
+    """``(bytes, suffix)`` of an image file: ``data`` itself where it is JPEG or PNG, else PNG.
+
+    Raises:
+        TextureError: as :func:`decode`.
+    """
+    with _readable(what):
+        image = _opened(data, what)
+        suffix = _KEPT.get(image.format or "")
+        if suffix:
+            image.load()
+            return data, suffix
+    return encode(decode(data, what))
+
+
+def _opened(data: bytes, what: str) -> Image.Image:
+    image = Image.open(io.BytesIO(data))
+    if image.width * image.height > MAX_PIXELS:
+        raise TextureError(f"{what}: {image.width} x {image.height} pixels are too many")
+    return image
+
+
+@contextmanager
+def _readable(what: str) -> Iterator[None]:
+    """Say in words what makes an image unusable."""
+    try:
+        yield
     except TextureError:
         raise
     except Image.DecompressionBombError as error:
@@ -37,9 +68,6 @@ def decode(data: bytes, what: str) -> Image.Image:
     # Pillow's decoders raise whatever the damaged header leads to.
     except (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError) as error:
         raise TextureError(f"{what}: not an image that can be read ({error})") from None
-    if suffix:
-        setattr(out, _ATTRIBUTE, (data, suffix))
-    return out
 
 
 def left_out(what: Iterable[str]) -> str:

@@ -249,7 +249,8 @@ class _Stage:
             return Loaded(points, faces)
         rgb = to_srgb(np.clip(np.asarray([one], np.float64), 0, 1))[0]
         color = (int(rgb[0]), int(rgb[1]), int(rgb[2]), 255)
-        material = Material(str(prim.GetName()), color, None, *self._shine(prim))
+        metallic, roughness = self._shine(prim)
+        material = Material(str(prim.GetName()), color, None, metallic, roughness)
         return Loaded(points, faces, face_material=np.zeros(len(faces), np.int32),
                       materials=(material,))  # fmt: skip
 

@@ -7,8 +7,10 @@ import pytest
 import trimesh
 from PIL import Image
 
+from model.geometry.formats.textures import encode
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.geometry.surface_maps import ImageFile, SurfaceMaps
 
 
 @pytest.fixture
@@ -25,16 +27,19 @@ def checker() -> Image.Image:
 
 @pytest.fixture
 def textured(checker: Image.Image) -> Mesh:
-    """A unit cube, half of whose faces are textured and half plain orange, rough metal."""
+    """A unit cube, half of whose faces are textured, have relief and glow, and half plain orange,
+    rough metal."""
     cube = trimesh.creation.box((1, 1, 1))
     vertices = cube.vertices[cube.faces.reshape(-1)]
+    relief = ImageFile(*encode(Image.new("RGB", (2, 2), (128, 128, 255))))
+    maps = SurfaceMaps(normal=relief, normal_scale=0.5, emission=(2.0, 0.5, 0.0))
     uv = np.tile(np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75]], np.float32), (12, 1))
     return Mesh(
         vertices,
         np.arange(36, dtype=np.int32).reshape(-1, 3),
         np.repeat(np.array([0, 1], np.int32), 6),
         (
-            Material("tex", (255, 255, 255, 255), checker),
+            Material("tex", (255, 255, 255, 255), checker, maps=maps),
             Material("orange", (240, 120, 30, 255), metallic=0.75, roughness=0.25),
         ),
         uv,

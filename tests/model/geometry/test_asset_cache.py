@@ -35,6 +35,7 @@ def test_mesh_with_textures_comes_back(tmp_path: Path, textured: Mesh) -> None:
     for name in ("vertices", "faces", "face_material", "uv"):
         np.testing.assert_array_equal(getattr(got.mesh, name), getattr(textured, name))
     for a, b in zip(got.mesh.materials, textured.materials, strict=True):
+        assert a.maps == b.maps
         assert (a.name, a.base_color, a.texture is None, a.metallic, a.roughness) == (
             b.name,
             b.base_color,

@@ -69,7 +69,7 @@ def test_textured_parts_share_their_texture_files(tmp_path: Path, textured: Mesh
     for part in parts:
         assert part.mesh is not None
         write_mesh(part.mesh, tmp_path / f"{part.link}.obj")
-    assert len(list(tmp_path.glob("*.png"))) == 1
+    assert len(list(tmp_path.glob("*.png"))) == 2
     back = read_asset(tmp_path)
     assert back.mesh is not None and back.warnings == ()
     assert back.mesh.face_areas.sum() == pytest.approx(6, abs=1e-6)

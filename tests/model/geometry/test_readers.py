@@ -15,6 +15,7 @@ from model.geometry.appearance import face_colors
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import find_assets, read_asset, read_part_files
+from model.geometry.surface_maps import SurfaceMaps
 from model.geometry.writers import write_cloud, write_mesh
 
 
@@ -112,18 +113,15 @@ def test_what_materials_have_beside_colour(tmp_path: Path, checker: Image.Image)
     assert asset.mesh is not None
     (got,) = asset.mesh.materials
     assert (got.metallic, got.roughness) == pytest.approx((0.1, 128 / 255))
-    assert asset.warnings == (
-        "a map of metallic and roughness became its mean",
-        "left out of its materials: emissive, normal map",
-    )
-    (tmp_path / "m.mtl").write_text(
-        "newmtl a\nPm 0.75\nPr 2\nmap_Bump -bm 1 n.png\nnewmtl b\nKe 0 0 0\n"
-    )
+    assert got.maps.emission == (1.0, 1.0, 0.0) and got.maps.normal is not None
+    assert asset.warnings == ("a map of metallic and roughness became its mean",)
+    (tmp_path / "m.mtl").write_text("newmtl a\nPm 0.75\nPr 2\nmap_Pr r.png\nnewmtl b\nKe 0 0 0\n")
     (tmp_path / "a.obj").write_text("mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
     asset = read_asset(tmp_path / "a.obj")
     assert asset.mesh is not None
     assert (asset.mesh.materials[0].metallic, asset.mesh.materials[0].roughness) == (0.75, 1.0)
-    assert asset.warnings == ("left out of its materials: normal map",)
+    assert asset.mesh.materials[0].maps == SurfaceMaps()
+    assert asset.warnings == ("left out of its materials: roughness map",)
 
 
 def test_texture_from_another_machine_is_found_beside(tmp_path: Path, checker: Image.Image) -> None:
