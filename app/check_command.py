@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -114,7 +114,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
     Raises:
         ArtiworldError: where it can't be read.
     """
-    from model.exporters.physics import physics_of
+    from model.exporters.physics import physics_of, whose_shapes
     from model.exporters.saved import load_object, reading_notes
     from model.kinematics.inertial import inertial_problems
 
@@ -122,11 +122,12 @@ def check_one(task: CheckTask) -> dict[str, Any]:
     start = time.process_time()
     physics = physics_of(obj, task.physics, store=task.store)
     seconds = time.process_time() - start
+    whose = whose_shapes(obj, physics)
     row: dict[str, Any] = {
         "asset": str(task.asset),
         "name": task.name,
         "category": obj.category,
-        "notes": list(reading_notes(task.asset, obj)),
+        "notes": [*reading_notes(task.asset, obj), *([whose] if whose else ())],
         "links": len(obj.parts),
         "moving_joints": sum(j.moves for j in obj.tree.joints),
         "kilograms": round(sum(i.mass for i in physics.inertials.values()), 4),
@@ -182,6 +183,7 @@ def _collision(
         "most_of_a_link": max((len(each) for each in held.values()), default=0),
         "primitives": sum(isinstance(s, Primitive) for s in shapes),
         "overlap_at_rest_m": round(met.at_rest, 6),
+        "from_source": list(physics.told_shapes),
         "links_overlapping_at_rest": [list(pair) for pair in met.links_at_rest],
         "overlap_over_range_m": {name: round(d, 6) for name, d in met.over_range.items()},
         "free_kept": round(free.kept, 4),
@@ -206,6 +208,8 @@ def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
     from model.gate.gate import run_gate
     from model.gate.unsure import with_unsure
 
+    if not task.physics.told_shapes:
+        obj = replace(obj, shapes={})
     report = run_gate(obj, store=task.store, mends=False)
     report = with_unsure(report, obj.tree, predicted_sure(task.asset, obj.tree))
     return {**report.to_json(), "seconds": round(report.seconds, 3)}

@@ -107,7 +107,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     """
     from app.headless import part_of
     from model.exporters.about import write_about
-    from model.exporters.physics import physics_of
+    from model.exporters.physics import physics_of, whose_shapes
     from model.exporters.readback import read_back
     from model.exporters.registry import BUILT_IN, load_exporter, losses_of, write_object
     from model.exporters.saved import load_object, reading_notes
@@ -116,8 +116,9 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     progress = progress or no_progress
     progress(0.0, f"reading {task.asset}")
     obj = load_object(task.asset)
-    notes = reading_notes(task.asset, obj)
     physics = physics_of(obj, task.physics, store=task.store, progress=part_of(progress, 0.05, 0.5))
+    whose = whose_shapes(obj, physics)
+    notes = [*reading_notes(task.asset, obj), *([whose] if whose else ())]
     written: list[dict[str, Any]] = []
     for i, (name, folder) in enumerate(task.folders):
         start = 0.5 + 0.5 * i / len(task.folders)
@@ -142,7 +143,10 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
             entry["notes"] = said
         written.append(entry)
     shapes = {link: len(held) for link, held in physics.collision.items()}
-    return {"asset": str(task.asset), "collision_shapes": shapes, "formats": written}
+    return {
+        "asset": str(task.asset), "collision_shapes": shapes,
+        "collision_from_source": list(physics.told_shapes), "formats": written,
+    }  # fmt: skip
 
 
 def _batch(tasks: list[ExportTask], jobs: int | None, progress: Progress) -> dict[str, Any]:

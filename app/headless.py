@@ -134,7 +134,8 @@ def predict(
 
     Writes ``object.urdf``, ``tree.json``, ``meshes/``, ``provenance.json`` and ``prediction.json``.
     Masses are those that a URDF tells of its links, else those of the table of materials; there are
-    collision shapes only with ``collision``, as they take long.
+    collision shapes only with ``collision``, as they take long, or where a URDF tells those of
+    every part.
 
     Returns:
         What ``prediction.json`` holds.
@@ -167,13 +168,17 @@ def predict(
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
     told = {k: i for k, i in segmented.inertials.items() if k in answer.tree.links}
-    made = ArticulatedObject(segmented.name, segmented.parts, answer.tree, segmented.category, told)
-    if collision:
+    shapes = {k: held for k, held in segmented.shapes.items() if k in answer.tree.links}
+    made = ArticulatedObject(
+        segmented.name, segmented.parts, answer.tree, segmented.category, told, shapes
+    )
+    if collision or all(p.link in shapes for p in made.parts):
         physics = physics_of(made, store=default_store(), progress=part_of(progress, 0.7, 0.8))
     else:
         physics = plain_physics(made)
     report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
     report["collision_shapes"] = sum(map(len, physics.collision.values()))
+    report["collision_from_source"] = list(physics.told_shapes)
     progress(0.8, f"writing {out}")
     provenance = {
         "source": str(folder), "predictor": report["backend"], "seed": seed, "versions": versions(),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from app.tasks import Recent, arrays_of, asset_of
+from model.collision.shapes import Shape
 from model.kinematics.articulated_object import (
     ArticulatedObject,
     Part,
@@ -63,30 +64,38 @@ def segmented_object(source: PartSource) -> SegmentedObject:
 
 
 def articulated_object(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
-    """The parts of an asset with the joints that were decided, and the masses that its source
-    tells of parts that are as they were there."""
-    told = {k: i for k, i in _told_masses(source).items() if k in tree.links}
-    return ArticulatedObject(source.title, parts_of(source), tree, source.category, told)
+    """The parts of an asset with the joints that were decided, and the masses and collision shapes
+    that its source tells of parts that are as they were there."""
+    inertials, shapes = _told(source)
+    return ArticulatedObject(
+        source.title, parts_of(source), tree, source.category,
+        {k: i for k, i in inertials.items() if k in tree.links},
+        {k: held for k, held in shapes.items() if k in tree.links},
+    )  # fmt: skip
 
 
-def _told_masses(source: PartSource) -> dict[str, Inertial]:
+def _told(source: PartSource) -> tuple[dict[str, Inertial], dict[str, tuple[Shape, ...]]]:
+    """Masses and collision shapes by link of those parts that are the source's own."""
     asset = asset_of(source.folder)
-    if not asset.inertials or asset.element_part is None:
-        return {}
+    if not (asset.inertials or asset.shapes) or asset.element_part is None:
+        return {}, {}
     now = np.maximum(arrays_of(source.workspace).get(source.labels), BASE)
     if now.shape != asset.element_part.shape:
-        return {}
+        return {}, {}
     differs = now != asset.element_part
     cut = {*np.unique(now[differs]).tolist(), *np.unique(asset.element_part[differs]).tolist()}
     changed = {f"link_{part}" for part in cut}
-    return {link: i for link, i in asset.inertials.items() if link not in changed}
+    return (
+        {link: i for link, i in asset.inertials.items() if link not in changed},
+        {link: held for link, held in asset.shapes.items() if link not in changed},
+    )
 
 
 def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
     """Make what judging and saving need of the parts whatever the joints will be."""
     from model.collision.build import prepare_bodies as prepare
 
-    prepare(parts_of(source), source.workspace / "collision", progress)
+    prepare(parts_of(source), source.workspace / "collision", progress, _told(source)[1])
 
 
 def predict(

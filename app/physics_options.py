@@ -15,14 +15,16 @@ if TYPE_CHECKING:
 
 
 def add_physics(parser: argparse.ArgumentParser) -> None:
-    """The options. Those for masses or dynamics take the place of what an asset's source tells."""
+    """The options. Those for collision shapes, masses or dynamics take the place of what an
+    asset's source tells."""
     add = parser.add_argument
     add("--no-collision", action="store_true", help="leave collision shapes out")
-    add("--method", default="hollow", metavar="NAME",
-        help="of collision shapes: hollow, coacd, hull, or auto: hollow, and coacd where that is "
-             "better (default: hollow)")  # fmt: skip
-    add("--max-hulls", type=int, default=24, metavar="N",
-        help="most collision shapes a part (default: 24)")  # fmt: skip
+    add("--method", metavar="NAME",
+        help="make collision shapes, those that the file tells too: hollow, coacd, hull, or auto: "
+             "hollow, and coacd where that is better (default: hollow, for what the file doesn't "
+             "tell)")  # fmt: skip
+    add("--max-hulls", type=int, metavar="N",
+        help="most collision shapes a part, made for all parts (default: 24)")  # fmt: skip
     add("--density", type=float, metavar="KG", help="kg/m³ of every part, instead of the table's")
     add("--material", metavar="NAME", help="what every part is made of, such as wood or metal")
     add("--materials", type=Path, metavar="FILE",
@@ -46,12 +48,15 @@ def physics_settings(args: argparse.Namespace) -> PhysicsSettings:
     from model.exporters.materials import read_materials
     from model.exporters.physics import SLIDING, TURNING, PhysicsSettings
 
-    if args.method not in get_args(Method):
+    method = args.method if args.method is not None else "hollow"
+    if method not in get_args(Method):
         known = ", ".join(get_args(Method))
-        raise ConfigurationError(f"no collision method {args.method!r}; there are {known}")
+        raise ConfigurationError(f"no collision method {method!r}; there are {known}")
     collision = None
     if not args.no_collision:
-        collision = CollisionSettings(method=args.method, max_hulls=args.max_hulls)
+        collision = CollisionSettings(
+            method=method, max_hulls=24 if args.max_hulls is None else args.max_hulls
+        )
     table = read_materials(args.materials)
     if args.material is not None:
         table = table.only(args.material)
@@ -65,6 +70,7 @@ def physics_settings(args: argparse.Namespace) -> PhysicsSettings:
         args.turning is None and args.sliding is None, not args.free_base,
         args.density is None and args.material is None and args.materials is None,
         args.turning is None and args.sliding is None,
+        args.method is None and args.max_hulls is None,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -19,7 +19,7 @@ from model.collision.merging import merge
 from model.collision.pieces import cut_into_pieces
 from model.collision.relief import Free, in_the_way, relieve
 from model.collision.shapes import Shape, hull_of_shape
-from model.collision.store import fingerprint, load_shapes, save_shapes
+from model.collision.store import fingerprint, load_shapes, packed, save_shapes
 from model.collision.touching import Bodies
 from model.collision.voxels import Occupancy, occupancy
 from model.errors import GeometryError
@@ -90,7 +90,9 @@ def collision_of(
 ) -> Collision:
     """Collision shapes of every part.
 
-    Hollow parts stay hollow, and links that move against each other don't overlap at rest.
+    Hollow parts stay hollow, and links that move against each other don't overlap at rest. Shapes
+    that the object's source tells stay as they are and the others give way to them; they are cut
+    back only where a joint's shapes are to give way.
 
     Args:
         store: folder where shapes are kept by content, see :mod:`model.collision.store`.
@@ -101,9 +103,15 @@ def collision_of(
     from model.exporters.part_files import part_mesh
 
     settings = settings or CollisionSettings()
+    told = {link: held for link, held in obj.shapes.items() if link in obj.tree.links}
+    if all(p.link in told for p in obj.parts) and not any(j.give_way for j in obj.tree.joints):
+        progress(1.0, "collision shapes are told by the source")
+        return told
     ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic,
                *["gives way"] * j.give_way) for j in obj.tree.joints]  # fmt: skip
-    key = fingerprint("object 2", settings, ranges, *(v for p in obj.parts for v in (p.link, p)))
+    key = fingerprint("object 2", settings, ranges, *(v for p in obj.parts for v in (p.link, p)),
+                      *(v for k, array in sorted(packed(told).items()) for v in (k, array)
+                        if told))  # fmt: skip
     kept = load_shapes(store, key)
     if kept is None and key in _recent:
         kept = _recent[key]
@@ -118,19 +126,30 @@ def collision_of(
     diagonal = _diagonal_of(obj.parts)
     bodies: Bodies = {}
     for i, part in enumerate(obj.parts):
-        progress(0.4 + 0.5 * i / len(obj.parts), f"collision shapes of {part.link}")
-        bodies[part.link] = _kept_bodies(part, diagonal, settings, store)
+        if part.link not in told:
+            progress(0.4 + 0.5 * i / len(obj.parts), f"collision shapes of {part.link}")
+            bodies[part.link] = _kept_bodies(part, diagonal, settings, store)
     progress(0.9, "making room between the parts")
-    slim = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in bodies.items()}
+
+    def slimmed(bodies: Bodies) -> Bodies:
+        return {
+            k: held if k in told else [simplified(h, settings.max_vertices) for h in held]
+            for k, held in bodies.items()
+        }
+
+    bodies |= {link: [hull_of_shape(s) for s in held] for link, held in told.items()}
+    slim = slimmed(bodies)
     reach = _free_ranges(obj)
     room = slim
     if settings.relief:
-        cut = relieve(slim, obj.tree, diagonal, reach)
-        room = {k: [simplified(h, settings.max_vertices) for h in v] for k, v in cut.items()}
-    shapes: dict[str, tuple[Shape, ...]] = {k: tuple(v) for k, v in room.items()}
+        room = slimmed(relieve(slim, obj.tree, diagonal, reach, frozenset(told)))
+    of_told = {id(hull_of_shape(s)): s for held in told.values() for s in held}
+    shapes: dict[str, tuple[Shape, ...]] = {
+        k: tuple(of_told.get(id(h), h) for h in held) for k, held in room.items()
+    }
     if settings.primitives:
         fine = {id(s): f for k in slim for s, f in zip(slim[k], bodies[k], strict=True)}
-        shapes = _shapes(obj, room, fine, diagonal, reach)
+        shapes |= _shapes(obj, room, fine, diagonal, reach, frozenset(told))
     save_shapes(store, key, shapes)
     _remember(key, shapes)
     progress(1.0, "collision shapes are there")
@@ -147,9 +166,16 @@ def _remember(key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
         _recent.popitem(last=False)
 
 
-def prepare_bodies(parts: Sequence[Part], store: Path, progress: Progress = no_progress) -> None:
+def prepare_bodies(
+    parts: Sequence[Part], store: Path, progress: Progress = no_progress,
+    told: Collection[str] = (),
+) -> None:  # fmt: skip
     """Keep what :func:`collision_of` will ask for whatever the joints are, the last part first:
-    whoever asks meanwhile begins with the first one."""
+    whoever asks meanwhile begins with the first one.
+
+    Args:
+        told: links whose shapes the source tells.
+    """
     from model.exporters.part_files import part_mesh
 
     settings = CollisionSettings()
@@ -157,7 +183,8 @@ def prepare_bodies(parts: Sequence[Part], store: Path, progress: Progress = no_p
     for i, part in enumerate(reversed(parts)):
         progress(i / len(parts), f"collision shapes of {part.link}")
         part_mesh(part, store)
-        _kept_bodies(part, diagonal, settings, store)
+        if part.link not in told:
+            _kept_bodies(part, diagonal, settings, store)
 
 
 def _free_ranges(obj: ArticulatedObject) -> Free:
@@ -291,20 +318,24 @@ def _distinct(faces: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def _shapes(
-    obj: ArticulatedObject, room: Bodies, fine: Mapping[int, Hull], diagonal: float, reach: Free
-) -> dict[str, tuple[Shape, ...]]:
+    obj: ArticulatedObject, room: Bodies, fine: Mapping[int, Hull], diagonal: float, reach: Free,
+    told: frozenset[str],
+) -> dict[str, tuple[Shape, ...]]:  # fmt: skip
     """Primitives where a body is like one and nothing else is in the primitive's way.
 
     Args:
+        told: links that are left out.
         room: bodies that leave each other room.
         fine: id of a body that was not cut → the one with more corners that it was made from.
     """
     shapes: dict[str, list[Shape]] = {
-        k: [primitive_of(fine.get(id(h), h)) or h for h in hulls] for k, hulls in room.items()
-    }
-    tried = {k: [hull_of_shape(s) for s in held] for k, held in shapes.items()}
+        k: [primitive_of(fine.get(id(h), h)) or h for h in hulls]
+        for k, hulls in room.items() if k not in told
+    }  # fmt: skip
+    tried = room | {k: [hull_of_shape(s) for s in held] for k, held in shapes.items()}
     for link, i in in_the_way(tried, obj.tree, diagonal, reach):
-        shapes[link][i] = room[link][i]
+        if link not in told:
+            shapes[link][i] = room[link][i]
     return {k: tuple(held) for k, held in shapes.items()}
 
 

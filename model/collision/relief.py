@@ -93,9 +93,9 @@ def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:
 
 def _to_cut(
     bodies: Bodies, tree: KinematicTree, pairs: list[tuple[str, str]], diagonal: float, free: Free
-) -> Iterator[tuple[list[Touching], bool]]:
-    """What touches while each leading joint alone goes from rest to either limit, and whether it
-    is cut however deep it is.
+) -> Iterator[tuple[list[Touching], bool, Joint]]:
+    """What touches while each leading joint alone goes from rest to either limit, whether it is cut
+    however deep it is, and the joint.
 
     All at once what touches where the parts are free, twice, for what the cuts left; pose by pose
     what goes no deeper than :data:`GRAZE` until it is free again. Bodies may change, and go after
@@ -114,12 +114,12 @@ def _to_cut(
                 low, high = free(joint)
                 before = {link: list(hulls) for link, hulls in bodies.items()}
                 yield [t for v, each in zip(q, found, strict=True) if low <= v <= high
-                       for t in each], True  # fmt: skip
+                       for t in each], True, joint  # fmt: skip
                 if bodies == before:  # bodies are equal where they are the same
                     break
                 q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal, known)
             for touches in _shallow(found, most):
-                yield touches, False
+                yield touches, False, joint
 
 
 _Ways = dict[float, tuple[FloatArray, Mapping[str, FloatArray], Way]]
@@ -190,24 +190,32 @@ def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
     return out
 
 
-def relieve(bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free) -> Bodies:
+def relieve(
+    bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free,
+    kept: frozenset[str] = frozenset(),
+) -> Bodies:  # fmt: skip
     """Bodies that overlap neither at rest, nor over the range where the parts are free there, nor,
     by less than :data:`GRAZE`, elsewhere.
 
     Bodies that lie all in another one are dropped; what can't be cut is left.
+
+    Args:
+        kept: links whose bodies stay as they are, but for joints whose shapes are to give way.
     """
     bodies = {link: list(hulls) for link, hulls in bodies.items()}
     pairs = moving_pairs(tree)
     gap = GAP * diagonal
     rest = tree.pose({})
     for _ in range(ROUNDS):
-        if not _cut_all(bodies, overlaps(bodies, pairs, rest, -CLOSE * gap), gap, np.inf):
+        found = overlaps(bodies, pairs, rest, -CLOSE * gap)
+        if not _cut_all(bodies, found, gap, np.inf, kept=kept):
             break
-    for found, deep in _to_cut(bodies, tree, pairs, diagonal, free):
+    for found, deep, joint in _to_cut(bodies, tree, pairs, diagonal, free):
+        whole = frozenset() if joint.give_way else kept
         if deep:
-            _cut_all(bodies, found, gap, np.inf, 0.0)
+            _cut_all(bodies, found, gap, np.inf, 0.0, whole)
         else:
-            _cut_all(bodies, found, gap, GRAZE * diagonal)
+            _cut_all(bodies, found, gap, GRAZE * diagonal, kept=whole)
     return bodies
 
 
@@ -217,29 +225,32 @@ def in_the_way(
     """Bodies (link, number) that touch others where :func:`relieve` lets none touch."""
     pairs = moving_pairs(tree)
     found = overlaps(bodies, pairs, tree.pose({}), -CLOSE * GAP * diagonal)
-    for touches, _ in _to_cut(bodies, tree, pairs, diagonal, free):
+    for touches, _, _ in _to_cut(bodies, tree, pairs, diagonal, free):
         found += touches
     return {one for t in found for one in ((t.a, t.i), (t.b, t.j))}
 
 
 def _cut_all(
-    bodies: Bodies, found: list[Touching], gap: float, most: float, least: float = LEAST
-) -> bool:
+    bodies: Bodies, found: list[Touching], gap: float, most: float, least: float = LEAST,
+    kept: frozenset[str] = frozenset(),
+) -> bool:  # fmt: skip
     """Whether anything was cut. The deepest come first; bodies change under the later ones.
 
     Args:
         most: metres of overlap that are cut. least: share of a body that must be left.
+        kept: links whose bodies aren't cut.
     """
     changed = False
     gone: set[tuple[str, int]] = set()
     for touch in sorted(found, key=lambda t: -t.depth):
-        if {(touch.a, touch.i), (touch.b, touch.j)} & gone:
+        whole = (touch.a in kept, touch.b in kept)
+        if all(whole) or {(touch.a, touch.i), (touch.b, touch.j)} & gone:
             continue
         a, b = bodies[touch.a][touch.i], bodies[touch.b][touch.j].moved(touch.a_from_b)
         now = overlap(a, b, -CLOSE * gap)
         if now is None or now.depth > most:
             continue
-        answer = _cut(a, b, now, gap, least)
+        answer = _cut(a, b, now, gap, least, whole)
         if answer is None or (None in answer and np.isfinite(most)):  # dropped at rest alone
             continue
         changed = True
@@ -259,23 +270,30 @@ def _cut_all(
 
 
 def _cut(
-    a: Hull, b: Hull, found: Overlap, gap: float, least: float
+    a: Hull, b: Hull, found: Overlap, gap: float, least: float, whole: tuple[bool, bool]
 ) -> tuple[Hull | None, Hull | None] | None:
-    """Both bodies after the cut that loses least; None in place of one that is dropped."""
+    """Both bodies after the cut that loses least; None in place of one that is dropped.
+
+    Args:
+        whole: of each whether it stays as it is; nothing is dropped for its sake then, since a hull
+            may stand for a hollow mesh.
+    """
     best: tuple[float, Hull | None, Hull | None] | None = None
-    for share in (0.0, 0.5, 1.0):
+    for share in (1.0,) if whole[0] else (0.0,) if whole[1] else (0.0, 0.5, 1.0):
         at = found.begin + share * (found.end - found.begin)
         # What needn't give way keeps its face: all of the gap is taken from the other.
-        mine = clipped(a, found.axis, at - gap * (1 - share))
-        other = clipped(b, -found.axis, -(at + gap * share))
+        mine = a if whole[0] else clipped(a, found.axis, at - gap * (1 - share))
+        other = b if whole[1] else clipped(b, -found.axis, -(at + gap * share))
         left = (_left(mine, a), _left(other, b))
+        if any(whole) and not min(left) > 0:
+            continue
         if min(left) >= least and (best is None or 2 - sum(left) < best[0]):
             best = (2 - sum(left), mine, other)
     if best is not None:
         return best[1:]
     # One of them goes as a whole where most of it is inside the other: nothing can touch it there.
     small, large = (a, b) if a.volume < b.volume else (b, a)
-    if (
+    if any(whole) or (
         large.contains(small.vertices).mean() < 0.5
         and not large.contains(small.vertices.mean(axis=0)[None]).all()
     ):

@@ -1,4 +1,5 @@
-"""What simulators collide: primitives and convex polyhedra, object frame at rest."""
+"""What simulators collide: primitives, convex polyhedra, and meshes that a source has for it; in
+the object frame at rest."""
 
 from __future__ import annotations
 
@@ -9,11 +10,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.hulls import Hull, hull_of
+from model.collision.hulls import Hull, hull_of, simplified
 
 Kind = Literal["box", "cylinder", "sphere", "capsule"]
 SIDES = 32
 """Of the polyhedron that stands for a round primitive."""
+
+MOST_CORNERS = 64
+"""Of the hull that stands for a mesh where shapes are measured; PhysX takes no more either."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -62,9 +66,53 @@ class Primitive:
         return np.column_stack([wide, level])
 
 
-Shape: TypeAlias = Primitive | Hull
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A mesh that a source has for collisions, convex or not; simulators that need convex shapes
+    take its hull.
+
+    Attributes:
+        vertices: (V, 3) metres.
+        faces: (F, 3) triangles.
+    """
+
+    vertices: FloatArray
+    faces: npt.NDArray[np.int32]
+
+    @cached_property
+    def hull(self) -> Hull:
+        """Its convex hull, whole."""
+        found = hull_of(self.vertices)
+        assert found is not None, "a mesh without a volume is no collision shape"
+        return found
+
+    @cached_property
+    def rough(self) -> Hull:
+        """Its hull with at most :data:`MOST_CORNERS` corners."""
+        return simplified(self.hull, MOST_CORNERS)
+
+
+Shape: TypeAlias = Primitive | Hull | Solid
 
 
 def hull_of_shape(shape: Shape) -> Hull:
-    """The polyhedron of a shape; of a primitive one that holds it."""
-    return shape if isinstance(shape, Hull) else shape.hull
+    """The polyhedron of a shape; of a primitive one that holds it, of a mesh a rough one."""
+    if isinstance(shape, Hull):
+        return shape
+    return shape.rough if isinstance(shape, Solid) else shape.hull
+
+
+def moved_shape(shape: Shape, target_from_shape: FloatArray) -> Shape:
+    """Under (4, 4): a rotation, a uniform scale above 0, a translation."""
+    linear, shift = target_from_shape[:3, :3], target_from_shape[:3, 3]
+    if isinstance(shape, Solid):
+        return Solid(shape.vertices @ linear.T + shift, shape.faces)
+    if isinstance(shape, Hull):
+        made = hull_of(shape.vertices @ linear.T + shift)
+        assert made is not None
+        return made
+    scale = float(np.cbrt(np.linalg.det(linear)))
+    pose = np.eye(4)
+    pose[:3, :3] = linear / scale @ shape.object_from_shape[:3, :3]
+    pose[:3, 3] = linear @ shape.object_from_shape[:3, 3] + shift
+    return Primitive(shape.kind, pose, tuple(scale * size for size in shape.sizes))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.hulls import hull_of
-from model.collision.shapes import Primitive, Shape
+from model.collision.shapes import Primitive, Shape, Solid
 from model.kinematics.articulated_object import Part
 
 VERSION = 7
@@ -50,7 +51,7 @@ def load_shapes(folder: Path | None, key: str) -> dict[str, tuple[Shape, ...]] |
     """Link → shapes, or None where they aren't kept, or their file is damaged."""
     data = None if folder is None else load_arrays(folder / f"{key}.npz")
     try:
-        return None if data is None else _unpacked(data)
+        return None if data is None else unpacked(data)
     except (ValueError, KeyError, AssertionError):
         return None
 
@@ -58,7 +59,7 @@ def load_shapes(folder: Path | None, key: str) -> dict[str, tuple[Shape, ...]] |
 def save_shapes(folder: Path | None, key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
     """Keep shapes; a folder that can't be written is let be."""
     if folder is not None:
-        save_arrays(folder / f"{key}.npz", _packed(shapes))
+        save_arrays(folder / f"{key}.npz", packed(shapes))
 
 
 def load_arrays(path: Path) -> dict[str, npt.NDArray[Any]] | None:
@@ -81,7 +82,8 @@ def save_arrays(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
         draft.unlink(missing_ok=True)
 
 
-def _packed(shapes: dict[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any]]:
+def packed(shapes: Mapping[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any]]:
+    """Link → shapes as arrays by name."""
     out: dict[str, npt.NDArray[Any]] = {"links": np.array(list(shapes), dtype=np.str_)}
     for n, held in enumerate(shapes.values()):
         out[f"count {n}"] = np.array(len(held))
@@ -90,12 +92,19 @@ def _packed(shapes: dict[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any]]
                 out[f"kind {n} {i}"] = np.array(shape.kind)
                 out[f"pose {n} {i}"] = shape.object_from_shape
                 out[f"sizes {n} {i}"] = np.array(shape.sizes)
+            elif isinstance(shape, Solid):
+                out[f"solid {n} {i}"], out[f"faces {n} {i}"] = shape.vertices, shape.faces
             else:
                 out[f"hull {n} {i}"] = shape.vertices
     return out
 
 
-def _unpacked(data: dict[str, npt.NDArray[Any]]) -> dict[str, tuple[Shape, ...]]:
+def unpacked(data: Mapping[str, npt.NDArray[Any]]) -> dict[str, tuple[Shape, ...]]:
+    """What :func:`packed` gave.
+
+    Raises:
+        ValueError, KeyError, AssertionError: for anything else.
+    """
     out: dict[str, tuple[Shape, ...]] = {}
     for n, link in enumerate(data["links"].tolist()):
         held: list[Shape] = []
@@ -104,6 +113,8 @@ def _unpacked(data: dict[str, npt.NDArray[Any]]) -> dict[str, tuple[Shape, ...]]
                 hull = hull_of(data[f"hull {n} {i}"])
                 assert hull is not None
                 held.append(hull)
+            elif f"solid {n} {i}" in data:
+                held.append(Solid(data[f"solid {n} {i}"], data[f"faces {n} {i}"]))
             else:
                 kind, sizes = str(data[f"kind {n} {i}"]), data[f"sizes {n} {i}"].tolist()
                 held.append(Primitive(kind, data[f"pose {n} {i}"], tuple(sizes)))  # type: ignore[arg-type]

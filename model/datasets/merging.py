@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+from model.collision.shapes import Shape
 from model.errors import KinematicsError
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
 from model.kinematics.inertial import Inertial, together
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import merged, merged_clouds
 
 
@@ -27,6 +29,7 @@ def merge_rigid(
     category: str | None = None,
     apart: Collection[str] = (),
     inertials: Mapping[str, Inertial] | None = None,
+    collision: Mapping[str, ToldCollision] | None = None,
 ) -> tuple[ArticulatedObject, tuple[str, ...]]:
     """The object with one part for each group of links that move together.
 
@@ -43,6 +46,8 @@ def merge_rigid(
         apart: names of fixed joints whose two sides stay two parts.
         inertials: link → mass properties that the source tells; of a group they count together,
             where they are told of all of it that can be seen.
+        collision: link → what the source tells of collision shapes; a group has those of all its
+            links. What can't be had of them is among its part's remarks.
 
     Returns:
         The object and what was merged, for people.
@@ -58,6 +63,7 @@ def merge_rigid(
     out: list[Part] = []
     notes: list[str] = []
     weighed: dict[str, Inertial] = {}
+    shaped: dict[str, tuple[Shape, ...]] = {}
     for head, links in groups.items():
         shown = [link for link in links if link in parts]
         if not shown:
@@ -66,7 +72,12 @@ def merge_rigid(
         chosen = next((n for n in links if n in names), shown[0])
         link = rename[head] = chosen if chosen.startswith("link_") else f"link_{chosen}"
         label = names.get(chosen, parts[shown[0]].name if len(shown) == 1 else None)
-        out.append(_joined(link, [parts[s] for s in shown], label))
+        remarks: list[str] = []
+        shapes = told_shapes(links, collision or {}, remarks)
+        if shapes:
+            shaped[link] = shapes
+        joined = _joined(link, [parts[s] for s in shown], label)
+        out.append(replace(joined, remarks=(*joined.remarks, *remarks)))
         own = group_inertial(links, parts, inertials or {})
         if own is not None:
             weighed[link] = own
@@ -74,7 +85,7 @@ def merge_rigid(
             notes.append(f"{link}: merged from {', '.join(shown)}")
     made = _moving_tree(tree, groups, rename)
     parts_in_order = tuple(sorted(out, key=lambda p: _natural(p.link)))
-    return ArticulatedObject(name, parts_in_order, made, category, weighed), tuple(notes)
+    return ArticulatedObject(name, parts_in_order, made, category, weighed, shaped), tuple(notes)
 
 
 def group_inertial(

@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from model.collision.shapes import Shape, moved_shape
 from model.datasets.merging import group_inertial, rigid_groups
 from model.datasets.partnet_mobility import partnet_category, semantic_names
 from model.datasets.urdf_folders import description_beside
 from model.errors import InputFileError
 from model.exporters.about import category_told
-from model.exporters.saved import PROVENANCE, URDF, load_object, reading_notes
+from model.exporters.saved import PROVENANCE, URDF, load_object, reading_notes, told_links
 from model.geometry.formats.mtl import MaterialFiles
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
@@ -27,6 +28,7 @@ from model.kinematics.articulated_object import ArticulatedObject, Part, remarks
 from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
+from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY, UrdfModel, package_root
 from model.kinematics.urdf_reader import read_urdf_model
@@ -49,6 +51,7 @@ class Opened:
         notes: what was changed or passed over on reading, for people.
         files: what was read.
         inertials: by those links, mass properties where the file tells them.
+        shapes: by those links, collision shapes where the file tells them.
     """
 
     mesh: Mesh | None
@@ -60,6 +63,7 @@ class Opened:
     notes: tuple[str, ...]
     files: tuple[Path, ...]
     inertials: Mapping[str, Inertial]
+    shapes: Mapping[str, tuple[Shape, ...]]
 
 
 def open_urdf(
@@ -90,12 +94,24 @@ def open_urdf(
         notes = reading_notes(path.parent, obj)
     else:
         obj, told = _loaded(model, files, progress)
-        obj = model.told.of(obj)
+        obj = replace(model.told, collision={}).of(obj)  # those go by part, not by link
         notes = (*model.notes, *model.told.notes, *remarks_of(obj.parts))
     plain = {*model.rescaled, *model.renamed}  # they change nothing that is seen
     notes = tuple(n for n in dict.fromkeys(notes) if n not in plain)
     meshes = [v.file for v in model.visuals if v.file is not None]
-    return _opened(obj, told, target_from_file, notes, (path, *meshes, *files.paths))
+    collision = model.told.collision
+    meshes += [
+        v.file for c in collision.values() for v in c.pieces
+        if v.file is not None and v.file.is_file()
+    ]  # fmt: skip
+    listed = told_links(path.parent, "collision") if path.name == URDF else None
+    if listed is not None:  # of an asset of ours: the others were made from what is seen
+        collision = {
+            link: c if link in listed else replace(c, repeated=True)
+            for link, c in collision.items()
+        }
+    files_read = (path, *meshes, *files.paths)
+    return _opened(obj, told, collision, target_from_file, notes, files_read)
 
 
 def _check_size(path: Path, most: int) -> None:
@@ -133,6 +149,7 @@ def _loaded(
 def _opened(
     obj: ArticulatedObject,
     told: Mapping[str, str],
+    collision: Mapping[str, ToldCollision],
     matrix: npt.NDArray[np.float64],
     notes: Sequence[str],
     files: Sequence[Path],
@@ -164,6 +181,9 @@ def _opened(
     own = {p.link for p in obj.parts}
     for top, part in number.items():
         names[part] = _name([n for n in groups[top] if n in told or n in own], told)
+    # Frames that carry nothing have a weight, and may have shapes, all the same.
+    groups_told = rigid_groups(obj.tree, apart)
+    shapes = _shaped(groups_told, collision, number, matrix, said)
     return Opened(
         mesh,
         cloud,
@@ -174,8 +194,8 @@ def _opened(
         (*said[:_NOTES_SHOWN], *([f"and {len(said) - _NOTES_SHOWN} remarks more"]
                                  if len(said) > _NOTES_SHOWN else [])),
         tuple(dict.fromkeys(files)),
-        # Frames that carry nothing have a weight all the same.
-        _weighed(obj, rigid_groups(obj.tree, apart), number, matrix),
+        _weighed(obj, groups_told, number, matrix),
+        shapes,
     )  # fmt: skip
 
 
@@ -265,6 +285,23 @@ def _weighed(
         own = group_inertial(links, seen, told)
         if own is not None:
             out[f"link_{number[top]}" if top in number else top] = own.moved(matrix)
+    return out
+
+
+def _shaped(
+    groups: Mapping[str, Sequence[str]],
+    collision: Mapping[str, ToldCollision],
+    number: Mapping[str, int],
+    matrix: npt.NDArray[np.float64],
+    notes: list[str],
+) -> dict[str, tuple[Shape, ...]]:
+    """Link of each part, or helper → the collision shapes of its links."""
+    out: dict[str, tuple[Shape, ...]] = {}
+    for top, links in groups.items():
+        held = told_shapes(links, collision, notes)
+        if held:
+            link = f"link_{number[top]}" if top in number else top
+            out[link] = tuple(moved_shape(s, matrix) for s in held)
     return out
 
 

@@ -67,8 +67,11 @@ class PartNetMobility:
         return read_partnet_mobility(Path(self.root) / object_id)
 
 
-def read_partnet_mobility(folder: Path) -> GroundTruth:
+def read_partnet_mobility(folder: Path, *, shapes: bool = False) -> GroundTruth:
     """Read one PartNet-Mobility folder.
+
+    Args:
+        shapes: whether to load the collision shapes that it tells, too.
 
     Returns:
         The object in the URDF's root frame (+z up, metres as written), q = 0.
@@ -88,7 +91,7 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
         raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
     obj, merged = merge_rigid(
         folder.name, model.tree, parts, names=names, category=partnet_category(folder),
-        inertials=model.told.inertials,
+        inertials=model.told.inertials, collision=model.told.collision if shapes else None,
     )  # fmt: skip
     notes = (*model.notes, *merged, *_disagreements(folder, model))
     return GroundTruth(folder.name, obj, notes)

@@ -48,8 +48,11 @@ class UrdfFolders:
         said = description_beside(self._path(object_id)).get("category")
         return said if isinstance(said, str) else None
 
-    def load(self, object_id: str) -> GroundTruth:
+    def load(self, object_id: str, *, shapes: bool = False) -> GroundTruth:
         """Read one object, its rigid groups merged.
+
+        Args:
+            shapes: whether to load the collision shapes that it tells, too.
 
         Raises:
             InputFileError: where the URDF or a mesh is missing or broken.
@@ -73,7 +76,7 @@ class UrdfFolders:
         category = self.category(object_id)
         obj, notes = merge_rigid(
             object_id, model.tree, parts, names=named, category=category,
-            inertials=model.told.inertials,
+            inertials=model.told.inertials, collision=model.told.collision if shapes else None,
         )  # fmt: skip
         return GroundTruth(object_id, obj, (*model.notes, *notes))
 

@@ -14,12 +14,14 @@ when, versions) and an entry ``asset`` of this module::
     {"format": 1, "name": str, "category": str | null, "written": ISO 8601 in UTC,
      "parts": [{"link", "name", "mesh": file, "cloud": file | null, "faces", "points", "area"}],
      "original": {"faces", "points", "area"} | null, "give_way": [joint, ...],
-     "told": {"masses": [link, ...], "dynamics": {joint: ["damping", ...]}},
+     "told": {"masses": [link, ...], "dynamics": {joint: ["damping", ...]},
+              "collision": [link, ...]},
      "files": {file: sha256}, "versions": {package: version}}
 
 Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
-the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, and the
-joints of whose dynamics something, the source told; all else was worked out.
+the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, the
+joints of whose dynamics something, and the links whose collision shapes the source told; all else
+was worked out.
 """
 
 from __future__ import annotations
@@ -245,7 +247,7 @@ def _write_texts(
         "remarks": list(remarks_of(obj.parts)),
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
-        TOLD: told_entry(obj),
+        TOLD: told_entry(obj, () if physics is None else physics.told_shapes),
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }

@@ -80,7 +80,9 @@ class _Writer:
         tree, inertials = self.obj.tree, self.physics.inertials
         parts = {p.link: p for p in self.obj.parts}
         stems = file_stems(list(parts))
-        shapes = write_collision(self.physics.collision, stems, self.folder, capsules=True)
+        shapes = write_collision(
+            self.physics.collision, self.obj.parts, self.folder, capsules=True, concave=False
+        )
         bodies = {tree.root: ET.SubElement(world, "body", name=xml_name(tree.root))}
         if not self.physics.fixed_base:
             ET.SubElement(bodies[tree.root], "freejoint")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -35,6 +35,8 @@ HOLD = 1.5
 """Friction of a joint that holds itself, over what gravity asks for."""
 INNER = 0.05
 """Share of its range that a joint must be away from both ends to stand somewhere in between."""
+NAMED = 5
+"""Links that are named before "…"."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class PhysicsSettings:
         hold: whether a joint that gravity would move out of the scanned pose has the friction to
             hold itself, as a laptop's hinge has.
         fixed_base: whether the root stands still, in formats that say so (MJCF, SDF, USD).
-        told_masses, told_dynamics: whether what the object's source tells of them counts.
+        told_masses, told_dynamics, told_shapes: whether what the object's source tells of masses,
+            joint dynamics and collision shapes counts.
     """
 
     collision: CollisionSettings | None = field(default_factory=CollisionSettings)
@@ -59,6 +62,7 @@ class PhysicsSettings:
     fixed_base: bool = True
     told_masses: bool = True
     told_dynamics: bool = True
+    told_shapes: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,7 @@ class Physics:
         touching: pairs of links whose shapes overlap at rest all the same; formats that can tell
             the simulator to let them pass.
         fixed_base: whether the root stands still.
+        told_shapes: links whose shapes are those of the object's source.
     """
 
     inertials: Mapping[str, Inertial]
@@ -79,6 +84,7 @@ class Physics:
     dynamics: Mapping[str, JointDynamics]
     touching: tuple[tuple[str, str], ...] = ()
     fixed_base: bool = True
+    told_shapes: tuple[str, ...] = ()
 
 
 def physics_of(
@@ -90,8 +96,8 @@ def physics_of(
 ) -> Physics:
     """Work out mass, collision shapes and joint dynamics.
 
-    What the object's source tells of masses and dynamics is taken as it is, also where a joint
-    would not hold itself by its friction then.
+    What the object's source tells of masses, dynamics and collision shapes is taken as it is, also
+    where a joint would not hold itself by its friction then.
 
     Args:
         store: where collision shapes, and surfaces through clouds, are kept between runs; None
@@ -103,8 +109,11 @@ def physics_of(
     settings = settings or PhysicsSettings()
     table = settings.materials or read_materials()
     collision: Collision = {}
+    told: tuple[str, ...] = ()
     if settings.collision is not None:
-        collision = collision_of(obj, settings.collision, store=store, progress=progress)
+        shaped = obj if settings.told_shapes else replace(obj, shapes={})
+        collision = collision_of(shaped, settings.collision, store=store, progress=progress)
+        told = tuple(sorted(collision.keys() & shaped.shapes.keys()))
     progress(1.0, "weighing the parts")
     for part in obj.parts if store is not None else ():
         if part.cloud is not None and len(part.cloud):
@@ -114,7 +123,7 @@ def physics_of(
     )
     return Physics(
         inertials, collision, _dynamics(obj.tree, inertials, settings),
-        touching_pairs(obj, collision), settings.fixed_base,
+        touching_pairs(obj, collision), settings.fixed_base, told,
     )  # fmt: skip
 
 
@@ -215,6 +224,22 @@ def _load(
         ]  # fmt: skip
         energy.append(GRAVITY * sum(heights))
     return (energy[1] - energy[0]) / (2 * step)
+
+
+def whose_shapes(obj: ArticulatedObject, physics: Physics) -> str:
+    """Which collision shapes are the source's and which are made, for people; "" where all are
+    made."""
+    if not physics.told_shapes:
+        return ""
+    made = [p.link for p in obj.parts if p.link not in physics.told_shapes]
+    if not made:
+        return "all collision shapes are the file's own"
+    whose = f"collision shapes of {_listed(physics.told_shapes)} are the file's own"
+    return f"{whose}, those of {_listed(made)} are made"
+
+
+def _listed(links: Sequence[str]) -> str:
+    return ", ".join(links[:NAMED]) + (", …" if len(links) > NAMED else "")
 
 
 def touching_pairs(obj: ArticulatedObject, collision: Collision) -> tuple[tuple[str, str], ...]:

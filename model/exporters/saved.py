@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Collection
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from model.errors import InputFileError
 from model.geometry.part_folder import remarks_in
@@ -21,7 +22,7 @@ URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", 
 MIN_CLOUD = 4
 """Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
 TOLD = "told"
-"""Entry of ``provenance.json`` that names what the source told of masses and joints."""
+"""Entry of ``provenance.json`` that names what the source told of masses, joints and shapes."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -53,8 +54,8 @@ def recover(folder: Path) -> None:
 def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
     """The object of a saved asset, with its category, part names and clouds.
 
-    Of a URDF alone masses and joint dynamics are those of the file; of a saved asset those that its
-    own source told, while the others are worked out again.
+    Of a URDF alone masses, joint dynamics and collision shapes are those of the file; of a saved
+    asset those that its own source told, while the others are worked out again.
 
     Args:
         asset: the folder; or a URDF file, or a folder with an ``object.urdf`` alone, which have
@@ -72,12 +73,13 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
             raise InputFileError(
                 path, "is no URDF", "run artiworld segment and predict on it first, or serve it"
             )
-        return _with_told(path, progress)[0]
+        obj, told = _read(path, progress)
+        return told.of(obj)
     if not (path / URDF).is_file():
         raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")
-    obj, told = _with_told(path / URDF, progress)
+    obj, told = _read(path / URDF, progress)
     if not (path / PROVENANCE).is_file():
-        return obj
+        return told.of(obj)
     kept = read_provenance(path)["asset"]
     entries = {entry["link"]: entry for entry in kept.get("parts", [])}
     remarks = remarks_in(kept)
@@ -97,20 +99,21 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     return _listed(told, kept.get(TOLD)).of(obj)
 
 
-def _with_told(path: Path, progress: Progress) -> tuple[ArticulatedObject, Told]:
-    """The object of a URDF with what the file tells of masses and joints, and that alone."""
+def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, Told]:
+    """The object of a URDF, and what the file tells beside."""
     model = read_urdf_model(path)
     told = model.told
     for note in (*model.notes, *told.notes):
         _LOG.warning("%s: %s", path, note)
-    return told.of(model.load(progress)), told
+    return model.load(progress), told
 
 
 def _listed(told: Told, entry: Any) -> Told:
     """What of ``told`` the entry ``told`` of a ``provenance.json`` names; all else is of ours."""
     named = entry if isinstance(entry, dict) else {}
-    masses, dynamics = named.get("masses"), named.get("dynamics")
+    masses, dynamics, shaped = (named.get(k) for k in ("masses", "dynamics", "collision"))
     links = masses if isinstance(masses, list) else []
+    kept = shaped if isinstance(shaped, list) else []
     fields = dynamics if isinstance(dynamics, dict) else {}
     return Told(
         {link: i for link, i in told.inertials.items() if link in links},
@@ -119,21 +122,26 @@ def _listed(told: Told, entry: Any) -> Told:
             for name, d in told.dynamics.items()
             if isinstance(fields.get(name), list)
         },
+        collision={link: c for link, c in told.collision.items() if link in kept},
     )
 
 
-def told_masses(folder: Path) -> list[str] | None:
-    """Links of a saved asset whose masses its own source told; None where ``folder`` is none, and
-    its URDF tells all of them."""
+def told_links(folder: Path, what: Literal["masses", "collision"]) -> list[str] | None:
+    """Links of a saved asset whose masses or collision shapes its own source told; None where
+    ``folder`` is none, and its URDF tells all of them."""
     if not (folder / PROVENANCE).is_file():
         return None
     named = read_provenance(folder)["asset"].get(TOLD)
-    masses = named.get("masses") if isinstance(named, dict) else None
-    return masses if isinstance(masses, list) else []
+    links = named.get(what) if isinstance(named, dict) else None
+    return links if isinstance(links, list) else []
 
 
-def told_entry(obj: ArticulatedObject) -> dict[str, Any]:
-    """The entry ``told`` of ``provenance.json``: what of masses and joints the source told."""
+def told_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict[str, Any]:
+    """The entry ``told`` of ``provenance.json``: what of masses and joints the source told.
+
+    Args:
+        shaped: links whose collision shapes, of those that are written, the source told.
+    """
     return {
         "masses": sorted(obj.inertials),
         "dynamics": {
@@ -141,6 +149,7 @@ def told_entry(obj: ArticulatedObject) -> dict[str, Any]:
             for j in obj.tree.joints
             if j.dynamics is not None
         },
+        "collision": sorted(shaped),
     }
 
 

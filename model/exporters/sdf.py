@@ -15,10 +15,10 @@ from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Primitive
+from model.collision.shapes import Primitive, Solid
 from model.exporters.collision_files import write_collision
 from model.exporters.inertia import HELPER
-from model.exporters.part_files import file_stems, write_parts
+from model.exporters.part_files import write_parts
 from model.exporters.physics import Physics, plain_physics
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, Mimic
@@ -56,8 +56,7 @@ class SdfExporter:
         """See :class:`~model.exporters.protocol.Exporter`."""
         physics = physics or plain_physics(obj)
         parts = write_parts(obj, folder, clouds=False, progress=progress)
-        stems = file_stems([p.link for p in obj.parts])
-        shapes = write_collision(physics.collision, stems, folder, capsules=True)
+        shapes = write_collision(physics.collision, obj.parts, folder, capsules=True)
         visuals = {p.link: p.mesh for p in parts}
         sdf = ET.Element("sdf", version=VERSION)
         model = ET.SubElement(sdf, "model", name=xml_name(obj.name), canonical_link=obj.tree.root)
@@ -68,8 +67,10 @@ class SdfExporter:
             _inertial(element, physics.inertials.get(link, HELPER), origins[link])
             if link in visuals:
                 _geometry(element, "visual", visuals[link], 0, origins[link])
-            for i, shape in enumerate(shapes.get(link, [])):
-                _geometry(element, "collision", shape, i, origins[link])
+            held = zip(shapes.get(link, []), physics.collision.get(link, ()), strict=True)
+            for i, (shape, whole) in enumerate(held):
+                convex = not isinstance(whole, Solid)
+                _geometry(element, "collision", shape, i, origins[link], convex)
         names, mimics = sdf_joint_names(obj.tree), direct_mimics(obj.tree)
         for joint in obj.tree.joints:
             _joint(model, joint, names, mimics.get(joint.name), physics)
@@ -135,12 +136,13 @@ def _geometry(
     shape: str | Primitive,
     count: int,
     origin: npt.NDArray[np.float64],
+    convex: bool = False,
 ) -> None:
     element = ET.SubElement(link, tag, name=f"{tag}_{count}")
     if isinstance(shape, str):
         _text(element, "pose", _pose(-origin))
         mesh = ET.SubElement(ET.SubElement(element, "geometry"), "mesh")
-        if tag == "collision":
+        if convex:
             mesh.set("optimization", "convex_hull")
         _text(mesh, "uri", shape)
         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from model.exporters.collision_files import write_collision
-from model.exporters.part_files import PartFile, file_stems, is_flat, part_mesh, write_parts
+from model.exporters.part_files import PartFile, is_flat, part_mesh, write_parts
 from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import URDF
 from model.kinematics.articulated_object import ArticulatedObject
@@ -61,8 +61,7 @@ def write_urdf_of(
     """
     physics = physics or plain_physics(obj)
     folder = path.parent.parent if prefix else path.parent
-    stems = file_stems([p.link for p in obj.parts])
-    shapes = write_collision(physics.collision, stems, folder)
+    shapes = write_collision(physics.collision, obj.parts, folder)
     named = {
         link: [prefix + s if isinstance(s, str) else s for s in held]
         for link, held in shapes.items()

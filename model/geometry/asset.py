@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.collision.shapes import Shape
 from model.errors import GeometryError
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
@@ -57,6 +58,7 @@ class Asset:
             helpers, else None.
         category: the object's category where the source tells it.
         inertials: mass properties of those links where the source tells them.
+        shapes: collision shapes of those links where the source tells them.
         warnings: what was passed over on reading (a missing texture, NaN points), for people.
     """
 
@@ -70,6 +72,7 @@ class Asset:
     warnings: tuple[str, ...] = ()
     tree: KinematicTree | None = None
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
+    shapes: Mapping[str, tuple[Shape, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.mesh is None and self.cloud is None:

@@ -1,9 +1,9 @@
 """Assets on disk as memory-mapped arrays, so that processes share them and reopening is instant.
 
-A folder holds ``asset.json`` (format version 5), one ``.npy`` file an array, and the textures.
-Version 1 lacks metallic and roughness, version 2 the joints that a source tells, version 3 its
-masses, version 4 maps of normals, emission and occlusion: such copies are made again from their
-source.
+A folder holds ``asset.json`` (format version 6), one ``.npy`` file an array, the textures, and
+``shapes.npz`` where the source tells collision shapes. Version 1 lacks metallic and roughness,
+version 2 the joints that a source tells, version 3 its masses, version 4 maps of normals, emission
+and occlusion, version 5 collision shapes: such copies are made again from their source.
 """
 
 from __future__ import annotations
@@ -15,12 +15,15 @@ import tempfile
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from model import codec
+from model.collision.shapes import Shape
+from model.collision.store import packed, unpacked
 from model.errors import GeometryError, InputFileError, KinematicsError
 from model.geometry.asset import Asset, Source
 from model.geometry.formats.textures import TextureError, encode, open_texture
@@ -30,8 +33,9 @@ from model.geometry.surface_maps import ImageFile, SurfaceMaps
 from model.kinematics.inertial import Inertial
 from model.kinematics.tree import KinematicTree
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 _META = "asset.json"
+_SHAPES = "shapes.npz"
 _MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
 _MAPS = ("normal", "emissive", "occlusion")
 _CLOUD = ("points", "normals", "colors")
@@ -79,6 +83,8 @@ def _write(asset: Asset, folder: Path) -> None:
     }
     if asset.source is not None:
         meta["source"] = asdict(asset.source) | {"path": str(asset.source.path)}
+    if asset.shapes:
+        np.savez(folder / _SHAPES, **packed(asset.shapes))  # type: ignore[arg-type]
     if asset.element_part is not None:
         _save(folder / "element_part.npy", asset.element_part)
     if asset.mesh is not None:
@@ -168,6 +174,8 @@ def load_asset(folder: str | Path) -> Asset:
         ValueError,
         OSError,
         EOFError,
+        AssertionError,
+        BadZipFile,
         GeometryError,
         KinematicsError,
         TextureError,
@@ -203,7 +211,15 @@ def _read(folder: Path, meta: dict[str, Any]) -> Asset:
             link: Inertial(row["mass"], np.array(row["center"]), np.array(row["tensor"]))
             for link, row in meta["inertials"].items()
         },
+        _read_shapes(folder / _SHAPES),
     )
+
+
+def _read_shapes(path: Path) -> dict[str, tuple[Shape, ...]]:
+    if not path.exists():
+        return {}
+    with np.load(path, allow_pickle=False) as data:
+        return unpacked({name: data[name] for name in data.files})
 
 
 def _load(path: Path) -> npt.NDArray[Any] | None:

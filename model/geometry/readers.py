@@ -251,6 +251,7 @@ def _read_urdf(
         warnings=found.notes,
         tree=found.tree,
         inertials=found.inertials,
+        shapes=found.shapes,
     )
 
 
@@ -346,7 +347,7 @@ def _read_told_parts(
             path, "doesn't tell its parts", "cut it with artiworld segment, or serve it"
         )
     parts = split(asset, asset.element_part, dict(enumerate(asset.part_names)))
-    return SegmentedObject(asset.name, parts, asset.category, asset.inertials)
+    return SegmentedObject(asset.name, parts, asset.category, asset.inertials, asset.shapes)
 
 
 def find_assets(paths: Iterable[str | Path]) -> list[Path]:

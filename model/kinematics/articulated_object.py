@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from model.collision.shapes import Shape
 from model.errors import GeometryError, KinematicsError
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
@@ -57,12 +58,14 @@ class SegmentedObject:
 
     Attributes:
         inertials: link → mass properties where the source tells them; no predictor reads them.
+        shapes: link → collision shapes, object frame, where the source tells them.
     """
 
     name: str
     parts: tuple[Part, ...]
     category: str | None = None
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
+    shapes: Mapping[str, tuple[Shape, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.parts:
@@ -86,6 +89,8 @@ class ArticulatedObject:
     Attributes:
         inertials: link → mass properties where the source tells them; links that aren't there
             have what exporters work out.
+        shapes: link → collision shapes, object frame, where the source tells them; for other parts
+            they are made.
 
     Raises:
         KinematicsError: where they don't.
@@ -96,6 +101,7 @@ class ArticulatedObject:
     tree: KinematicTree
     category: str | None = None
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
+    shapes: Mapping[str, tuple[Shape, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         links, owned = set(self.tree.links), {p.link for p in self.parts}

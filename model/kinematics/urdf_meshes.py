@@ -95,6 +95,9 @@ def _primitive(
         made = creation.box(extents=sizes)
     elif shape == "cylinder":
         made = creation.cylinder(radius=sizes[0], height=sizes[1], sections=SECTIONS)
+    elif shape == "capsule":
+        made = creation.capsule(radius=sizes[0], height=sizes[1])
+        made.apply_translation((0, 0, -made.bounds.mean(axis=0)[2]))
     else:
         made = creation.icosphere(subdivisions=3, radius=sizes[0])
     material = Material("urdf", color) if color is not None else Material()

@@ -30,8 +30,9 @@ class UrdfVisual:
         object_from_geometry: (4, 4) from the file's coordinates to the object frame at rest,
             scale included.
         file: the mesh file, resolved; None for a primitive.
-        primitive: ``("box", (x, y, z))``, ``("cylinder", (radius, length))`` or ``("sphere",
-            (radius,))`` in metres; None for a file.
+        primitive: ``("box", (x, y, z))``, ``("cylinder", (radius, length))``, ``("sphere",
+            (radius,))`` or ``("capsule", (radius, length without the caps))`` in metres; None for
+            a file.
         color: RGBA in 0..255 from the URDF's material, or None.
     """
 
@@ -55,7 +56,7 @@ class UrdfModel:
         renamed: those that tell of a link that became a helper by name alone.
         faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
         swapped: joints whose lower limit was written above the upper one; here they are in order.
-        told: masses and joint dynamics; :meth:`load` leaves them out.
+        told: masses, joint dynamics and collision shapes; :meth:`load` leaves them out.
     """
 
     path: Path

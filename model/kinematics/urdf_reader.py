@@ -17,6 +17,7 @@ from model.geometry.formats.references import ReferenceRefused
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint, JointType, Mimic
 from model.kinematics.tree import KinematicTree, tree_problems
+from model.kinematics.urdf_collision import ToldCollision, repeats
 from model.kinematics.urdf_model import (
     MAX_BYTES,
     UrdfModel,
@@ -148,9 +149,11 @@ class _Reader:
         )
         name = robot.get("name") or self.path.stem
         told = told_in(robot, object_from_link)
+        collision = self._collisions(robot, visuals, object_from_link)
         named = {renamed.get(link, link): i for link, i in told.inertials.items()}
         said = (self.notes, self.faulty, self.swapped, self.rescaled, self.renamed)
-        told = replace(told, inertials=named)
+        shaped = {renamed.get(link, link): c for link, c in collision.items()}
+        told = replace(told, inertials=named, collision=shaped)
         return UrdfModel(self.path, name, tree, visuals, *map(tuple, said), told=told)
 
     def _raise(self) -> None:
@@ -339,6 +342,30 @@ class _Reader:
                     out.append(visual)
         return out
 
+    def _collisions(
+        self,
+        robot: Element,
+        visuals: Sequence[UrdfVisual],
+        object_from_link: Mapping[str, npt.NDArray[np.float64]],
+    ) -> dict[str, ToldCollision]:
+        """By link; what is wrong with one of them is told there and is no problem of the file."""
+        out: dict[str, ToldCollision] = {}
+        seen = [v for v in visuals if robot.find("link/visual") is not None]
+        for link in robot.findall("link"):
+            name, before = link.get("name", ""), len(self.problems)
+            found = [self._visual(e, name) for e in link.findall("collision")]
+            wrong = self.problems[before:]
+            del self.problems[before:]
+            pieces = tuple(
+                replace(v, object_from_geometry=object_from_link[name] @ v.object_from_geometry)
+                for v in found
+                if v is not None
+            )
+            if found:
+                same = not wrong and repeats(pieces, [v for v in seen if v.link == name])
+                out[name] = ToldCollision(pieces, wrong[0] if wrong else "", same)
+        return out
+
     def _visual(self, element: Element, link: str) -> UrdfVisual | None:
         where = f"link {link!r}"
         pose = self._pose(element, where)
@@ -360,12 +387,12 @@ class _Reader:
         sizes: tuple[float, ...]
         if shape.tag == "box":
             sizes = tuple(self._numbers(shape, "size", 3, [1, 1, 1], where).tolist())
-        elif shape.tag in ("cylinder", "sphere"):
-            wanted = ("radius", "length") if shape.tag == "cylinder" else ("radius",)
+        elif shape.tag in ("cylinder", "sphere", "capsule"):
+            wanted = ("radius",) if shape.tag == "sphere" else ("radius", "length")
             sizes = tuple(self._number(shape, key, 0.0, where) for key in wanted)
         else:
             self.problems.append(
-                f"{where}: geometry <{shape.tag}> is none of mesh, box, cylinder, sphere"
+                f"{where}: geometry <{shape.tag}> is none of mesh, box, cylinder, sphere, capsule"
             )
             return None
         if min(sizes) <= 0:

@@ -1,4 +1,5 @@
-"""What a URDF tells of masses and of what resists its joints; ``urdf_reader`` reads the rest.
+"""What a URDF tells of masses, collision shapes and of what resists its joints; ``urdf_reader``
+reads the rest.
 
 Nothing of it is needed to move an object, so that a mistake in it is a remark and no error.
 """
@@ -13,9 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from model.collision.shapes import Shape
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.inertial import Inertial, inertial_problems
 from model.kinematics.joint import ToldDynamics
+from model.kinematics.urdf_collision import ToldCollision, told_shapes
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -30,24 +33,35 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Masses and joint dynamics as a file has them, in the object's rest frame.
+    """Masses, joint dynamics and collision shapes as a file has them, in the object's rest frame.
 
     Attributes:
         inertials: by link.
         dynamics: by joint.
         notes: what was passed over, for people.
+        collision: by link; its meshes aren't loaded.
     """
 
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
     dynamics: Mapping[str, ToldDynamics] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    collision: Mapping[str, ToldCollision] = field(default_factory=dict)
 
     def of(self, obj: ArticulatedObject) -> ArticulatedObject:
-        """``obj`` with what is told of its links and joints."""
+        """``obj`` with what is told of its links and joints, collision meshes loaded; what can't be
+        had of these is a remark of the part."""
         joints = tuple(replace(j, dynamics=self.dynamics.get(j.name)) for j in obj.tree.joints)
         links = set(obj.tree.links)
         inertials = {link: i for link, i in self.inertials.items() if link in links}
-        return replace(obj, tree=replace(obj.tree, joints=joints), inertials=inertials)
+        obj = replace(obj, tree=replace(obj.tree, joints=joints), inertials=inertials)
+        shapes: dict[str, tuple[Shape, ...]] = {}
+        remarks: dict[str, list[str]] = {}
+        for link in obj.tree.links:
+            held = told_shapes((link,), self.collision, remarks.setdefault(link, []))
+            if held:
+                shapes[link] = held
+        parts = tuple(replace(p, remarks=(*p.remarks, *remarks[p.link])) for p in obj.parts)
+        return replace(obj, parts=parts, shapes=shapes)
 
 
 def told_in(robot: Element, object_from_link: Mapping[str, FloatArray]) -> Told:

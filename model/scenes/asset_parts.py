@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
+from model.collision.shapes import Shape, moved_shape
 from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
 from model.errors import ArtiworldError
-from model.exporters.saved import told_masses
+from model.exporters.saved import told_links
 from model.geometric.vocabulary import MOST_NAMED
 from model.geometry.asset import Asset
 from model.geometry.part_folder import is_part_folder
@@ -47,6 +48,7 @@ class AssetParts:
         truth: the joints of the asset's own URDF, where it has one.
         notes: what was changed on reading that URDF, for people.
         inertials: link → mass properties where that URDF tells them.
+        shapes: link → collision shapes where it tells them.
     """
 
     parts: tuple[Part, ...]
@@ -54,6 +56,7 @@ class AssetParts:
     truth: KinematicTree | None = None
     notes: tuple[str, ...] = ()
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
+    shapes: Mapping[str, tuple[Shape, ...]] = field(default_factory=dict)
 
 
 def known_parts(path: Path) -> AssetParts:
@@ -65,9 +68,10 @@ def known_parts(path: Path) -> AssetParts:
     """
     if path.is_dir():
         if (path / MOBILITY).is_file():
-            return _of_urdf(read_partnet_mobility(path), path / MOBILITY)
+            return _of_urdf(read_partnet_mobility(path, shapes=True), path / MOBILITY)
         if (path / "object.urdf").is_file():
-            return _of_urdf(UrdfFolders(path.parent).load(path.name), path / "object.urdf")
+            truth = UrdfFolders(path.parent).load(path.name, shapes=True)
+            return _of_urdf(truth, path / "object.urdf")
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
     asset = read_unshifted(path)
@@ -139,6 +143,17 @@ def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
     return KinematicTree(tree.links, tuple(joints))
 
 
+def scaled_shapes(
+    shapes: Mapping[str, tuple[Shape, ...]], factors: FloatArray
+) -> dict[str, tuple[Shape, ...]]:
+    """Collision shapes at another size; none where the factors (3,) differ or mirror, as a
+    stretched cylinder is none."""
+    if not np.allclose(factors, factors[0], rtol=1e-6) or not factors[0] > 0:
+        return {}
+    matrix = np.diag([*factors, 1.0])
+    return {link: tuple(moved_shape(s, matrix) for s in held) for link, held in shapes.items()}
+
+
 def bounds_of(parts: tuple[Part, ...]) -> FloatArray:
     """(2, 3) lowest and highest corner; of scans without stray points, which would have the object
     stand in the air."""
@@ -179,14 +194,19 @@ def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
 def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     found = _at_least_two(truth.object.parts, "links of its URDF")
     # Not those on merged links: that fixed links are one part is no change.
-    model, listed = read_urdf_model(path), told_masses(path.parent)
-    masses = {
-        link: i
-        for link, i in truth.object.inertials.items()
-        if listed is None or {link, link.removeprefix("link_")} & set(listed)
-    }
-    notes = (*model.notes, *model.told.notes)
-    return replace(found, truth=truth.object.tree, notes=notes, inertials=masses)
+    model, obj = read_urdf_model(path), truth.object
+    weighed, shaped = (told_links(path.parent, what) for what in ("masses", "collision"))
+
+    def its_own(link: str, listed: list[str] | None) -> bool:
+        return listed is None or bool({link, link.removeprefix("link_")} & set(listed))
+
+    return replace(
+        found,
+        truth=obj.tree,
+        notes=(*model.notes, *model.told.notes),
+        inertials={link: i for link, i in obj.inertials.items() if its_own(link, weighed)},
+        shapes={link: held for link, held in obj.shapes.items() if its_own(link, shaped)},
+    )
 
 
 def _pieces(asset: Asset) -> AssetParts:

@@ -28,6 +28,7 @@ from model.scenes.asset_parts import (
     bounds_of,
     known_parts,
     scaled,
+    scaled_shapes,
     scaled_tree,
     whole,
 )
@@ -157,7 +158,10 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         found is not None and state == PREDICTED and bool((abs(placement.scale - 1) < SAME).all())
     )
     masses = found.inertials if found is not None and told else {}
-    obj = ArticulatedObject(name, parts, tree, job.category, masses)
+    shapes = {}
+    if found is not None and state == PREDICTED:
+        shapes = scaled_shapes(found.shapes, placement.scale)
+    obj = ArticulatedObject(name, parts, tree, job.category, masses, shapes)
     physics: Physics = physics_of(obj, PhysicsSettings()) if job.collision else plain_physics(obj)
     folder = out / ASSETS / job.key
     # Of the source's path the name alone: the asset may be moved.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -135,15 +135,26 @@ MASS = """<inertial><origin xyz="0.3 0 0"/><mass value="2.5"/><inertia ixx="0.03
 iyy="0.04" iyz="0" izz="0.05"/></inertial>"""
 
 
-def test_masses_and_dynamics_of_the_file_are_kept(opened, urdf: Path) -> None:
+COLLISION = """<collision><origin xyz="0.3 0.01 0.2"/><geometry><box size="0.5 0.02 0.3"/>
+</geometry></collision><collision><geometry><sphere radius="0.01"/></geometry></collision>"""
+DOOR_SHAPES = [("box", (0.5, 0.02, 0.3), [0, -0.141, 0.2]), ("sphere", (0.01,), [-0.3, -0.151, 0])]
+
+
+def shown(shapes: Sequence[Any]) -> list[Any]:
+    return [(s.kind, s.sizes, s.object_from_shape[:3, 3].round(9).tolist()) for s in shapes]
+
+
+def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf: Path) -> None:
     text = URDF.replace('name="body">', 'name="body">' + MASS.replace("2.5", "7"))
-    text = text.replace('name="door">', 'name="door">' + MASS)
+    text = text.replace('name="door">', 'name="door">' + MASS + COLLISION)
     told = '<limit effort="12" velocity="1.5"'
     text = text.replace("<limit", '<dynamics damping="0.7" friction="0.3"/>' + told)
     urdf.write_text(text)
     obj = opened(urdf)
     tree: Any = obj.document.tree
-    told_of = articulated_object(obj.source(obj.document), tree).inertials
+    made = articulated_object(obj.source(obj.document), tree)
+    told_of = made.inertials
+    assert shown(made.shapes["link_1"]) == DOOR_SHAPES
     assert {k: i.mass for k, i in told_of.items()} == {"link_0": 7.0, "link_1": 2.5}
     wait(lambda: obj.judging.report is not None and not obj.jobs, "the gate")
     accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
@@ -151,8 +162,14 @@ def test_masses_and_dynamics_of_the_file_are_kept(opened, urdf: Path) -> None:
     folder = Path(obj.document.saved.folder)
     asset = json.loads((folder / "provenance.json").read_text())["asset"]
     every = ["damping", "friction", "effort", "velocity"]
-    assert asset["told"] == {"masses": ["link_0", "link_1"], "dynamics": {"hinge": every}}
+    assert asset["told"] == {
+        "masses": ["link_0", "link_1"], "dynamics": {"hinge": every}, "collision": ["link_1"],
+    }  # fmt: skip
     again = load_object(folder)
+    assert {k: shown(held) for k, held in again.shapes.items()} == {"link_1": DOOR_SHAPES}
+    assert {k: shown(held) for k, held in read_asset(folder).shapes.items()} == {
+        "link_1": DOOR_SHAPES
+    }
     door = again.inertials["link_1"]
     assert door.mass == 2.5 and door.center == pytest.approx([0.0, -0.151, 0.0])
     assert np.diag(door.tensor) == pytest.approx([0.03, 0.04, 0.05])
@@ -161,16 +178,16 @@ def test_masses_and_dynamics_of_the_file_are_kept(opened, urdf: Path) -> None:
     )
 
 
-def test_a_part_that_was_cut_again_has_a_mass_of_ours(opened, urdf: Path) -> None:
-    urdf.write_text(URDF.replace('name="door">', 'name="door">' + MASS))
+def test_a_part_that_was_cut_again_has_a_mass_and_shapes_of_ours(opened, urdf: Path) -> None:
+    urdf.write_text(URDF.replace('name="door">', 'name="door">' + MASS + COLLISION))
     obj = opened(urdf)
     arrays = arrays_of(obj.bench.workspace)
     labels = arrays.get(obj.document.segmentation.labels).copy()
     labels[-2:] = 0
     source = replace(obj.source(obj.document), labels=arrays.put(labels))
     made = articulated_object(source, obj.document.tree)
-    assert not made.inertials
-    assert told_entry(made) == {"masses": [], "dynamics": {}}
+    assert not made.inertials and not made.shapes
+    assert told_entry(made) == {"masses": [], "dynamics": {}, "collision": []}
 
 
 def test_a_mesh_that_changed_is_read_again(urdf: Path) -> None:
@@ -199,7 +216,18 @@ def test_predict_keeps_the_masses_that_a_file_tells(urdf: Path, tmp_path: Path) 
     made = load_object(tmp_path / "out")
     assert {k: i.mass for k, i in made.inertials.items()} == {"link_1": 2.5}
     told = json.loads((tmp_path / "out" / "provenance.json").read_text())["asset"]["told"]
-    assert told == {"masses": ["link_1"], "dynamics": {}}, "its joints are predicted"
+    assert told == {"masses": ["link_1"], "dynamics": {}, "collision": []}, "joints are predicted"
+
+
+def test_predict_keeps_the_shapes_of_a_file_that_tells_all(urdf: Path, tmp_path: Path) -> None:
+    body = '<collision><geometry><box size="0.6 0.28 0.4"/></geometry></collision>'
+    text = URDF.replace('name="door">', 'name="door">' + COLLISION)
+    urdf.write_text(text.replace('name="body">', 'name="body">' + body))
+    report = predict(urdf, tmp_path / "out")
+    assert report["collision_from_source"] == ["link_0", "link_1"]
+    assert report["collision_shapes"] == 3
+    made = load_object(tmp_path / "out")
+    assert shown(made.shapes["link_1"]) == DOOR_SHAPES
 
 
 @pytest.mark.parametrize("source", ["urdf", "glb"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -243,6 +245,45 @@ def test_where_the_parts_collide_so_do_the_shapes_unless_they_are_to_give_way():
     made = collision_of(telescope(0.35, give_way=True))
     assert overlaps_of(telescope(0.35), made).over_range["up"] < 1e-6
     assert made["link_0"] and made["link_1"]
+
+
+def drawer_in_a_chest(told: str, give_way: bool = False) -> ArticulatedObject:
+    """A box in a tray, which is lifted out; ``told`` has a box that is too long and so sticks 5 mm
+    deep in the tray's end."""
+    tray_mesh, box = tray(), boxes(((0.02, 0.02, 0.012), (0.3, 0.28, 0.09)))
+    joint = Joint("out", "prismatic", "link_0", "link_1", (0, 0, 1), lower=0, upper=0.2,
+                  give_way=give_way)  # fmt: skip
+    pose = np.eye(4)
+    pose[:3, 3] = 0.2075, 0.15, 0.051
+    parts = (Part("link_0", tray_mesh), Part("link_1", box))
+    shapes = {told: (Primitive("box", pose, (0.375, 0.26, 0.078)),)}
+    tree = KinematicTree(("link_0", "link_1"), (joint,))
+    return ArticulatedObject("x", parts, tree, shapes=shapes)
+
+
+def test_shapes_that_are_told_stay_and_the_others_make_room(tmp_path):
+    obj = drawer_in_a_chest("link_1")
+    for _ in range(2):  # made, and from the store
+        made = collision_of(obj, store=tmp_path)
+        (kept,) = made["link_1"]
+        assert isinstance(kept, Primitive) and kept.sizes == obj.shapes["link_1"][0].sizes
+        assert len(made["link_0"]) == 5
+        assert overlaps_of(obj, made).at_rest < 1e-6
+        build._recent.clear()
+    without = replace(obj, shapes={})
+    assert all(s.sizes != kept.sizes for s in collision_of(without, store=tmp_path)["link_1"])
+
+
+def test_shapes_that_are_told_are_cut_only_where_they_are_to_give_way():
+    both = {"link_0": collision_of(replace(drawer_in_a_chest("link_1"), shapes={}))["link_0"]}
+    obj = drawer_in_a_chest("link_1")
+    obj = replace(obj, shapes={**obj.shapes, **both})
+    assert collision_of(obj) == obj.shapes
+    assert overlaps_of(obj, obj.shapes).over_range["out"] > 0.004
+    obj = replace(obj, tree=drawer_in_a_chest("link_1", give_way=True).tree)
+    made = collision_of(obj)
+    assert overlaps_of(obj, made).over_range["out"] < 1e-6
+    assert sum(s is t for s, t in zip(made["link_0"], both["link_0"], strict=True)) >= 4
 
 
 def test_overlap_of_two_boxes_is_exact():

@@ -17,11 +17,12 @@ from PIL import Image
 from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
+from model.collision.shapes import Primitive, Solid
 from model.datasets.mjcf import read_mjcf
 from model.errors import ConfigurationError, InputFileError
 from model.exporters import registry
 from model.exporters.asset_folder import write_asset
-from model.exporters.physics import Physics, PhysicsSettings, physics_of
+from model.exporters.physics import Physics, PhysicsSettings, physics_of, whose_shapes
 from model.exporters.protocol import Exporter
 from model.exporters.readback import read_back
 from model.exporters.registry import export, exporter_names, load_exporter, write_object
@@ -189,6 +190,60 @@ def test_collision_shapes_are_in_every_format_that_has_them(whole, physics):
     stage = Usd.Stage.Open(str(whole["usd"][0]))
     colliders = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.CollisionAPI)]
     assert len(colliders) == count
+
+
+def test_shapes_of_the_source_are_what_they_were_in_every_format(tmp_path):
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", (0.3, 0.2, 0.1)).as_matrix()
+    kinds = {"box": (0.1, 0.2, 0.3), "cylinder": (0.1, 0.3), "sphere": (0.1,),
+             "capsule": (0.1, 0.2)}  # fmt: skip
+    stairs = trimesh.boolean.union(
+        [trimesh.creation.box(bounds=[[0, 0, 0], high]) for high in ((2, 1, 1), (1, 1, 2))]
+    )
+    solid = Solid(np.asarray(stairs.vertices), np.asarray(stairs.faces, np.int32))
+    held = (*(Primitive(kind, pose, sizes) for kind, sizes in kinds.items()), solid)
+    tree = KinematicTree(
+        ("link_0", "door"), (Joint("hinge", "revolute", "link_0", "door", lower=0, upper=1),)
+    )
+    parts = (Part("link_0", box_mesh(0)), Part("door", box_mesh(0.5)))
+    obj = ArticulatedObject("o", parts, tree, shapes={"door": held})
+    made = physics_of(obj)
+    assert made.told_shapes == ("door",) and made.collision["link_0"]
+    assert whose_shapes(obj, made) == (
+        "collision shapes of door are the file's own, those of link_0 are made"
+    )
+    files = {}
+    for name in ("urdf", "mjcf", "sdf", "usd"):
+        files[name] = write_object(obj, load_exporter(name), tmp_path / name, physics=made)[0]
+        assert not read_back(name, files[name], obj).problems
+    again = load_object(files["urdf"]).shapes["door"]
+    assert [getattr(s, "kind", "mesh") for s in again] == [
+        "box", "cylinder", "sphere", "mesh", "mesh",
+    ]  # fmt: skip
+    assert again[1].object_from_shape == pytest.approx(pose) and again[1].sizes == (0.1, 0.3)
+    kept = again[4]
+    assert isinstance(kept, Solid) and trimesh.Trimesh(
+        kept.vertices, kept.faces
+    ).volume == pytest.approx(3), "as it is, not its hull"
+    (door,) = (e for e in ET.parse(files["sdf"]).iter("link") if e.get("name") == "door")
+    shapes = [e.find("geometry")[0] for e in door.iter("collision")]
+    assert [s.tag for s in shapes] == [*kinds, "mesh"] and shapes[4].get("optimization") is None
+    model = mujoco.MjModel.from_xml_path(str(files["mjcf"]))
+    body = model.body("door").id
+    felt = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.geom_group[g]]
+    felt = [g for g in felt if model.geom_group[g] == 3]
+    assert model.geom_type[felt].tolist() == [6, 5, 2, 3, 7]
+    volume = trimesh.Trimesh(stairs.vertices).convex_hull.volume
+    hull = next((tmp_path / "mjcf" / "meshes" / "collision").glob("door_*.obj"))
+    assert trimesh.load(hull).volume == pytest.approx(volume)
+    stage = Usd.Stage.Open(str(files["usd"]))
+    types = [
+        p.GetTypeName() for p in stage.Traverse()
+        if p.HasAPI(UsdPhysics.CollisionAPI) and "door" in str(p.GetPath())
+    ]  # fmt: skip
+    assert types == ["Cube", "Cylinder", "Sphere", "Capsule", "Mesh"]
+    ours = physics_of(obj, PhysicsSettings(told_shapes=False))
+    assert not ours.told_shapes and whose_shapes(obj, ours) == ""
 
 
 def test_usd_has_limits_drives_mass_textures_and_the_mimic(whole, physics):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -106,6 +107,31 @@ def test_a_urdf_tells_masses_at_its_own_size(cupboard: Path, tmp_path: Path) -> 
     assert {k: round(i.mass, 3) for k, i in known.items()} == {"link_body": 9.0, "link_door": 9.2}
     larger = masses(cupboard, tmp_path / "larger", 1.5)
     assert larger["link_body"] != pytest.approx(9.0)
+
+
+def test_a_urdf_tells_collision_shapes_at_every_size_that_is_no_stretch(
+    cupboard: Path, tmp_path: Path
+) -> None:
+    shape = "<collision><geometry><sphere radius='0.03'/></geometry></collision>"
+    text = (cupboard / "object.urdf").read_text()
+    (cupboard / "object.urdf").write_text(text.replace("<visual>", shape + "<visual>"))
+    assert {k: len(held) for k, held in known_parts(cupboard).shapes.items()} == {
+        "link_body": 1, "link_door": 2,
+    }  # fmt: skip
+    for size in ((1.5, 1.5, 1.5), (1.0, 1.0, 1.5)):
+        job = AssetJob("k", cupboard, size, None, True, "Cabinet", "geometric", 0, True, 120.0)
+        out = tmp_path / str(size)
+        report = ConvertAsset(out, {"k": job}, None)("k")
+        assert report["state"] == "predicted", report["reason"]
+        root = ET.parse(out / "assets" / "k" / "mjcf" / "object.xml")
+        geoms = [g for g in root.iter("geom") if g.get("group") == "3"]
+        spheres = [g.get("size") for g in geoms if g.get("type") == "sphere"]
+        told = json.loads((out / "assets" / "k" / "provenance.json").read_text())["asset"]["told"]
+        if size[0] == size[2]:
+            assert spheres == ["0.045"] * 3 and len(geoms) == 3
+            assert told["collision"] == ["link_body", "link_door"]
+        else:
+            assert not spheres and geoms and told["collision"] == []
 
 
 def test_of_a_saved_asset_only_what_its_source_told(cupboard: Path, tmp_path: Path) -> None:
