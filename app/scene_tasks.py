@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,9 @@ from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
+
+if TYPE_CHECKING:
+    from model.scenes.asset_parts import AssetParts
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -168,9 +171,10 @@ def lay_down(item: SceneItem) -> str:
     from model.scenes.asset_parts import LeftForAnnotator, known_parts, scaled, size_factors, whole
 
     assert item.path is not None and item.copy is not None
-    reason = ""
+    reason, known = "", None
     try:
-        parts = known_parts(item.path).parts
+        known = known_parts(item.path)
+        parts = known.parts
         if len(parts) > MAX_PARTS:
             parts, reason = (), f"its {len(parts)} parts are too many"
     except LeftForAnnotator as left:
@@ -184,6 +188,8 @@ def lay_down(item: SceneItem) -> str:
     draft.mkdir(parents=True)
     try:
         _write_copy(scaled(parts, factors), item.category, draft, unnamed=whole_one)
+        if known is not None and not whole_one:
+            _write_told(known, factors, draft)
         draft.rename(item.copy)
     except OSError:
         if not (item.copy / "object.json").is_file():  # another process may have been first
@@ -211,6 +217,20 @@ def _write_copy(
     if category:
         said["category"] = category
     (folder / "object.json").write_text(json.dumps(said), encoding="utf-8")
+
+
+def _write_told(known: AssetParts, factors: npt.NDArray[np.float64], folder: Path) -> None:
+    """What the asset tells of its parts beside their geometry, under the copy's link names."""
+    from model.geometry.told_file import save_told
+    from model.scenes.asset_parts import masses_at, scaled_shapes
+
+    link = {part.link: f"link_{i}" for i, part in enumerate(known.parts)}
+    masses, shapes = masses_at(known, factors), scaled_shapes(known.shapes, factors)
+    save_told(
+        folder,
+        {link[k]: i for k, i in masses.items() if k in link},
+        {link[k]: held for k, held in shapes.items() if k in link},
+    )
 
 
 def for_picking(

@@ -35,6 +35,7 @@ from model.geometry.part_folder import (
     natural_key,
 )
 from model.geometry.parts import split
+from model.geometry.told_file import load_told
 from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.urdf_model import (
     MOBILITY,
@@ -289,6 +290,11 @@ def _read_folder(
     whole = join(parts)
     warnings = dict.fromkeys([*manifest.remarks, *(w for p in parts for w in p.warnings)])
     sizes = [len(p.faces) if solid[0] else len(p.vertices) for p in parts]
+    inertials, shapes = {}, {}
+    if not any(source.shift):
+        turned = turned_up(source.up_axis)
+        turned[:3, :3] *= unit_scale
+        inertials, shapes = load_told(folder, turned)
     return Asset(
         folder.name,
         mesh=to_mesh(whole) if solid[0] else None,
@@ -298,6 +304,8 @@ def _read_folder(
         part_names=tuple(e.name or e.link for e in manifest.entries),
         category=manifest.category,
         warnings=tuple(warnings),
+        inertials=inertials,
+        shapes=shapes,
     )
 
 

@@ -33,6 +33,8 @@ from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = MOST_NAMED
 """Connected pieces up to which they pass for parts; beyond, they are screws and panels."""
+SAME = 1e-3
+"""Scales that differ less from 1 are rounding."""
 
 
 class LeftForAnnotator(ArtiworldError):
@@ -141,6 +143,12 @@ def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
             upper=None if joint.upper is None else joint.upper * slide,
         ))  # fmt: skip
     return KinematicTree(tree.links, tuple(joints))
+
+
+def masses_at(known: AssetParts, factors: FloatArray) -> Mapping[str, Inertial]:
+    """Mass properties by link that the asset tells; none where the factors (3,) aren't 1, as at
+    another size it weighs something else."""
+    return known.inertials if bool((abs(factors - 1) < SAME).all()) else {}
 
 
 def scaled_shapes(

@@ -27,6 +27,7 @@ from model.scenes.asset_parts import (
     LeftForAnnotator,
     bounds_of,
     known_parts,
+    masses_at,
     scaled,
     scaled_shapes,
     scaled_tree,
@@ -46,9 +47,6 @@ REJECTED, TODO = "rejected", "todo"
 """What people said no to, and what nobody has decided on; both stand there rigid."""
 MISSING, PLAIN = "missing", "plain"
 """States of objects whose asset isn't there, and of plain boxes without one."""
-
-SAME = 1e-3
-"""Scales that differ less from 1 are rounding."""
 
 
 @dataclass(frozen=True)
@@ -153,13 +151,9 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
             reason = "no joint was predicted: " + ("; ".join(problems) or "no reason was given")
             parts = scaled((whole(job.path),), placement.scale)
             tree = KinematicTree((parts[0].link,))
-    # At another size it weighs something else.
-    told = (
-        found is not None and state == PREDICTED and bool((abs(placement.scale - 1) < SAME).all())
-    )
-    masses = found.inertials if found is not None and told else {}
-    shapes = {}
+    masses, shapes = {}, {}
     if found is not None and state == PREDICTED:
+        masses = masses_at(found, placement.scale)
         shapes = scaled_shapes(found.shapes, placement.scale)
     obj = ArticulatedObject(name, parts, tree, job.category, masses, shapes)
     physics: Physics = physics_of(obj, PhysicsSettings()) if job.collision else plain_physics(obj)
