@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.open_object import OpenObject
-from app.titles import joint_title, part_title
+from app.titles import joint_title, moved_part, part_title
 from app.viewer.category_guess import CategoryGuess, guesses_of
 from app.viewer.joint_editor import JointEditor
 from app.viewer.joint_text import shown, tree_text
@@ -104,6 +104,7 @@ class JointsPanel:
         if now == self._drawn:
             return
         self._drawn = now
+        self._choose(doc, wanted)  # first: what is asked is about the joint that is shown
         for widget in (self._tree, self._folder):
             put(widget, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
@@ -115,19 +116,34 @@ class JointsPanel:
             self._draw_motion(None, doc)
             self._draw_pose(None)
             return
-        if app.child not in tree.joint_of:
-            app.child = next((j.child for j in tree.joints if j.moves), None)
         put(self._tree, "content", tree_text(tree, doc, obj.checks))
         self._draw_motion(tree, doc)
         self._draw_pose(app.joint)
         self.editor.draw(obj, tree)
+
+    def _choose(self, doc: Document, wanted: bool) -> None:
+        """Where no joint is chosen: the first whose part has no name, else the first that moves."""
+        app, tree = self._app, doc.tree
+        if tree is None or app.child in tree.joint_of:
+            return
+        unnamed = [] if wanted else self._unknown(doc)[0]
+        moving = (j.child for j in tree.joints if j.moves)
+        app.child = unnamed[0].link if unnamed else next(moving, None)
+        if app.child is not None:
+            app.invalidate()  # the picture, which was drawn before, shows its axis
 
     def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
         """Parts without a name, the chosen joint's first, and whether there is no category."""
         if doc.tree is None or doc.prediction is None or doc.review.state == "accepted":
             return [], False
         found = [p for p in doc.parts if p.name is None and p.link in doc.tree.joint_of]
-        return sorted(found, key=lambda p: p.link != self._app.child), doc.category is None
+        chosen = self._chosen_part(doc.tree)
+        return sorted(found, key=lambda p: p.link != chosen), doc.category is None
+
+    def _chosen_part(self, tree: KinematicTree) -> str | None:
+        """The link of the part that the chosen joint moves: of several joints, all that move it."""
+        child = self._app.child
+        return moved_part(tree, child) if child is not None and child in tree.joint_of else None
 
     def _draw_names(self, doc: Document, wanted: bool) -> None:
         unnamed, uncategorised = ([], False) if wanted else self._unknown(doc)
@@ -138,7 +154,10 @@ class JointsPanel:
         self._quick.show(bool(unnamed))
         what = "**What is the object?**"
         if unnamed:
+            assert doc.tree is not None
             what = f"**What is {part_title(doc, unnamed[0].link)}?**"
+            if unnamed[0].link != self._chosen_part(doc.tree):
+                what += " (Not the one chosen: that has a name.)"
         why = "Joints come right more often if that is known."
         if _settled(doc):
             why = "It is kept for the next prediction (P)."

@@ -59,7 +59,13 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
         tab.prompt(points[place])
     predict(tab)
     before = tab.document.prediction
+    # The question is about the joint that is shown, as long as its part has no name.
     tab.page.get_by_text("What is part 2?").wait_for()
+    assert tab.app.child == "link_2"
+    tab.app.choose_joint("link_3")
+    tab.page.get_by_text("What is part 3?").wait_for()
+    tab.app.choose_joint("link_1")
+    tab.page.get_by_text("What is part 2? (Not the one chosen").wait_for()
     tab.button("drawer").click()
     tab.page.get_by_text("What is part 3?").wait_for()
     assert tab.app.child == "link_3" and tab.document.prediction is before
