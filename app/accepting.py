@@ -114,6 +114,21 @@ def accept(
     obj.changed()
 
 
+def take_back(obj: OpenObject) -> bool:
+    """Take back the wish to accept it as soon as its joints are judged; all tabs are told.
+
+    Returns:
+        Whether there was one that nothing had come of yet.
+    """
+    if not obj.judging.take_back():
+        return False
+    obj.bench.store.accepting_ends(obj.record.id)
+    obj.tell("Not accepted", "Taken back before the joints were judged", "gray")
+    obj.bench.tell_queue()
+    obj.changed()
+    return True
+
+
 def _admits(obj: OpenObject, wish: Wish, begun: Begun) -> bool:
     """Whether it may be accepted now; False where the wish waits for the gate.
 

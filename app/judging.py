@@ -203,6 +203,12 @@ class Judging:
         if waiting is not None:
             waiting.again()
 
+    def take_back(self) -> bool:
+        """Nobody wants it accepted any more; whether somebody did and it wasn't decided yet."""
+        with self._lock:  # the gate may answer just now
+            waiting, self._waiting = self._waiting, None
+        return waiting is not None
+
     def doubts(self) -> tuple[str, ...]:
         """For the record of an acceptance: what was known to be broken or doubtful."""
         report = self.report

@@ -6,7 +6,7 @@ import datetime
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from app.accepting import accept
+from app.accepting import accept, take_back
 from app.judging import LookFirstError
 from app.pointer_messages import tell_page
 from app.viewer.keys import KEYS
@@ -62,11 +62,18 @@ class Commands:
         self._app.need_object().predict(self._app.who, here=True)
 
     def cancel(self) -> None:
-        """Stop what runs. May be called on any thread."""
+        """Stop what runs, and don't accept what waits for it. May be called on any thread."""
         obj = self._app.object
         if obj is not None:
+            self.take_back()
             for what in ("predict", "save", "segment", "room", "tool"):
                 obj.jobs.cancel(what)
+
+    def take_back(self) -> None:
+        """Don't accept the object once its joints are judged. May be called on any thread."""
+        obj = self._app.object
+        if obj is not None and take_back(obj):
+            self._app.review_panel.refused(obj)
 
     def accept(self) -> None:
         """Accept the object; its asset is written first."""

@@ -27,7 +27,7 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Z", "same shape: the other knobs, …"),
     ("V", "preview of a click on or off"),
     ("H, Delete", "hide or show, delete the part"),
-    ("Esc", "back to plain clicks; close this"),
+    ("Esc", "plain clicks; take back a waiting Y"),
     ("P", "predict joints"),
     ("Space, Shift+Space", "play or stop; the whole scene"),
     ("R, C", "reset the pose, frame the object"),

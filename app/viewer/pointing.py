@@ -211,10 +211,13 @@ class Pointing:
             self._told["tool"] = tool
 
             def switch() -> None:
-                app.commands.close_keys()
+                ends = app.rejecting.asking or bool(self.armed) or self.tool != "click"
+                ends = app.commands.close_keys() or ends
                 app.rejecting.cancel()
                 self.disarm()
                 self.tool = tool  # type: ignore[assignment]
+                if tool == "click" and not ends:  # Escape, with nothing else to leave
+                    app.commands.take_back()
 
             app.act(switch)
 

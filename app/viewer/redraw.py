@@ -155,7 +155,9 @@ class Redraw:
         put(self._app.off_button, "visible", obj.problem is not None and desk is None)
         put(self._app.progress, "visible", bool(stoppable))
         put(self._app.progress, "value", round(100 * done, 1))
-        put(self._app.cancel_button, "visible", bool(stoppable))
+        waiting = obj.judging.waiting and not stoppable
+        put(self._app.cancel_button, "visible", bool(stoppable) or waiting)
+        put(self._app.cancel_button, "label", "Don't accept yet (Esc)" if waiting else "Cancel")
 
     def _draw_scene(self, obj: OpenObject) -> None:
         app, doc = self._app, obj.document

@@ -152,6 +152,7 @@ class ReviewPanel:
         if obj.judging.waiting:
             begun = (
                 "**Accepted as soon as the joints are judged, if the gate has nothing against it.**"
+                " Esc takes that back."
             )
         elif obj.held:
             begun = f"**Look again:** {plain(obj.held, 500)}"

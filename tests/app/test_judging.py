@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 from app import judging_tasks
-from app.accepting import accept, asset_folder
+from app.accepting import accept, asset_folder, take_back
 from app.config import ServeConfig
 from app.judging import LookFirstError
 from app.open_object import OpenObject
@@ -375,6 +375,28 @@ def test_a_wish_hears_at_once_that_the_joints_changed(cupboard: OpenObject) -> N
     held.cancel()
     judged(obj)
     assert obj.document.review.state != "accepted" and not bench.store.accepting()
+
+
+def test_a_wish_can_be_taken_back(cupboard: OpenObject) -> None:
+    obj, bench = cupboard, cupboard.bench
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    notes: list[tuple[str, str, str]] = []
+    stop = obj.watch(lambda: None, lambda *note: notes.append(note))
+    assert not take_back(obj) and not notes
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait(lambda: held.state == "running", "judging is held up")
+    obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
+    accept(obj, "seen in person", "ann", NOW)
+    assert bench.under_way(obj.record.id) and bench.store.accepting()
+    assert take_back(obj)
+    assert notes[-1] == ("Not accepted", "Taken back before the joints were judged", "gray")
+    assert not bench.under_way(obj.record.id) and not bench.store.accepting()
+    held.cancel()
+    assert judged(obj).verdict == "fine"
+    wait(lambda: not obj.jobs, "nothing goes on")
+    assert obj.document.review.state != "accepted" and not obj.held and not obj.interrupted
+    stop()
 
 
 def test_what_could_not_be_judged_is_not_accepted_unseen(cupboard: OpenObject) -> None:

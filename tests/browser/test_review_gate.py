@@ -190,6 +190,19 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     assert other.document.review.state == "predicted"
 
 
+def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
+    """Y before the verdict, and Esc: it isn't accepted then."""
+    tab.wait_seen()
+    tab.key("y")
+    tab.button("Don't accept yet (Esc)").wait_for()
+    assert tab.app.object.judging.waiting
+    tab.page.screenshot(path=str(picture))
+    tab.key("Escape")
+    tab.page.get_by_text("Taken back before the joints were judged").first.wait_for()
+    assert not tab.app.object.judging.waiting
+    tab.button("Don't accept yet (Esc)").wait_for(state="hidden")
+
+
 def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     start: Any, open_tab: Any, tmp_path: Path
 ) -> None:
@@ -220,6 +233,8 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     wait_until(lambda: tab.app.object is third, "the next object again")
     assert {o.document.review.state for o in (grazing, clean)} == {"predicted"}
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
+    check_a_wish_is_taken_back(tab, tmp_path / "waiting.png")
+    assert grazing.judging.waiting and clean.judging.waiting
 
     held.cancel()
     tab.page.get_by_text("clean: Saved in", exact=False).wait_for()
