@@ -168,10 +168,9 @@ def _check_judged(obj: OpenObject) -> None:
 def _hold(obj: OpenObject, begun: Begun, why: str) -> None:
     """Keep that the gate held it back, and what was typed for it, until it is decided or changed;
     whoever asked may have gone on."""
-    if obj.bench.desk is not None:  # a scene holds back what it asked for itself
-        obj.bench.store.accepting_ends(obj.record.id)
-        return
     why = in_words(obj.document, why)
+    if obj.bench.desk is not None:
+        obj.bench.desk.accepting.hold(obj.record.id, why, obj.judging.report)
     obj.bench.hold(obj.record.id, replace(begun, seq=obj.state.seq, held=why))
 
 

@@ -103,7 +103,7 @@ class Accepting:
 
     def mark(self, work: Work) -> Mark:
         """Whether the gate is at work on the object, or holds it back."""
-        if work.id in self.waiting:
+        if work.id in self.waiting or self._desk.bench.under_way(work.id):
             return "judging"
         return "" if self.refusal(work) is None else "held"
 
@@ -111,6 +111,25 @@ class Accepting:
     def waiting(self) -> frozenset[int]:
         """Session ids of objects that are being accepted."""
         return frozenset(i for i, _ in self._queue)
+
+    def hold(self, session: int, why: str, report: GateReport | None) -> None:
+        """An object that was opened, and then left, isn't accepted as was asked for there.
+
+        Args:
+            why: where the gate found nothing to tell.
+        """
+        work = self._desk.works.get(session)
+        if work is not None:
+            if report is not None and report.verdict != "fine":
+                why = self._said(work.document, report)
+            self.refused[work.id] = Refusal(why, work.document, report)
+            self._desk.changed()
+
+    @staticmethod
+    def _said(doc: Document, report: GateReport) -> str:
+        """What is worst of a gate's answer, with the joint that it is about."""
+        worst = report.joints[0]
+        return f"{joint_title(doc, worst.child)}: {worst.sentence}"
 
     def expect(self, objects: tuple[int, ...], notice: Notice) -> None:
         """The next decision about these is made by whoever hears ``notice``."""
@@ -268,8 +287,7 @@ class Accepting:
             looked = self._looked.get(work.id)
             seen = looked is not None and _same(looked, work.document)
             if report.verdict == "broken" or (report.verdict == "look" and not seen):
-                worst = report.joints[0]
-                self._refuse(work, f"{joint_title(doc, worst.child)}: {worst.sentence}", report)
+                self._refuse(work, self._said(doc, report), report)
             else:
                 self._save(work, record, source, report, seen)
 

@@ -250,7 +250,7 @@ class ClientApp:
         def tell(title: str, body: str, color: str) -> None:
             if over():
                 stop()
-            self.notify(title, f"{obj.record.name}: {in_words(obj.document, body)}", color)
+            self.notify(title, f"{self.called(obj)}: {in_words(obj.document, body)}", color)
 
         def changed() -> None:
             self.invalidate()
@@ -259,8 +259,15 @@ class ClientApp:
 
         stop = obj.watch(changed, tell)
 
+    def called(self, obj: OpenObject) -> str:
+        """What people call an object: in a scene as it is called there."""
+        desk = self.bench.desk
+        work = None if desk is None else desk.works.get(obj.record.id)
+        return obj.record.name if work is None else work.item.obj.id
+
     def close_object(self) -> None:
         """Show no object: the scene is all there is."""
+        self._hear_out(self.object)
         self._unwatch()
         self._unwatch = lambda: None
         self.motion.begin()

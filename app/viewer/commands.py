@@ -108,9 +108,9 @@ class Commands:
             app.review_panel.gate.show_worst()
             app.notify("Look at it first", str(error), "yellow")
         elif app.object is not obj and obj.held:
-            app.notify("Look again", f"{obj.record.name}: {obj.held}", "yellow", seconds=None)
+            app.notify("Look again", f"{app.called(obj)}: {obj.held}", "yellow", seconds=None)
         else:
-            app.notify("Not accepted", f"{obj.record.name}: {error}", "yellow")
+            app.notify("Not accepted", f"{app.called(obj)}: {error}", "yellow")
 
     def about(self) -> tuple[Any, ...]:
         """What a decision made now would be about."""

@@ -196,7 +196,7 @@ class InScene:
             raise CommandError(f"{id} has no joints yet: press Enter to work on it")
         if work.document.review.state == "accepted":
             raise CommandError(f"{id} is accepted already")
-        if work.id in self.desk.accepting.waiting:
+        if self.desk.accepting.mark(work) == "judging":
             raise CommandError(f"{id} is being judged already")
         problems = review_problems(work.document)
         if problems:
@@ -236,7 +236,7 @@ class InScene:
     def _waits(self, id: str) -> bool:
         work = self.desk.work(id)
         return work is not None and work.document.review.state == "predicted" and (
-            work.id not in self.desk.accepting.waiting)  # fmt: skip
+            self.desk.accepting.mark(work) != "judging")  # fmt: skip
 
     def sure(self, above: float) -> list[int]:
         """Sessions of predicted objects that are at least so sure, each once."""

@@ -178,9 +178,8 @@ class ReviewPanel:
         self._draw_history()
         id, before = self._asked or (None, 0)
         saving = "save" in obj.busy
-        # Nobody need wait for the gate's answer, nor for the asset to be written; in a scene the
-        # object is left with it.
-        done = (saving or obj.judging.waiting) and self._app.bench.desk is None
+        # Nobody need wait for the gate's answer, nor for the asset to be written.
+        done = saving or obj.judging.waiting
         if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
             if self._go_on.value:

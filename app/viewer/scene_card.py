@@ -163,7 +163,7 @@ class SceneCard:
         put(self._work, "visible", can_work and work is not None)
         has_tree = work is not None and work.document.tree is not None
         decided = row is not None and row.status in ("accepted", "rejected")
-        waiting = work is not None and work.id in desk.accepting.waiting
+        waiting = row is not None and row.mark == "judging"
         put(self._pick, "visible", can_work and not has_tree)
         put(self._pick, "color", "blue" if work is None and len(desk.items) == 1 else "gray")
         put(self._accept, "visible", has_tree and row is not None and row.status != "accepted")

@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from app import scene_accepting, scene_tasks, tasks, workbench
+from app.accepting import accept
 from app.cli import make_parser
 from app.config import ServeConfig
 from app.job import Job
@@ -370,6 +371,35 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     assert "flap" in [p.name for p in saved.parts]
     desk.do(cmd.Undo(), "ann")
     small.live.do(cmd.NamePart(1, name), "rob")
+    world.settle()
+
+
+def test_what_was_asked_for_inside_is_held_back_in_the_scene(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever asked needn't wait there for the gate."""
+    desk, small = world.desk, world.desk.work("small")
+    assert small is not None
+    gate, refused = Slow(desk, monkeypatch), list[CommandError]()
+    obj = desk.bench.object(small.id)
+    wait(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
+    accept(obj, "the hinge is bent", "ann", "2026-01-01T00:00:00+00:00", refused=refused.append)
+    row = desk.row(small.item)
+    assert row.shown == "judging" and not row.undecided
+    gate.answer("look")
+    wait(lambda: refused, "it is told")
+    refusal = desk.accepting.refusal(small)
+    assert refusal is not None and refusal.wants_a_look
+    assert refusal.why == "door 1: Runs 131 mm into link_0 at 104°."
+    assert desk.row(small.item).shown == "held" and statuses(desk)["small"] == "predicted"
+    assert obj.begun is not None and obj.begun.comment == "the hinge is bent"
+    # Seen there it is accepted as it is, and nothing is held back any more.
+    desk.do(DecideObjects("accept", (small.id,), looked=True), "ann")
+    gate.answer("look")
+    wait(lambda: statuses(desk)["small"] == "accepted", "accepted", 60)
+    assert desk.row(small.item).shown == "accepted" and not obj.held
+    desk.do(cmd.Undo(), "ann")
+    desk.accepting.refused.clear()
     world.settle()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +13,18 @@ from browsing import SceneTab, wait_until
 
 from app.viewer import palette
 from app.viewer.joint_rows import joint_lines
+from sessions import commands as cmd
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
 
 
-def entry(id: str, asset: str, x: float) -> dict[str, Any]:
+def entry(id: str, asset: str, x: float, **more: Any) -> dict[str, Any]:
     return {
         "id": id, "description": id.rstrip("12 "), "asset": asset, "position": [x, 0.0, 0.4],
         "quaternion_wxyz": [0.7071067811865476, 0.0, 0.0, -0.7071067811865476],
-        "scale": [1, 1, 1], "anchor": "center",
+        "scale": [1, 1, 1], "anchor": "center", **more,
     }  # fmt: skip
 
 
@@ -124,3 +127,45 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.button("Save the scene").click()
     saved = wait_until(lambda: tab.desk.document.saved, "saved")
     assert (Path(saved.folder) / "scene.xml").is_file()
+
+
+def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path: Path) -> None:
+    assets = make_assets(tmp_path / "assets")
+    small = entry("cabinet 2", "cab", 1.2, scale=[0.7, 0.7, 0.7])
+    scene = write_scene(tmp_path / "home.json", own([entry("cabinet 1", "cab", 0.0), small]))
+    server = start(scene=scene, assets=(assets,), predictor="geometric")
+    tab = open_tab(server, kind=SceneTab)
+    for id in ("cabinet 1", "cabinet 2"):
+        wait_until(lambda id=id: tab.status(id) == "predicted", "it is predicted")
+    tab.scene.choose("cabinet 1")
+    tab.page.locator("canvas").first.focus()
+    tab.key("Enter")
+    wait_until(lambda: tab.app.object is not None and tab.app.drawn, "it is open")
+    tab.wait_node("/part/1")
+    obj, bench = tab.app.object, server.bench
+    wait_until(lambda: obj.judging.report, "a verdict")
+    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    wait_until(lambda: held.state == "running", "judging is held up")
+    # The drawer goes backwards, through the back.
+    joint = next(j for j in obj.document.tree.joints if j.type == "prismatic")
+    obj.do(cmd.SetJoint(replace(joint, axis=tuple(-v for v in joint.axis))), "tester")
+    tab.wait_seen()
+    tab.key("y")
+    wait_until(lambda: tab.scene.inside is None and tab.scene.selected == "cabinet 2", "the next")
+    row = tab.desk.row(tab.desk.items["cabinet 1"])
+    assert row.shown == "judging" and obj.judging.waiting
+    tab.page.wait_for_timeout(1500)
+    tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
+    held.cancel()
+    tab.page.get_by_text("cabinet 1: drawer 2 is broken", exact=False).first.wait_for()
+    assert tab.desk.row(tab.desk.items["cabinet 1"]).shown == "held"
+    assert tab.scene.selected == "cabinet 2" and obj.document.review.state == "predicted"
+    tab.scene.choose("cabinet 1")
+    tab.page.get_by_text("Not accepted: drawer 2", exact=False).first.wait_for()
+    tab.page.screenshot(path=str(tmp_path / "held.png"))
+    tab.key("Enter")
+    wait_until(lambda: tab.app.object is obj and tab.app.stage == "Review", "its review")
+    worst = obj.judging.report.joints[0].worst
+    wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
+    tab.page.wait_for_timeout(1000)
+    tab.page.screenshot(path=str(tmp_path / "inside.png"))
