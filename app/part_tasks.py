@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from app.tasks import Recent, arrays_of, asset_of
+from app.tasks import arrays_of, asset_of
 from model.collision.shapes import Shape
 from model.kinematics.articulated_object import (
     ArticulatedObject,
@@ -21,6 +21,7 @@ from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint
 from model.kinematics.tree import KinematicTree
 from model.progress import Progress, no_progress
+from model.recent import Recent
 from model.segmentation.prompts import BASE
 
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.tasks import Recent, arrays_of, asset_of
+from app.tasks import arrays_of, asset_of
 from model.geometry.strokes import Stroke
+from model.recent import Recent
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.tasks import Recent, arrays_of, asset_of
+from app.tasks import arrays_of, asset_of
 from model.geometry.asset import Asset
 from model.progress import Progress, no_progress
+from model.recent import Recent
 from model.segmentation.prompts import Click, Prompts, Region
 
 ENCODINGS_KEPT = 8

@@ -8,12 +8,10 @@ shows. Geometry passes between processes as a folder of memory-mapped arrays.
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,50 +21,7 @@ from model.geometry.asset import Asset, UpAxis
 from model.progress import Progress, no_progress
 from sessions.tool_commands import FaceCut
 
-K = TypeVar("K")
-V = TypeVar("V")
 Stamp = tuple[tuple[str, int, int], ...]
-
-
-class Recent(Generic[K, V]):
-    """The last few values of an expensive function; for one process.
-
-    Args:
-        size: how many at most.
-        weight: how heavy they may be together; the last one is kept whatever it weighs.
-    """
-
-    def __init__(self, size: int, weight: float = float("inf")) -> None:
-        self._size, self._most = size, weight
-        self._kept: OrderedDict[K, tuple[V, float]] = OrderedDict()
-
-    def get(
-        self,
-        key: K,
-        make: Callable[[], V],
-        weight: float = 0.0,
-        weigh: Callable[[V], float] | None = None,
-    ) -> V:
-        """The value of ``key``; made where it isn't kept, after room for its ``weight`` is.
-
-        Args:
-            weigh: how heavy it turned out to be, where only that tells.
-        """
-        if key not in self._kept:
-            self._make_room(weight)
-            value = make()
-            weight = weight if weigh is None else weigh(value)
-            self._make_room(weight)  # other jobs may have come between its steps
-            self._kept[key] = value, weight
-        self._kept.move_to_end(key)
-        return self._kept[key][0]
-
-    def _make_room(self, weight: float) -> None:
-        while self._kept and (
-            len(self._kept) >= self._size
-            or weight + sum(w for _, w in self._kept.values()) > self._most
-        ):
-            self._kept.popitem(last=False)
 
 
 @dataclass(frozen=True)

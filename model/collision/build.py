@@ -18,7 +18,7 @@ from model.collision.hulls import Hull, hull_of, simplified, thick_hull
 from model.collision.merging import merge
 from model.collision.pieces import cut_into_pieces
 from model.collision.relief import Free, in_the_way, relieve
-from model.collision.shapes import Shape, hull_of_shape
+from model.collision.shapes import Primitive, Shape, hull_of_shape
 from model.collision.store import fingerprint, load_shapes, packed, save_shapes
 from model.collision.touching import Bodies
 from model.collision.voxels import Occupancy, occupancy
@@ -28,6 +28,7 @@ from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint
 from model.kinematics.sweep import sweep_joint
 from model.progress import Progress, no_progress
+from model.recent import Recent
 
 Method = Literal["hollow", "auto", "coacd", "hull"]
 
@@ -124,32 +125,32 @@ def collision_of(
         progress(0.4 * i / len(obj.parts), f"surface of {part.link}")
         part_mesh(part, store)  # one without geometry is named here
     diagonal = _diagonal_of(obj.parts)
-    bodies: Bodies = {}
+    made: dict[str, _Made] = {}
     for i, part in enumerate(obj.parts):
         if part.link not in told:
             progress(0.4 + 0.5 * i / len(obj.parts), f"collision shapes of {part.link}")
-            bodies[part.link] = _kept_bodies(part, diagonal, settings, store)
+            made[part.link] = _made_of(part, diagonal, settings, store)
     progress(0.9, "making room between the parts")
-
-    def slimmed(bodies: Bodies) -> Bodies:
-        return {
-            k: held if k in told else [simplified(h, settings.max_vertices) for h in held]
-            for k, held in bodies.items()
-        }
-
-    bodies |= {link: [hull_of_shape(s) for s in held] for link, held in told.items()}
-    slim = slimmed(bodies)
+    slim: Bodies = {link: list(each.slim) for link, each in made.items()}
+    slim |= {link: [hull_of_shape(s) for s in held] for link, held in told.items()}
     reach = _free_ranges(obj)
     room = slim
     if settings.relief:
-        room = slimmed(relieve(slim, obj.tree, diagonal, reach, frozenset(told)))
+        cut = relieve(slim, obj.tree, diagonal, reach, frozenset(told))
+        room = {
+            k: v if k in told else [simplified(h, settings.max_vertices) for h in v]
+            for k, v in cut.items()
+        }
     of_told = {id(hull_of_shape(s)): s for held in told.values() for s in held}
     shapes: dict[str, tuple[Shape, ...]] = {
         k: tuple(of_told.get(id(h), h) for h in held) for k, held in room.items()
     }
     if settings.primitives:
-        fine = {id(s): f for k in slim for s, f in zip(slim[k], bodies[k], strict=True)}
-        shapes |= _shapes(obj, room, fine, diagonal, reach, frozenset(told))
+        alike = {
+            id(s): p for each in made.values()
+            for s, p in zip(each.slim, each.primitives, strict=True)
+        }  # fmt: skip
+        shapes |= _shapes(obj, room, alike, diagonal, reach, frozenset(told))
     save_shapes(store, key, shapes)
     _remember(key, shapes)
     progress(1.0, "collision shapes are there")
@@ -213,6 +214,35 @@ def _kept_bodies(
     bodies = bodies_of(part, diagonal, made)
     save_shapes(store, key, {"part": tuple(bodies)})
     return bodies
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """Bodies of a part, whatever its joints are.
+
+    Attributes:
+        slim: with few corners. primitives: what each is like before its corners are taken away.
+    """
+
+    slim: tuple[Hull, ...]
+    primitives: tuple[Primitive | None, ...]
+
+
+def _made_of(part: Part, diagonal: float, settings: CollisionSettings, store: Path | None) -> _Made:
+    """The bodies of a part; those of the last parts are kept, as most edits are of a joint."""
+
+    def make() -> _Made:
+        bodies = _kept_bodies(part, diagonal, settings, store)
+        slim = tuple(simplified(h, settings.max_vertices) for h in bodies)
+        return _Made(
+            slim, tuple(map(primitive_of, bodies)) if settings.primitives else (None,) * len(slim)
+        )
+
+    # A body is known by its id: no two parts share one.
+    return _made.get((part.link, fingerprint(settings, round(diagonal, 6), part)), make)
+
+
+_made: Recent[tuple[str, str], _Made] = Recent(128)
 
 
 def _diagonal_of(parts: Sequence[Part]) -> float:
@@ -318,20 +348,25 @@ def _distinct(faces: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def _shapes(
-    obj: ArticulatedObject, room: Bodies, fine: Mapping[int, Hull], diagonal: float, reach: Free,
+    obj: ArticulatedObject,
+    room: Bodies,
+    alike: Mapping[int, Primitive | None],
+    diagonal: float,
+    reach: Free,
     told: frozenset[str],
-) -> dict[str, tuple[Shape, ...]]:  # fmt: skip
+) -> dict[str, tuple[Shape, ...]]:
     """Primitives where a body is like one and nothing else is in the primitive's way.
 
     Args:
         told: links that are left out.
         room: bodies that leave each other room.
-        fine: id of a body that was not cut → the one with more corners that it was made from.
+        alike: id of a body that was not cut → the primitive that it is like.
     """
     shapes: dict[str, list[Shape]] = {
-        k: [primitive_of(fine.get(id(h), h)) or h for h in hulls]
-        for k, hulls in room.items() if k not in told
-    }  # fmt: skip
+        k: [(alike[id(h)] if id(h) in alike else primitive_of(h)) or h for h in hulls]
+        for k, hulls in room.items()
+        if k not in told
+    }
     tried = room | {k: [hull_of_shape(s) for s in held] for k, held in shapes.items()}
     for link, i in in_the_way(tried, obj.tree, diagonal, reach):
         if link not in told:

@@ -57,6 +57,11 @@ class Hull:
         reach = self.vertices @ self.planes[:, :3].T
         return float((reach.max(axis=0) - reach.min(axis=0)).min())
 
+    @property
+    def measured(self) -> tuple[FloatArray, ...]:
+        """All that overlaps are worked out from."""
+        return self.vertices, self.normals, self.edges, self.bounds
+
     def contains(self, points: FloatArray, margin: float = 0.0) -> npt.NDArray[np.bool_]:
         """(N,) whether (N, 3) points lie inside by ``margin`` metres or more."""
         out = ((points >= self.bounds[0]) & (points <= self.bounds[1])).all(axis=1)

@@ -9,6 +9,7 @@ valid (positive definite, within the triangle inequality); who needs the real on
 from __future__ import annotations
 
 from collections.abc import Callable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,11 @@ HELPER = Inertial(1e-2, np.zeros(3), np.eye(3) * 1e-5)
 """For links without geometry, which simulators want to have mass where they move."""
 
 FloatArray = npt.NDArray[np.float64]
+
+
+_KNOWN: WeakKeyDictionary[Part, dict[tuple[PartMaterial | None, float], Inertial]] = (
+    WeakKeyDictionary()
+)
 
 
 def inertials_of(
@@ -57,8 +63,12 @@ def inertials_of(
         part = parts.get(link)
         points = np.zeros((0, 3)) if part is None else part_points(part)
         if part is not None and len(points):
-            made = None if material_of is None else _of_material(part, points, material_of(part))
-            out[link] = made or hull_inertial(points, density)
+            material = None if material_of is None else material_of(part)
+            known = _KNOWN.setdefault(part, {})
+            if (material, density) not in known:
+                made = None if material is None else _of_material(part, points, material)
+                known[material, density] = made or hull_inertial(points, density)
+            out[link] = known[material, density]
         elif link != obj.tree.root:
             center = np.asarray(obj.tree.joint_of[link].origin, dtype=np.float64)
             out[link] = Inertial(HELPER.mass, center, HELPER.tensor)

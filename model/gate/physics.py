@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from model.collision.shapes import hull_of_shape
 from model.exporters.physics import Physics, rough_physics
+from model.gate.drives import DRIFT, OUTSIDE, Bounds, KeptDrives, Seen, kept_drives
 from model.gate.physics_report import PhysicsReport, Stop
 from model.gate.words import title, value
 from model.installing import install_command
@@ -33,9 +34,7 @@ GROUPS = 12
 SAG = 2 * 9.81 / STIFFNESS**2
 """Metres that a drive gives way under twice the weight that it was made for; the same in radians
 on a lever of a metre."""
-OUTSIDE = 0.2
-"""Share of the range beyond a limit that counts as exploded."""
-DRIFT, MISS = 0.1, 0.1
+MISS = 0.1
 HASTE = 0.5 * (1.3 * math.pi / DRIVE) ** 2
 """1/s²: the greatest acceleration on the way, over the way."""
 SPARE = 4.0
@@ -67,11 +66,12 @@ def run_physics(
     shapes = sum(len(held) for held in physics.collision.values())
     if not joints:
         return PhysicsReport(True, shapes=shapes)
+    text = _xml(obj, joints, physics)
     try:
-        model = mujoco.MjModel.from_xml_string(_xml(obj, joints, physics))
+        model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         return PhysicsReport(False, f"MuJoCo can't load it: {str(error)[:200]}")
-    run = _Run(model, joints, obj)
+    run = _Run(model, joints, obj, kept_drives(text, obj))
     for k, gravity in enumerate((0.0, -9.81)):
         run.all_joints(gravity, lambda f, k=k: progress(0.5 * (k + f), "Running physics"))
     return PhysicsReport(
@@ -160,7 +160,9 @@ def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
 class _Run:
     """The simulation, and what was seen in it."""
 
-    def __init__(self, model: Any, joints: Sequence[Joint], obj: ArticulatedObject) -> None:
+    def __init__(
+        self, model: Any, joints: Sequence[Joint], obj: ArticulatedObject, kept: KeptDrives
+    ) -> None:
         mujoco: Any = importlib.import_module("mujoco")
         self.mujoco, self.model, self.joints = mujoco, model, list(joints)
         self.data = mujoco.MjData(model)
@@ -177,6 +179,9 @@ class _Run:
         self.stops: dict[str, Stop] = {}
         self.obj, self.links = obj, list(obj.tree.order)
         self.seconds = 0.0
+        self.most = np.full(len(self.driven), np.inf)
+        self._kept = kept
+        self._seen = Seen.nothing(len(joints), len(self.driven))
         self._tune()
 
     def _tune(self) -> None:
@@ -197,6 +202,7 @@ class _Run:
             weight = 9.81 * float(model.body_subtreemass[body]) * lever
             most = SPARE * (weight + carried * HASTE * float(self.span[k]))
             model.actuator_forcerange[a] = (-most, most)
+            self.most[a] = most
 
     def _rest(self) -> None:
         self.mujoco.mj_resetData(self.model, self.data)
@@ -210,12 +216,34 @@ class _Run:
         groups = [self.driven[i : i + size] for i in range(0, len(self.driven), size)]
         for n, group in enumerate(groups):
             progress(n / len(groups))
-            self._rest()
-            self._settle()
-            before = self.data.qpos[self.place].copy()
-            for end in (self.high, self.low):
-                if not self._drive(group, end, before):
-                    break
+            bounds = Bounds(self.low, self.high, self.most)
+            seen = self._kept.seen(gravity, group, bounds, self.driven)
+            if seen is None:
+                seen = self._seen = Seen.nothing(len(self.joints), len(self.driven))
+                self._rest()
+                self._settle()
+                before = self.data.qpos[self.place].copy()
+                for end in (self.high, self.low):
+                    if not self._drive(group, end, before):
+                        break
+                self._kept.keep(gravity, group, bounds, seen)
+            self._take(seen)
+
+    def _take(self, seen: Seen) -> None:
+        """What one drive showed counts where it is worse than what was seen before."""
+        self.seconds += seen.seconds
+        for k, share, stop in seen.missed:
+            name = self.joints[k].name
+            if share > self.missed.get(name, 0.0):
+                self.missed[name], self.stops[name] = share, stop
+        for k, share in seen.drifted:
+            name = self.joints[k].name
+            self.drifted[name] = max(self.drifted.get(name, 0.0), share)
+        for k, how, place in seen.exploded:
+            name = self.joints[k].name
+            self.exploded[name] = how
+            if place is not None:
+                self.stops[name] = place
 
     def _settle(self) -> None:
         self._steps(round(0.1 / STEP), lambda t: None)
@@ -246,9 +274,10 @@ class _Run:
         for k in range(count):
             aim((k + 1) / count)
             self.mujoco.mj_step(self.model, self.data)
+            self._seen.note(self.data.qpos[self.place], self.data.actuator_force)
             if k % 20 == 19 and not self._sound():
                 return False
-        self.seconds += count * STEP
+        self._seen.seconds += count * STEP
         return self._sound()
 
     def _sound(self) -> bool:
@@ -264,13 +293,14 @@ class _Run:
     def _burst(self, group: list[int]) -> bool:
         far = np.flatnonzero(self._outside())
         for k in far.tolist():
-            self._stopped(k)
-            self.exploded[self.joints[k].name] = self._left(k, group)
+            stop = self._stop(k)
+            self._seen.exploded.append((k, self._left(k, group, stop), stop))
         for k in group if not len(far) else ():
-            self.exploded[self.joints[k].name] = "becomes unstable (no finite numbers any more)"
+            how = "becomes unstable (no finite numbers any more)"
+            self._seen.exploded.append((k, how, None))
         return False
 
-    def _left(self, k: int, group: list[int]) -> str:
+    def _left(self, k: int, group: list[int], stop: Stop) -> str:
         """How far a joint is beyond its limits, what was driven, and what pushes it."""
         joint, q = self.joints[k], float(self.data.qpos[self.place[k]])
         beyond = max(float(self.low[k]) - q, q - float(self.high[k]))
@@ -281,7 +311,7 @@ class _Run:
             f"leaves its limits{far} while {driven or 'it'} {'are' if len(others) > 1 else 'is'} "
         )
         text += "driven"
-        other = self.stops[joint.name].other
+        other = stop.other
         if joint.mimic is not None:
             return f"{text}, as what it follows takes it there"
         if other is not None:
@@ -293,12 +323,10 @@ class _Run:
         for k in group:
             short = (abs(end[k] - q[k]) - self.slack[k]) / self.span[k]
             if short > MISS:
-                if short > self.missed.get(self.joints[k].name, 0.0):
-                    self._stopped(k)
-                self._note(self.missed, k, short)
+                self._seen.missed.append((k, float(short), self._stop(k)))
 
-    def _stopped(self, k: int) -> None:
-        """Remember where a joint stands, and what touches what it moves."""
+    def _stop(self, k: int) -> Stop:
+        """Where a joint stands, and what touches what it moves."""
         model, data = self.model, self.data
         moved = np.zeros(model.nbody, bool)
         moved[model.joint(f"j{k}").bodyid[0]] = True
@@ -316,21 +344,18 @@ class _Run:
             where = tuple(float(v) for v in contact.pos[first])
         q = {j.name: float(v) for j, v in zip(self.joints, data.qpos[self.place], strict=True)}
         name = self.joints[k].name
-        self.stops[name] = Stop({name: q[name]}, other, where)  # type: ignore[arg-type]
+        return Stop({name: q[name]}, other, where)  # type: ignore[arg-type]
 
     def _drift(self, group: list[int], before: FloatArray) -> None:
         q = self.data.qpos[self.place]
+        self._seen.moved = np.maximum(self._seen.moved, np.abs(q - before) - self.slack)
         led = {self.joints[k].name for k in group}
         for k, joint in enumerate(self.joints):
             if joint.mimic is not None and joint.mimic.joint in led:
                 continue
             share = (abs(q[k] - before[k]) - self.slack[k]) / self.span[k]
             if share > DRIFT:
-                self._note(self.drifted, k, share)
-
-    def _note(self, where: dict[str, float], k: int, share: float) -> None:
-        name = self.joints[k].name
-        where[name] = max(where.get(name, 0.0), float(share))
+                self._seen.drifted.append((k, float(share)))
 
 
 def _limits(joint: Joint) -> tuple[float, float]:

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.kinematics.surface import Surface
+from model.recent import content_of
 
 GRAZING = 0.34
 """Sine of the angle below which a path slides along a surface: 20°."""
@@ -124,11 +125,24 @@ def inverse(poses: FloatArray) -> FloatArray:
 def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> Crossings:
     """Where samples of ``part`` pass through ``target``.
 
+    What was found lately is kept: where one joint is edited, most parts go the ways they went.
+
     Args:
         tolerance: metres; surfaces this close behind a point at rest count as touching it.
     """
     if path.straight and len(path.q) > 2:
         path = Path(path.q[[0, -1]], path.target_from_part[[0, -1]], True)
+    way = content_of(
+        path.q, path.target_from_part, np.array([tolerance, path.straight], np.float64)
+    )
+
+    def find() -> tuple[Crossings, Surface]:
+        return _crossings(part, target, path, tolerance), target  # whose id is no other's then
+
+    return part.met.get((id(target), way), find, weigh=lambda held: float(len(held[0].q)))[0]
+
+
+def _crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> Crossings:
     chosen, at = _near(part, target, path, tolerance)
     judge = _Judge(part, target, path, chosen, at, tolerance)
     chords = _chords(at, target, tolerance)

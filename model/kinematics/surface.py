@@ -17,11 +17,14 @@ from scipy.spatial import KDTree
 from model.geometry.mesh import Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import Part
+from model.recent import Recent
 
 POINTS = 4096
 """Sample points a part."""
 INSET = 1e-3
 """How far corner samples lie inside of a face, in the part's diagonal."""
+MET, MET_ROWS = 4096, 30_000
+"""Ways against other surfaces of which is kept what was met, and crossings on them together."""
 COARSE = 384
 """Of them, those that stand for the part's bulk."""
 SURFELS = 20_000
@@ -136,6 +139,11 @@ class Surface:
     def coarse(self) -> FloatArray:
         """(≤ COARSE, 3) samples; their order is random."""
         return self.points[:COARSE]
+
+    @cached_property
+    def met(self) -> Recent[tuple[int, bytes], Any]:
+        """What its samples met lately of other surfaces, see :mod:`model.kinematics.crossing`."""
+        return Recent(MET, MET_ROWS)
 
     @property
     def _scene(self) -> Any:

@@ -12,9 +12,10 @@ import pytest
 
 from app.config import ServeConfig
 from app.segmenting import Segmenting
-from app.tasks import Recent, arrays_of
+from app.tasks import arrays_of
 from app.tool_tasks import PROPOSE, ToolRequest
 from app.workbench import Workbench
+from model.recent import Recent
 from model.resources import static_assets
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
