@@ -112,8 +112,15 @@ def hull_of(points: FloatArray) -> Hull | None:
     return Hull(vertices, faces, planes, float(found.volume) * scale**3)
 
 
+DUST = 1e-6
+"""Share of the thickness up to which points are a single place."""
+
+
 def thick_hull(points: FloatArray, thickness: float) -> Hull:
     """The hull of (N, 3) points; where they are thinner than ``thickness``, grown to it."""
+    # What is far smaller than that has no directions to grow in: they drown in rounding.
+    if float(np.ptp(points, axis=0).max()) < DUST * thickness:
+        return _box_round(points, thickness)
     found = hull_of(points)
     if found is not None and found.thickness >= 0.99 * thickness:
         return found
@@ -127,12 +134,14 @@ def thick_hull(points: FloatArray, thickness: float) -> Hull:
         half = (thickness - float(np.ptp(grown @ axis))) / 2
         if half > 0:
             grown = np.concatenate([grown - half * axis, grown + half * axis])
-    out = hull_of(grown) or found
-    if out is None:  # points a rounding error apart
-        low, high = grown.min(axis=0) - thickness / 2, grown.max(axis=0) + thickness / 2
-        out = hull_of(np.array([[x, y, z] for x, y, z in np.ndindex(2, 2, 2)]) * (high - low) + low)
-    assert out is not None
-    return out
+    return hull_of(grown) or found or _box_round(grown, thickness)
+
+
+def _box_round(points: FloatArray, thickness: float) -> Hull:
+    low, high = points.min(axis=0) - thickness / 2, points.max(axis=0) + thickness / 2
+    box = hull_of(np.array([[x, y, z] for x, y, z in np.ndindex(2, 2, 2)]) * (high - low) + low)
+    assert box is not None
+    return box
 
 
 @lru_cache(maxsize=4)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -389,9 +389,16 @@ def test_coacd_answers_or_is_stopped():
     assert coacd_hulls(mesh, 0.01) is None
 
 
+DUST = np.full((9, 3), 5.8e-112)
+DUST[[0, 1, 2], [0, 1, 2]] = 0
+
+
 @settings(max_examples=20, deadline=None)
 @given(hnp.arrays(np.float64, (9, 3), elements=st.floats(-1, 1, allow_subnormal=False)),
        st.sampled_from([1.0, 1e-3, 1e3]))  # fmt: skip
+@example(DUST, 1.0)
+@example(DUST * 1e100, 1.0)
+@example(DUST * 1e105, 1.0)
 def test_whatever_the_triangles_there_is_a_shape(points, scale):
     mesh = Mesh(points * scale, np.arange(9).reshape(3, 3))
     shapes = collision_of(alone(mesh))["link_0"]
