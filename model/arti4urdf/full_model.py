@@ -156,11 +156,13 @@ class FullModel(nn.Module):
         embeds = self.language_model.get_input_embeddings()(ids)
         wholes = torch.stack([e.cloud for e in examples])
         parts = torch.cat([e.parts for e in examples])
-        for slot, adapter, clouds in (
-            (GLOBAL, self.global_adapter, wholes),
-            (PART, self.part_adapter, parts),
+        # Farthest points come one after the other: all clouds together take as long as one.
+        features = self.geometry(torch.cat([wholes, parts])).split([len(wholes), len(parts)])
+        for slot, adapter, feature in (
+            (GLOBAL, self.global_adapter, features[0]),
+            (PART, self.part_adapter, features[1]),
         ):
-            tokens = adapter(self.geometry(clouds)).to(embeds.dtype)
+            tokens = adapter(feature).to(embeds.dtype)
             where = ((ids == self._slots[slot]) & (mask == 1))[..., None]
             # Boolean order is row by row, the order in which clouds were joined.
             embeds = embeds.masked_scatter(where, tokens)

@@ -83,7 +83,7 @@ class LocalEngine:
         total = 0.0
         complete = False
         while len(said) < max_tokens and not complete:
-            odds = decoder.logits(hidden[0, -1]).float().log_softmax(-1).cpu()
+            odds = decoder.logits(hidden[0, -1]).float().log_softmax(-1)
             token = _draw(odds, temperature, generator)
             total += float(odds[token])
             complete = token == self._end
@@ -114,7 +114,8 @@ class LocalEngine:
 def _draw(odds: Tensor, temperature: float, generator: torch.Generator) -> int:
     if temperature <= 0:
         return int(odds.argmax())
-    return int(torch.multinomial((odds / temperature).softmax(-1), 1, generator=generator))
+    likely = (odds / temperature).softmax(-1).cpu()  # drawn alike on every device
+    return int(torch.multinomial(likely, 1, generator=generator))
 
 
 class VllmEngine:

@@ -1,8 +1,8 @@
 """Point-SAM behind the segmenter protocol: encode once, prompt many; weights from a path.
 
 The architecture is that of the published code (``PointCloudSAM`` with an EVA-02 Large encoder), and
-a checkpoint must fit it name by name and shape by shape. It was tested here with random weights of
-small sizes only: the published weights were not run, so nothing is claimed about their answers.
+a checkpoint must fit it name by name and shape by shape. It was tested here with random weights
+alone: the published ones were not run, so nothing is claimed about their answers.
 
 A part's prompts are given one after the other, each with the mask before it, as the published demo
 does; the other parts' clicks are its negative ones. Where several parts want a point, the one with
