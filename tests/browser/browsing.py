@@ -20,8 +20,8 @@ CHROMIUM_FLAGS = (
     "--disable-sync",
     "--no-first-run",
 )
-COARSE = "/?fixedDpr=0.5"
-"""viser draws half as many pixels each way, places stay what they are: there is no GPU here."""
+COARSE = "/?fixedDpr=0.2"
+"""viser draws a fifth of the pixels each way, places stay what they are: there is no GPU here."""
 TIMEOUT = 100.0
 
 _PROJECT = """(p) => {
