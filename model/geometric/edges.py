@@ -36,6 +36,8 @@ class EdgeWeights:
         back: the edge is away from the object's front.
         wall: beyond the edge the parent rises above the panel (a toilet's tank).
         ajar: of a door that stands open by a few degrees this edge is the nearer one.
+        inner: the edge lies farther within the parent, of an arm that tells by nothing else which
+            of its ends is held.
         barrels: several small cylinders lie along the edge, which also look like a handle there.
     """
 
@@ -51,6 +53,7 @@ class EdgeWeights:
     back: float = 0.0
     wall: float = 0.0
     ajar: float = 2.0
+    inner: float = 0.0
     barrels: float = 5.0
 
 
@@ -58,7 +61,9 @@ WEIGHTS: dict[str, EdgeWeights] = {
     "hinge": EdgeWeights(upright=0.9, long=0.8),
     "drop": EdgeWeights(level=1.0, bottom=3.0, margin=0.3, handle=1.5),
     "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2, wall=2.0),
-    "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
+    "temple": EdgeWeights(
+        short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8, inner=1.5
+    ),
 }
 
 CATEGORY_UPRIGHT: dict[str, float] = {
@@ -113,6 +118,8 @@ def edge_hypotheses(
             score += weights.contact * held
             if held > 0.3:
                 why.append("only this edge touches")
+            if weights.inner and abs(held) < 0.3 and shape.slenderness < SLENDER:
+                score += weights.inner * _inner(context, direction, across)
             ajar = _ajar(context, out_normal, direction, axis) if closed else 0.0
             score += weights.ajar * ajar
             if ajar > 0.5:
@@ -271,6 +278,12 @@ def _margin(context: PartContext, direction: Array) -> float:
     return max(
         0.0, end - float(context.shape.center @ direction) - context.shape.box.reach(direction)
     )
+
+
+def _inner(context: PartContext, direction: Array, across: int) -> float:
+    """-1..1: how much farther than the opposite edge this one lies within the parent."""
+    deeper = _margin(context, direction) - _margin(context, -direction)
+    return float(np.clip(deeper / max(2 * float(context.shape.box.half[across]), 1e-6), -1, 1))
 
 
 def _handle_cue(
