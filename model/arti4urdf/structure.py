@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.context import Assembly, PartContext
-from model.geometric.edge_limits import with_swept_limits
 from model.geometric.hypothesis import Hypothesis
 from model.geometric.looks import Looks, look
 from model.geometric.mechanisms import BUILDERS, SWEPT, find_front
@@ -155,8 +154,9 @@ class Structure:
             found = self.slots[part][slot]
             if found is None:
                 return None
-            if MECHANISMS[slot // RANKS] in SWEPT:
-                found = with_swept_limits(self.contexts[part], found)
+            sweep = SWEPT.get(MECHANISMS[slot // RANKS])
+            if sweep is not None:
+                found = sweep(self.contexts[part], found)
             self._offered[key] = found
         return self._offered[key]
 

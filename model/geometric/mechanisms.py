@@ -19,6 +19,7 @@ from model.geometric.pivots import (
     swing_hypotheses,
     tilt_hypotheses,
     toggle_hypotheses,
+    within_reach,
 )
 from model.geometric.slides import (
     lift_hypotheses,
@@ -50,8 +51,14 @@ BUILDERS: dict[Mechanism, Callable[[PartContext], list[Hypothesis]]] = {
     "fixed": lambda c: [Hypothesis("fixed", np.array([0.0, 0.0, 1.0]), c.shape.center)],
 }
 
-SWEPT: frozenset[Mechanism] = frozenset({"hinge", "flap", "drop", "temple"})
-"""Mechanisms whose limits come from a motion sweep of the chosen joint."""
+SWEPT: dict[Mechanism, Callable[[PartContext, Hypothesis], Hypothesis]] = {
+    "hinge": with_swept_limits,
+    "flap": with_swept_limits,
+    "drop": with_swept_limits,
+    "temple": with_swept_limits,
+    "pivot": within_reach,
+}
+"""Mechanisms whose limits come from a motion sweep of the chosen joint, and how."""
 
 
 def propose(context: PartContext, mechanism: Mechanism) -> list[Hypothesis]:
@@ -64,7 +71,7 @@ def propose(context: PartContext, mechanism: Mechanism) -> list[Hypothesis]:
         note = f"no {mechanism} fits here: left fixed"
         return [replace(h, note=note) for h in BUILDERS["fixed"](context)]
     if mechanism in SWEPT:
-        found[0] = with_swept_limits(context, found[0])
+        found[0] = SWEPT[mechanism](context, found[0])
     return found
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,8 +13,14 @@ from model.geometric.hypothesis import UP, Hypothesis, unit
 from model.geometric.outline import roundness
 from model.geometric.shape import Shape
 from model.geometric.sweep import free_range
+from model.kinematics.sweep import TOLERANCE as SWEPT
 
 Array = npt.NDArray[np.float64]
+
+CROSSING = ("where the two cross", "where the two frames cross")
+"""How notes say that two parts cross: scissors, legs of a folding chair."""
+LEAST_TURN = 0.2
+"""Range (rad) below which a motion sweep says nothing of a pin."""
 
 
 def pivot_hypotheses(context: PartContext) -> list[Hypothesis]:
@@ -30,9 +38,7 @@ def pivot_hypotheses(context: PartContext) -> list[Hypothesis]:
     found = []
     if cross is not None:
         inside = _inside_both(cross, shape, base, axis)
-        found.append(
-            Hypothesis("revolute", axis, cross, score=1.5 * inside, note="where the two cross")
-        )
+        found.append(Hypothesis("revolute", axis, cross, score=1.5 * inside, note=CROSSING[0]))
     found.append(Hypothesis("revolute", axis, contact, score=0.6, note="where the two touch"))
     if alike(shape, base):
         found = [h.scored(1.0) for h in found]  # two of a kind cross; neither holds the other's end
@@ -56,8 +62,8 @@ def _crossed_frames(context: PartContext) -> list[Hypothesis]:
     axis = np.cross(a, b)
     if np.linalg.norm(axis) < np.sin(np.deg2rad(15)):
         return []
-    note = "where the two frames cross"
-    return [Hypothesis("revolute", unit(axis), context.contact_center, score=2.2, note=note)]
+    spot = context.contact_center
+    return [Hypothesis("revolute", unit(axis), spot, score=2.2, note=CROSSING[1])]
 
 
 def crossing(shape: Shape, base: Shape, axis: Array) -> Array | None:
@@ -120,8 +126,6 @@ def _inside(point: Array, base: Shape) -> float:
 
 
 def _pivot_limits(context: PartContext, h: Hypothesis) -> Hypothesis:
-    import dataclasses
-
     scissors = context.category in ("scissors", "pliers")
     # In-plane motion of touching sheets: only the turn's sense and size can be judged.
     arm = context.shape.points.mean(0) - h.origin
@@ -133,6 +137,33 @@ def _pivot_limits(context: PartContext, h: Hypothesis) -> Hypothesis:
         angle = float(np.arccos(np.clip(abs(a @ b), 0, 1)))
         return dataclasses.replace(h, axis=axis, lower=-angle, upper=max(0.2, 0.9 - angle))
     return dataclasses.replace(h, axis=axis, lower=0.0, upper=2.9)
+
+
+def within_reach(context: PartContext, h: Hypothesis) -> Hypothesis:
+    """Two that cross turn as far as nothing stops them, to the gate's own tolerance.
+
+    Others stay as they are: a blade that folds into its handle rubs along it all the way. So do
+    those that stop at once: their pin is a guess.
+    """
+    if not h.note.startswith(CROSSING):
+        return h
+
+    def free(stop: float) -> float:
+        return free_range(
+            context.scene,
+            context.part,
+            (context.parent,),
+            rotates=True,
+            axis=h.axis,
+            origin=h.origin,
+            stop=stop,
+            tolerance=SWEPT,
+        )
+
+    lower, upper = free(h.lower), free(h.upper)
+    if upper - lower < LEAST_TURN:
+        return h
+    return dataclasses.replace(h, lower=lower, upper=upper)
 
 
 def swing_hypotheses(context: PartContext) -> list[Hypothesis]:

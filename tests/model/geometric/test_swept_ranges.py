@@ -1,0 +1,35 @@
+"""How far parts move before they run into what holds them."""
+
+from __future__ import annotations
+
+import pytest
+
+from model.datasets.procedural.generate import make
+from model.geometric.predictor import GeometricPredictor
+from model.kinematics.articulated_object import SegmentedObject
+from model.kinematics.joint import Joint
+
+PREDICTOR = GeometricPredictor()
+
+
+def found_and_true(family: str, seed: int, name: str) -> list[tuple[Joint, Joint]]:
+    """Of each part of that name the joint that is predicted, and its true one."""
+    truth = make(family, seed)
+    prediction = PREDICTOR.predict(
+        SegmentedObject(family, truth.object.parts, truth.object.category)
+    )
+    out = []
+    for part in truth.object.parts:
+        if part.name == name:
+            found = prediction.joint(part.link)
+            if found is not None:  # one of two alike is the base
+                out.append((found, truth.object.tree.joint_of[part.link]))
+    assert out
+    return out
+
+
+@pytest.mark.parametrize("seed", [101, 202])
+def test_crossed_legs_turn_until_they_meet(seed: int) -> None:
+    """A folding chair's legs had turned through each other, up to 166°."""
+    for found, expected in found_and_true("FoldingChair", seed, "leg"):
+        assert found.upper == pytest.approx(expected.upper, abs=0.15)
