@@ -12,7 +12,7 @@ from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
 from model.geometric.outline import roundness
 from model.geometric.shape import Shape
-from model.geometric.sweep import free_range
+from model.geometric.sweep import TOLERANCE, free_range
 from model.kinematics.sweep import TOLERANCE as SWEPT
 
 Array = npt.NDArray[np.float64]
@@ -283,6 +283,7 @@ def tilt_hypotheses(context: PartContext) -> list[Hypothesis]:
             axis=axis,
             origin=origin,
             stop=-0.6,
+            tolerance=TOLERANCE,
         )
         up = free_range(
             context.scene,
@@ -292,6 +293,7 @@ def tilt_hypotheses(context: PartContext) -> list[Hypothesis]:
             axis=axis,
             origin=origin,
             stop=0.6,
+            tolerance=TOLERANCE,
         )
         found.append(
             Hypothesis(

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import Hypothesis, unit
 from model.geometric.shape import fit_panel
-from model.geometric.sweep import free_range
+from model.geometric.sweep import TOLERANCE, free_range
 
 Array = npt.NDArray[np.float64]
 
@@ -84,6 +84,7 @@ def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
                 axis=direction,
                 origin=shape.center,
                 stop=min(1.0, 2 * float(shape.box.half[k])),
+                tolerance=TOLERANCE,
             )
             wanted = max(1e-6, min(1.0, 2 * float(shape.box.half[k])))
             along = float(abs(base.box.axes[:, base.order[2]] @ direction))

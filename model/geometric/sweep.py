@@ -6,8 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometric.scene import Scene
+from model.geometric.shape import Shape
 from model.kinematics.joint import Joint
 from model.kinematics.surface import surface_of
+from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.kinematics.sweep import free_until
 from model.kinematics.tree import KinematicTree
 
@@ -16,6 +18,9 @@ Array = npt.NDArray[np.float64]
 TOLERANCE = 0.024
 """Depth (diagonals) up to which parts may meet: an axis that is guessed lies a bit beside the true
 one, and its part then grazes what the true motion passes."""
+OWN_THICKNESS = 0.5
+"""The same in the moving part's thickness, where that is less: a thin one passes through what it
+meets."""
 POINTS = 1024
 """Samples a part."""
 
@@ -29,7 +34,7 @@ def free_range(
     axis: Array,
     origin: Array,
     stop: float,
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
 ) -> float:
     """The largest q in [0, stop] (or [stop, 0]) that is reached without a collision.
 
@@ -38,7 +43,8 @@ def free_range(
         part: which one moves. obstacles: which ones stand still.
         rotates, axis, origin: the motion, working frame.
         stop: rad or diagonals; its sign gives the direction.
-        tolerance: depth (diagonals) that is no collision yet.
+        tolerance: depth (diagonals) that is no collision yet; what suits the part by default.
+            What a network reads has :data:`TOLERANCE`, as its weights were trained.
     """
     if not obstacles or stop == 0:
         return stop
@@ -61,6 +67,15 @@ def free_range(
     surfaces = {link: s for link, s in made.items() if s is not None}
     tree = KinematicTree((others, mover.link), (joint,))
     finest = max((s.resolution for s in surfaces.values()), default=0.0)
+    if tolerance is None:
+        tolerance = own_tolerance(scene.shapes[part])
     depth = max(tolerance * frame.diagonal, finest)
     reached = free_until(tree, joint, surfaces, stop * unit, depth)
     return reached / unit
+
+
+def own_tolerance(shape: Shape) -> float:
+    """Diagonals that a part may go into others: less than :data:`TOLERANCE` where it is thin, and
+    no less than the gate allows."""
+    thickness = min(2 * float(shape.box.half.min()), shape.panel.high - shape.panel.low)
+    return float(np.clip(OWN_THICKNESS * thickness, SWEPT, TOLERANCE))

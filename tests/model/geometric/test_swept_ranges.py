@@ -33,3 +33,9 @@ def test_crossed_legs_turn_until_they_meet(seed: int) -> None:
     """A folding chair's legs had turned through each other, up to 166°."""
     for found, expected in found_and_true("FoldingChair", seed, "leg"):
         assert found.upper == pytest.approx(expected.upper, abs=0.15)
+
+
+def test_a_thin_lid_shuts_where_it_meets_its_box() -> None:
+    """It is thinner than what parts may be mistaken by, and had passed through the box's walls."""
+    lid, true = found_and_true("Box", 101, "lid")[0]
+    assert lid.lower == pytest.approx(true.lower, abs=0.15)
