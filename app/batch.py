@@ -14,8 +14,8 @@ from model.evaluation.pool import in_processes
 
 T = TypeVar("T")
 
-ASSET_FILES = ("object.urdf", "mobility.urdf")
-"""What marks a folder as an asset: ours, and PartNet-Mobility's."""
+ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml")
+"""What marks a folder as an asset: ours, PartNet-Mobility's, and our exports to MJCF."""
 
 
 class Crashed(RuntimeError):
@@ -23,7 +23,7 @@ class Crashed(RuntimeError):
 
 
 def find_assets(paths: Sequence[Path]) -> list[Path]:
-    """Assets among ``paths``: URDF files, asset folders, and folders that hold such.
+    """Assets among ``paths``: URDF and MJCF files, asset folders, and folders that hold such.
 
     Raises:
         InputFileError: for a path with nothing of the kind.
@@ -40,7 +40,9 @@ def find_assets(paths: Sequence[Path]) -> list[Path]:
             raise InputFileError(path, "no such file or folder", "check the path")
         if not found:
             raise InputFileError(
-                path, "is no URDF and holds no object.urdf", "give assets or folders of assets"
+                path,
+                "is no URDF or MJCF and holds no object.urdf",
+                "give assets or folders of assets",
             )
         out += found
     return list(dict.fromkeys(out))
@@ -51,11 +53,11 @@ def _in_folder(folder: Path) -> list[Path]:
         return []
     if (folder / ASSET_FILES[0]).is_file():
         return [folder]
-    return [folder / name for name in ASSET_FILES[1:] if (folder / name).is_file()]
+    return [folder / name for name in ASSET_FILES[1:] if (folder / name).is_file()][:1]
 
 
 def asset_names(assets: Sequence[Path]) -> list[str]:
-    """A name for each that no other has: the folder's, for a URDF file its folder's or its own."""
+    """A name for each that no other has: the folder's, for a file its folder's or its own."""
     out: list[str] = []
     for asset in assets:
         bare = asset.is_dir() or asset.name in ASSET_FILES

@@ -27,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
     add("assets", nargs="+", type=Path, metavar="ASSET",
-        help="asset folders, URDF files, or folders of assets")  # fmt: skip
+        help="asset folders, URDF and MJCF files, or folders of assets")  # fmt: skip
     add("--format", action="append", default=[], metavar="NAME,NAME",
         help="formats to write and read back (default: all)")  # fmt: skip
     add("--gate", action=argparse.BooleanOptionalAction, default=True,

@@ -101,12 +101,12 @@ def open_asset(
 
 
 def _source_joints(asset: Asset, path: Path) -> Prediction | None:
-    from model.geometry.readers import urdf_of
+    from model.geometry.readers import model_of
 
     if asset.tree is None:
         return None
-    urdf = urdf_of(path) if path.is_dir() else path
-    return Prediction.of_file(path.name if urdf is None else urdf.name, asset.tree)
+    file = model_of(path) if path.is_dir() else path
+    return Prediction.of_file(path.name if file is None else file.name, asset.tree)
 
 
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:

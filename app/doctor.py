@@ -23,7 +23,7 @@ Status = Literal["fine", "note", "wrong"]
 MIN_MEMORY_GB = 4.0
 MIN_DISK_GB = 2.0
 OPTIONAL = (
-    ("mujoco", "drives joints, reads URDF and MJCF back", "physics"),
+    ("mujoco", "drives joints, opens MJCF, reads URDF and MJCF back", "physics"),
     ("coacd", "another way to make collision shapes", "collision"),
     ("usd-core", "reads and writes USD", "usd"),
     ("pygltflib", "reads GLB back", "readers"),

@@ -22,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
     add("assets", nargs="+", type=Path, metavar="ASSET",
-        help="asset folders, URDF files, or folders of assets")  # fmt: skip
+        help="asset folders, URDF and MJCF files, or folders of assets")  # fmt: skip
     add("--format", required=True, action="append", metavar="NAME,NAME",
         help="urdf, ros, mjcf, usd, sdf, glb, or all; may be repeated")  # fmt: skip
     add("--out", type=Path, required=True, metavar="DIR",

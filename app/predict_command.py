@@ -14,7 +14,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR",
-        help="folder with link_0, link_1, … or an object.json; or a URDF, or a GLB whose "
+        help="folder with link_0, link_1, … or an object.json; or a URDF or MJCF, or a GLB whose "
              "meshes are called after parts")  # fmt: skip
     add("--out", type=Path, required=True, metavar="DIR", help="folder for the URDF and its meshes")
     add("--predictor", default=DEFAULT, metavar="NAME", help="who predicts")

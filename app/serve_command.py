@@ -20,7 +20,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add = parser.add_argument
     add("paths", nargs="*", type=Path, metavar="PATH",
-        help="meshes, scans, URDFs or folders to open, or one scene "
+        help="meshes, scans, URDFs, MJCFs or folders to open, or one scene "
              "(default: the bundled examples)")  # fmt: skip
     add("--assets", type=Path, action="append", default=[], metavar="DIR",
         help="open PATH as a scene with the assets in this folder; may be repeated "
@@ -125,12 +125,12 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
         ConfigurationError, InputFileError: where ``--assets`` can't belong to what is named.
     """
     from model.geometry.readers import SUFFIXES
-    from model.kinematics.urdf_model import is_urdf
+    from model.kinematics.model_files import is_model
     from model.scenes.registry import recognised
 
     first: Path | None = args.paths[0] if args.paths else None
     if not (args.assets or args.scene) and (
-        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or is_urdf(first)
+        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or is_model(first)
         or not recognised(first)
     ):  # fmt: skip
         return None

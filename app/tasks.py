@@ -102,10 +102,10 @@ def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
 
 def stamp(path: Path) -> Stamp:
     """Names, sizes and times of what a path holds: tells whether a working copy is still true."""
-    from model.kinematics.urdf_model import is_urdf, named_meshes
+    from model.kinematics.model_files import files_named_by, is_model
 
-    if is_urdf(path):
-        files = [path, *(m for m in named_meshes(path) if m.is_file())]
+    if is_model(path):
+        files = [path, *(m for m in files_named_by(path) if m.is_file())]
         return tuple((f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files)
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())[:5000]
     return tuple((f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files)

@@ -19,7 +19,7 @@ MOST_RATIO = 200
 _RATIO_FROM = 50_000_000
 _BLOCK = 1 << 20
 _BESIDE = (".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".bin", ".urdf",
-           ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
+           ".mjcf", ".msh", ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
 
 
 def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path:
@@ -33,12 +33,15 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
         InputFileError: where no reader knows it, nothing is in it, or a zip is damaged or hostile.
     """
     from model.geometry.readers import SUFFIXES
+    from model.kinematics.model_files import MODEL_SUFFIXES
+    from model.kinematics.urdf_model import URDF_SUFFIX
 
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
-    if suffix == ".urdf":
+    # An MJCF may be made of boxes alone.
+    if suffix in MODEL_SUFFIXES and (suffix == URDF_SUFFIX or b"file=" in content):
         raise InputFileError(safe, "its meshes didn't come along", "zip it with their folder")
-    if suffix != ".zip" and suffix not in SUFFIXES:
+    if suffix not in (".zip", *SUFFIXES, *MODEL_SUFFIXES):
         known = ", ".join(sorted(SUFFIXES))
         raise InputFileError(
             safe, "this kind of file can't be opened", f"give one of {known}, or a zip of several"

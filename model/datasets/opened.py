@@ -1,7 +1,8 @@
 """Articulated objects that somebody else made, as an asset to look at: parts, names and joints.
 
-What a URDF fixes together is one part, as for a data set. Unlike there, the order of the elements
-is the file's, and an empty root keeps its joints: whoever checks a file wants to see them all.
+What a URDF or MJCF fixes together is one part, as for a data set. Unlike there, the order of the
+elements is the file's, and an empty root keeps its joints: whoever checks a file wants to see them
+all.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
 from model.kinematics.inertial import Inertial
 from model.kinematics.joint import Joint
+from model.kinematics.model_files import read_model
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY, UrdfModel, package_root
-from model.kinematics.urdf_reader import read_urdf_model
 from model.progress import Progress, no_progress
 from model.segmentation.prompts import MAX_PARTS
 
@@ -66,16 +67,16 @@ class Opened:
     shapes: Mapping[str, tuple[Shape, ...]]
 
 
-def open_urdf(
+def open_model(
     path: Path,
     target_from_file: npt.NDArray[np.float64],
     max_bytes: int,
     progress: Progress = no_progress,
 ) -> Opened:
-    """Read a URDF with what lies beside it and tells more: names, a category.
+    """Read a URDF or MJCF with what lies beside it and tells more: names, a category.
 
     Args:
-        path: the URDF; its meshes lie in its folder, or in that of its ROS package.
+        path: the file; its meshes lie in its folder, or in that of its ROS package.
         target_from_file: (4, 4) rotation and uniform scale to metres and +z up.
         max_bytes: refuse larger meshes.
         progress: told of each link.
@@ -83,7 +84,7 @@ def open_urdf(
     Raises:
         InputFileError: naming the file and everything that is wrong in it.
     """
-    model = read_urdf_model(path)
+    model = read_model(path, max_bytes)
     for visual in model.visuals:
         if visual.file is not None and visual.file.is_file():
             _check_size(visual.file, max_bytes)
@@ -110,7 +111,7 @@ def open_urdf(
             link: c if link in listed else replace(c, repeated=True)
             for link, c in collision.items()
         }
-    files_read = (path, *meshes, *files.paths)
+    files_read = (path, *meshes, *model.files, *files.paths)
     return _opened(obj, told, collision, target_from_file, notes, files_read)
 
 
@@ -142,6 +143,7 @@ def _loaded(
         if ours:  # in an export of ours a visual is called as its part
             category = category or exported
             told = {p.link: p.name for p in parts if p.name} | told
+        told = dict(model.part_names) | told
     known = category if isinstance(category, str) else None
     return ArticulatedObject(model.name, tuple(parts), model.tree, known), told
 

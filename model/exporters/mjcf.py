@@ -28,6 +28,7 @@ from model.geometry.mesh import Material, Mesh
 from model.geometry.surface_maps import ImageFile, SurfaceMaps
 from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.joint import Joint
+from model.kinematics.mjcf_source import PART_NAME
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import Inertial, link_origins, number, vector, xml_name
 from model.progress import Progress, no_progress
@@ -99,6 +100,7 @@ class _Writer:
             for shape in shapes.get(link, []):
                 self._collision(body, shape, link)
         self._mimics(tree)
+        self._names()
         self._excludes()
         path = self.folder / FILE
         ET.indent(self.root)
@@ -220,6 +222,14 @@ class _Writer:
             self.files.append(path)
             ET.SubElement(self.assets, "texture", name=name, type="2d", file=path.name)
         return name
+
+    def _names(self) -> None:
+        """What parts are called; bodies are called as their links."""
+        named = [(xml_name(p.link), p.name) for p in self.obj.parts if p.name]
+        if named:
+            custom = ET.SubElement(self.root, "custom")
+            for link, name in named:
+                ET.SubElement(custom, "text", name=PART_NAME + link, data=xml_name(name))
 
     def _mimics(self, tree: KinematicTree) -> None:
         followers = [j for j in tree.joints if j.moves and j.mimic is not None]

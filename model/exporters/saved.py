@@ -13,7 +13,7 @@ from model.errors import InputFileError
 from model.geometry.part_folder import remarks_in
 from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
 from model.kinematics.joint import ToldDynamics
-from model.kinematics.urdf import read_urdf_model
+from model.kinematics.model_files import read_model
 from model.kinematics.urdf_told import Told
 from model.progress import Progress, no_progress
 
@@ -54,12 +54,12 @@ def recover(folder: Path) -> None:
 def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
     """The object of a saved asset, with its category, part names and clouds.
 
-    Of a URDF alone masses, joint dynamics and collision shapes are those of the file; of a saved
-    asset those that its own source told, while the others are worked out again.
+    Of a URDF or MJCF alone masses, joint dynamics and collision shapes are those of the file; of a
+    saved asset those that its own source told, while the others are worked out again.
 
     Args:
-        asset: the folder; or a URDF file, or a folder with an ``object.urdf`` alone, which have
-            neither category nor clouds.
+        asset: the folder; or a URDF or MJCF file, or a folder with an ``object.urdf`` alone, which
+            have neither category nor clouds.
 
     Raises:
         InputFileError: for anything else, or a damaged file in it.
@@ -71,7 +71,9 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     if path.is_file():
         if path.suffix.lower() in SUFFIXES:
             raise InputFileError(
-                path, "is no URDF", "run artiworld segment and predict on it first, or serve it"
+                path,
+                "is no URDF or MJCF",
+                "run artiworld segment and predict on it first, or serve it",
             )
         obj, told = _read(path, progress)
         return told.of(obj)
@@ -100,8 +102,8 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
 
 
 def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, Told]:
-    """The object of a URDF, and what the file tells beside."""
-    model = read_urdf_model(path)
+    """The object of a URDF or MJCF, and what the file tells beside."""
+    model = read_model(path)
     told = model.told
     for note in (*model.notes, *told.notes):
         _LOG.warning("%s: %s", path, note)
@@ -154,10 +156,10 @@ def told_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict[str
 
 
 def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
-    """What :func:`load_object` changed of a URDF on reading ``obj`` from it, and what was passed
+    """What :func:`load_object` changed of a file on reading ``obj`` from it, and what was passed
     over of its meshes or of the source they come from, for people."""
     path = Path(asset)
-    model = read_urdf_model(path if path.is_file() else path / URDF)
+    model = read_model(path if path.is_file() else path / URDF)
     return (*model.notes, *model.told.notes, *remarks_of(obj.parts))
 
 

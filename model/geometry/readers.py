@@ -3,7 +3,7 @@
 Up axis by default: glTF and GLB are +y up by their standard; a single OBJ file is taken as +y up,
 as modelling tools write it; PLY, STL, PCD, NPZ and text are +z up. Folders of part meshes lie in
 one object frame that is +z up already, whatever their format, except for glTF. A URDF, by itself
-or as a folder with its meshes, is in its root link's frame, +z up.
+or as a folder with its meshes, is in its root link's frame, +z up; an MJCF in its world's, +z up.
 """
 
 from __future__ import annotations
@@ -37,14 +37,9 @@ from model.geometry.part_folder import (
 from model.geometry.parts import split
 from model.geometry.told_file import load_told
 from model.kinematics.articulated_object import Part, SegmentedObject
-from model.kinematics.urdf_model import (
-    MOBILITY,
-    PACKAGE,
-    URDF_SUFFIX,
-    is_urdf,
-    named_meshes,
-    package_root,
-)
+from model.kinematics.mjcf_source import MJCF_SUFFIXES, is_mjcf
+from model.kinematics.model_files import MODEL_SUFFIXES, files_named_by, is_model
+from model.kinematics.urdf_model import MOBILITY, PACKAGE, is_urdf, package_root
 from model.progress import Progress, no_progress
 
 _READERS: dict[str, Callable[[Path, int], Loaded]] = {
@@ -59,8 +54,8 @@ _TOO_COMMON = (".txt", ".csv", ".npz")  # in a folder these are rarely clouds
 FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in _TOO_COMMON)
 """Suffixes that are picked up when a folder is searched."""
 
-_WHOLE_FOLDER = (MOBILITY, "object.urdf")
-"""URDFs that stand for their folder, which is called after the object."""
+_WHOLE_FOLDER = (MOBILITY, "object.urdf", "object.xml")
+"""URDFs and MJCFs that stand for their folder, which is called after the object."""
 _Y_UP = (".glb", ".gltf")
 
 _WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
@@ -103,7 +98,7 @@ def read_asset(
     files: MaterialFiles | None = None,
     progress: Progress = no_progress,
 ) -> Asset:
-    """Open a file, a URDF with its meshes, or a folder of part meshes.
+    """Open a file, a URDF or MJCF with its meshes, or a folder of part meshes.
 
     Args:
         path: what to open.
@@ -128,12 +123,12 @@ def read_asset(
         raise ConfigurationError(f"unit scale {unit_scale} must be a positive number of metres")
     try:
         if path.is_dir():
-            urdf = urdf_of(path)
-            if urdf is not None:
-                return _read_urdf(path, urdf, up_axis, unit_scale, max_bytes, progress)
+            model = model_of(path)
+            if model is not None:
+                return _read_model(path, model, up_axis, unit_scale, max_bytes, progress)
             return _read_folder(path, up_axis, unit_scale, max_bytes, progress)
-        if path.suffix.lower() == URDF_SUFFIX:
-            return _read_urdf(path, path, up_axis, unit_scale, max_bytes, progress)
+        if path.suffix.lower() in MODEL_SUFFIXES:
+            return _read_model(path, path, up_axis, unit_scale, max_bytes, progress)
         return _read_file(path, up_axis, unit_scale, max_bytes, files, progress)
     except (GeometryError, KinematicsError) as error:
         raise InputFileError(path, str(error), "the file is damaged or holds no object") from None
@@ -152,24 +147,32 @@ def refusal(path: Path) -> InputFileError | None:
         size_of(path)
     except InputFileError as error:
         return error
-    if path.suffix.lower() in (*_READERS, URDF_SUFFIX):
+    if path.suffix.lower() in MJCF_SUFFIXES and not is_mjcf(path):
+        return InputFileError(
+            path, "doesn't begin with <mujoco>", "of XML files URDF and MJCF can be opened"
+        )
+    if path.suffix.lower() in (*_READERS, *MODEL_SUFFIXES):
         return None
     what = f"files of type {path.suffix!r}" if path.suffix else "files without a suffix"
     return InputFileError(
-        path, f"{what} can't be opened", f"use one of {', '.join((*SUFFIXES, URDF_SUFFIX))}"
+        path, f"{what} can't be opened", f"use one of {', '.join((*SUFFIXES, *MODEL_SUFFIXES))}"
     )
 
 
-def urdf_of(folder: Path) -> Path | None:
-    """The URDF that tells what is in a folder; None where its part meshes do, or nothing does.
+def model_of(folder: Path) -> Path | None:
+    """The URDF or MJCF that tells what is in a folder; None where its part meshes do, or nothing.
 
-    It is one that stands for its folder (``mobility.urdf``, ``object.urdf``), else the only one
-    there, or the only one in ``urdf/`` of a ROS package.
+    It is one that stands for its folder (``mobility.urdf``, ``object.urdf``, ``object.xml``), else
+    the only URDF there, or the only one in ``urdf/`` of a ROS package, else the only MJCF.
     """
-    named = next((folder / n for n in _WHOLE_FOLDER if (folder / n).is_file()), None)
+    named = _whole(folder)
     if named is not None or is_part_folder(folder, FOLDER_SUFFIXES):
         return named
-    return _only_urdf(folder) or _urdf_of_package(folder)
+    return _only_urdf(folder) or _urdf_of_package(folder) or _only_mjcf(folder)
+
+
+def _whole(folder: Path) -> Path | None:
+    return next((p for n in _WHOLE_FOLDER if is_model(p := folder / n)), None)
 
 
 def _urdf_of_package(folder: Path) -> Path | None:
@@ -178,6 +181,17 @@ def _urdf_of_package(folder: Path) -> Path | None:
 
 def _only_urdf(folder: Path) -> Path | None:
     found = [p for p in folder.iterdir() if is_urdf(p)] if folder.is_dir() else []
+    return found[0] if len(found) == 1 else None
+
+
+def _only_mjcf(folder: Path) -> Path | None:
+    """The one that no other includes; None where a URDF is there, too."""
+    if not folder.is_dir() or any(map(is_urdf, folder.iterdir())):
+        return None
+    found = [p for p in folder.iterdir() if is_mjcf(p)]
+    if len(found) > 1:
+        included = {each for p in found for each in files_named_by(p)}
+        found = [p for p in found if p.absolute() not in included]
     return found[0] if len(found) == 1 else None
 
 
@@ -231,16 +245,16 @@ def _named_parts(loaded: Loaded) -> tuple[npt.NDArray[np.int32] | None, tuple[st
     return np.repeat(np.asarray(numbers, np.int32), sizes), listed
 
 
-def _read_urdf(
-    path: Path, urdf: Path, up_axis: UpAxis | None, scale: float, max_bytes: int,
+def _read_model(
+    path: Path, model: Path, up_axis: UpAxis | None, scale: float, max_bytes: int,
     progress: Progress,
 ) -> Asset:  # fmt: skip
-    from model.datasets.opened import open_urdf
+    from model.datasets.opened import open_model
 
-    progress(0.0, f"reading {urdf.name}")
+    progress(0.0, f"reading {model.name}")
     matrix = turned_up(up_axis or "z")
     matrix[:3, :3] *= scale
-    found = open_urdf(urdf, matrix, max_bytes, progress)
+    found = open_model(model, matrix, max_bytes, progress)
     return Asset(
         path.name if path.is_dir() else path.stem,
         mesh=found.mesh,
@@ -318,7 +332,7 @@ def read_part_files(
     progress: Progress = no_progress,
 ) -> SegmentedObject:
     """Read a folder of part meshes or part clouds, all in one object frame, or any other source
-    that tells its parts: a URDF, a glTF file whose meshes are called after parts.
+    that tells its parts: a URDF, an MJCF, a glTF file whose meshes are called after parts.
 
     The files of a folder are those of ``object.json`` where there is one, else ``link_*`` in
     natural order, else all mesh and cloud files. Each link is called after its file's stem.
@@ -327,7 +341,7 @@ def read_part_files(
         InputFileError: where a part can't be used, or a file tells no parts.
     """
     path = Path(path)
-    if path.is_file() or (path.is_dir() and urdf_of(path) is not None):
+    if path.is_file() or (path.is_dir() and model_of(path) is not None):
         return _read_told_parts(path, up_axis, unit_scale, max_bytes, progress)
     manifest = find_manifest(path, FOLDER_SUFFIXES)
     parts, _ = _read_parts(path, manifest, up_axis, unit_scale, max_bytes, progress)
@@ -361,9 +375,9 @@ def _read_told_parts(
 def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     """What can be opened among ``paths``: files as they are, folders searched in depth.
 
-    A folder with a ``mobility.urdf``, an ``object.urdf``, an ``object.json`` or ``link_*`` meshes
-    is one item. Meshes that a URDF in the folder is made of are none. A file that is named
-    directly is always in, so that opening it can say what is wrong with it.
+    A folder with a ``mobility.urdf``, an ``object.urdf``, an ``object.xml``, an ``object.json`` or
+    ``link_*`` meshes is one item. What a URDF or MJCF in the folder is made of is none. A file that
+    is named directly is always in, so that opening it can say what is wrong with it.
 
     Raises:
         InputFileError: where a path doesn't exist or a folder holds nothing that can be opened.
@@ -374,7 +388,7 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
             raise InputFileError(path, "no such file or folder", "check the path")
         found = _without_pieces(_search(path, set())) if path.is_dir() else [path]
         if not found:
-            looked = ", ".join((*FOLDER_SUFFIXES, URDF_SUFFIX))
+            looked = ", ".join((*FOLDER_SUFFIXES, *MODEL_SUFFIXES))
             raise InputFileError(path, "nothing in it can be opened", f"looked for {looked}")
         out.extend(found)
     return list(dict.fromkeys(out))
@@ -386,7 +400,7 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
     if real in seen:  # a link back up, or another name of a folder
         return []
     seen.add(real)
-    if any((folder / n).is_file() for n in _WHOLE_FOLDER):
+    if _whole(folder) is not None:
         return [folder]
     out: list[Path] = []
     try:
@@ -394,13 +408,13 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
     except OSError:
         return []
     if is_part_folder(folder, FOLDER_SUFFIXES):
-        return [folder, *(p for p in entries if is_urdf(p))]
+        return [folder, *(p for p in entries if is_model(p))]
     for entry in entries:
         if entry.name.startswith("."):
             continue
         if entry.is_dir():
             out.extend(_search(entry, seen))
-        elif entry.suffix.lower() in (*FOLDER_SUFFIXES, URDF_SUFFIX) and entry.is_file():
+        elif entry.is_file() and (entry.suffix.lower() in FOLDER_SUFFIXES or is_model(entry)):
             out.append(entry)
     urdf = _urdf_of_package(folder)
     if urdf is not None:  # the package is called after the object, its folder urdf/ isn't
@@ -409,21 +423,22 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
 
 
 def _without_pieces(found: list[Path]) -> list[Path]:
-    """Without the meshes, and the folders of part meshes, that a URDF among ``found`` names."""
-    urdfs = [urdf_of(p) if p.is_dir() else p for p in found]
-    outside = (  # what a URDF has in its own folder isn't found beside that folder
-        u for u, p in zip(urdfs, found, strict=True)
-        if u is not None and is_urdf(u) and (u == p or package_root(u) != u.parent)
+    """Without the meshes, the folders of part meshes, and the MJCFs that a URDF or MJCF among
+    ``found`` names."""
+    models = [model_of(p) if p.is_dir() else p for p in found]
+    outside = (  # what a model has in its own folder isn't found beside that folder
+        m for m, p in zip(models, found, strict=True)
+        if m is not None and is_model(m) and (m == p or package_root(m) != m.parent)
     )  # fmt: skip
-    pieces = {mesh for urdf in outside for mesh in named_meshes(urdf)}
-    homes = {mesh.parent for mesh in pieces}
+    pieces = {piece for model in outside for piece in files_named_by(model)}
+    homes = {piece.parent for piece in pieces}
 
-    def is_piece(path: Path, urdf: Path | None) -> bool:
+    def is_piece(path: Path, model: Path | None) -> bool:
         if path.is_dir():
-            return urdf is None and path.absolute() in homes
+            return model is None and path.absolute() in homes
         return path.absolute() in pieces
 
-    return [p for p, urdf in zip(found, urdfs, strict=True) if not is_piece(p, urdf)]
+    return [p for p, model in zip(found, models, strict=True) if not is_piece(p, model)]
 
 
 def _digest(paths: Sequence[Path]) -> str:

@@ -46,9 +46,11 @@ class ToldCollision:
 def repeats(pieces: Sequence[UrdfVisual], visuals: Sequence[UrdfVisual]) -> bool:
     """Whether each of ``pieces`` is a mesh of ``visuals`` at the same place."""
     return all(
-        piece.file is not None
+        (piece.file or piece.mesh) is not None
         and any(
-            piece.file == v.file and np.allclose(piece.object_from_geometry, v.object_from_geometry)
+            piece.file == v.file
+            and piece.mesh is v.mesh
+            and np.allclose(piece.object_from_geometry, v.object_from_geometry)
             for v in visuals
         )
         for piece in pieces
@@ -90,16 +92,21 @@ def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
     if piece.primitive is not None:
         kind, sizes = piece.primitive
         return [Primitive(cast(Kind, kind), piece.object_from_geometry, sizes)]
-    assert piece.file is not None
-    if piece.file not in read:
-        read[piece.file] = _mesh(piece.file)
-    mesh = moved_mesh(read[piece.file], piece.object_from_geometry)
+    if piece.mesh is not None:
+        mesh = piece.mesh
+    else:
+        assert piece.file is not None
+        if piece.file not in read:
+            read[piece.file] = _mesh(piece.file)
+        mesh = read[piece.file]
+    mesh = moved_mesh(mesh, piece.object_from_geometry)
     bodies = _convex_bodies(mesh)
     if bodies:
         return list(bodies)
     found = _solid(mesh)
     if hull_of(found.vertices) is None:
-        raise ArtiworldError(f"the collision mesh {piece.file.name!r} has no volume")
+        name = "of it" if piece.file is None else repr(piece.file.name)
+        raise ArtiworldError(f"the collision mesh {name} has no volume")
     return [found]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.errors import InputFileError
-from model.geometry.formats.mtl import MaterialFiles
+from model.geometry.formats.mtl import MaterialFiles, OneMaterial
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
 from model.kinematics.articulated_object import Part
@@ -54,9 +54,11 @@ def _load(
     visual: UrdfVisual, remarks: list[str], files: MaterialFiles | None
 ) -> tuple[Mesh | None, PointCloud | None]:
     """The geometry; what was passed over on reading it is added to ``remarks``."""
+    if visual.mesh is not None:
+        return _looking(visual.mesh, visual), None
     if visual.file is None:
         assert visual.primitive is not None
-        return _primitive(*visual.primitive, visual.color), None
+        return _looking(_primitive(*visual.primitive, visual.color), visual), None
     if not visual.file.is_file():
         raise InputFileError(
             visual.file, f"the mesh of link {visual.link!r} isn't there", "put it beside the URDF"
@@ -65,12 +67,23 @@ def _load(
 
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
     inside = files is not None and visual.file.resolve().is_relative_to(files.root.resolve())
-    asset = read_asset(visual.file, up_axis="z", files=files if inside else None)
+    within = files if inside else None
+    if visual.material is not None:
+        within = OneMaterial(visual.file.parent, visual.material)
+    asset = read_asset(visual.file, up_axis="z", files=within)
     remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
-    if mesh is not None and visual.color is not None and _plain(mesh):
+    if mesh is not None and visual.material is not None:
+        mesh = _looking(mesh, visual)
+    elif mesh is not None and visual.color is not None and _plain(mesh):
         mesh = replace(mesh, materials=(Material("urdf", visual.color),) * len(mesh.materials))
     return mesh, None if mesh is not None else asset.cloud
+
+
+def _looking(mesh: Mesh, visual: UrdfVisual) -> Mesh:
+    from model.kinematics.mjcf_looks import looking
+
+    return mesh if visual.material is None else looking(mesh, visual.material)
 
 
 def _plain(mesh: Mesh) -> bool:

@@ -1,11 +1,11 @@
-"""A URDF as read, before its meshes are loaded; and where its files may lie."""
+"""A URDF or MJCF as read, before its meshes are loaded; and where a URDF's files may lie."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from xml.sax.saxutils import unescape
@@ -14,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from model.geometry.formats.references import ReferenceRefused, resolve
+from model.geometry.mesh import Material, Mesh
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_told import Told
+from model.kinematics.xml_file import MAX_BYTES
 from model.progress import Progress, no_progress
 
 
@@ -29,11 +31,13 @@ class UrdfVisual:
         name: the element's ``name``, or None.
         object_from_geometry: (4, 4) from the file's coordinates to the object frame at rest,
             scale included.
-        file: the mesh file, resolved; None for a primitive.
+        file: the mesh file, resolved; None for a primitive, and for ``mesh``.
         primitive: ``("box", (x, y, z))``, ``("cylinder", (radius, length))``, ``("sphere",
             (radius,))`` or ``("capsule", (radius, length without the caps))`` in metres; None for
             a file.
-        color: RGBA in 0..255 from the URDF's material, or None.
+        color: RGBA in 0..255 from the URDF's material, or None. It is for what has no looks.
+        mesh: geometry that no file holds, or None.
+        material: takes the place of what a mesh file says of its looks, or None.
     """
 
     link: str
@@ -42,11 +46,13 @@ class UrdfVisual:
     file: Path | None = None
     primitive: tuple[str, tuple[float, ...]] | None = None
     color: tuple[int, int, int, int] | None = None
+    mesh: Mesh | None = None
+    material: Material | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel:
-    """A URDF without its meshes loaded.
+    """A URDF, or another file that tells the same, without its meshes loaded.
 
     Attributes:
         tree: joints in the object's rest frame, which is the root link's frame.
@@ -57,6 +63,8 @@ class UrdfModel:
         faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
         swapped: joints whose lower limit was written above the upper one; here they are in order.
         told: masses, joint dynamics and collision shapes; :meth:`load` leaves them out.
+        files: that were read beside the file itself and the meshes.
+        part_names: link → what the file says it is, in people's words.
     """
 
     path: Path
@@ -69,6 +77,8 @@ class UrdfModel:
     rescaled: tuple[str, ...] = ()
     renamed: tuple[str, ...] = ()
     told: Told = field(default_factory=Told)
+    files: tuple[Path, ...] = ()
+    part_names: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:
@@ -89,7 +99,8 @@ class UrdfModel:
         parts: list[Part] = []
         for i, (link, visuals) in enumerate(self.by_link.items()):
             progress(i / len(self.by_link), f"reading {link}")
-            parts.append(load_part(link, visuals))
+            part = load_part(link, visuals)
+            parts.append(replace(part, name=self.part_names.get(link, part.name)))
         progress(1.0, "read")
         return ArticulatedObject(self.name, tuple(parts), self.tree)
 
@@ -101,8 +112,6 @@ PACKAGE = "package.xml"
 """What marks the folder of a ROS package."""
 _PACKAGE_URI = "package://"
 _LEVELS = 4
-MAX_BYTES = 64 * 2**20
-"""No honest URDF is larger; its meshes lie beside it."""
 _FILENAME = re.compile(r"""filename\s*=\s*["']([^"'<>]{1,1000})["']""")
 
 
@@ -167,3 +176,25 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
     if not inside:
         raise ReferenceRefused(f"{filename!r} is no file name")
     return next((p for p in inside if p.exists()), inside[0])
+
+
+def renamed_helpers(
+    links: Sequence[str], owning: Collection[str], notes: list[str]
+) -> dict[str, str]:
+    """New names of links without geometry whose own begin with ``link_``, as parts' do.
+
+    Args:
+        links: all of the file.
+        owning: those with geometry.
+        notes: told of each, for people.
+    """
+    out: dict[str, str] = {}
+    for link in links:
+        if link.startswith("link_") and link not in owning:
+            base = new = "helper_" + link.removeprefix("link_").removesuffix("_helper")
+            i = 2
+            while new in links or new in out.values():
+                new, i = f"{base}_{i}", i + 1
+            out[link] = new
+            notes.append(f"link {link!r} has no geometry; it became the helper {new!r}")
+    return out

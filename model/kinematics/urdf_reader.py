@@ -19,13 +19,14 @@ from model.kinematics.joint import Joint, JointType, Mimic
 from model.kinematics.tree import KinematicTree, tree_problems
 from model.kinematics.urdf_collision import ToldCollision, repeats
 from model.kinematics.urdf_model import (
-    MAX_BYTES,
     UrdfModel,
     UrdfVisual,
     package_root,
+    renamed_helpers,
     resolve_mesh,
 )
 from model.kinematics.urdf_told import told_in
+from model.kinematics.xml_file import parse
 from model.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ class _Reader:
         self.commas = False
 
     def read(self) -> UrdfModel:
-        robot = _parse(self.path)
+        robot = parse(self.path, ("robot",), "a URDF")
         for material in robot.findall("material"):
             color = self._color(material)
             if color is not None and material.get("name"):
@@ -128,7 +129,8 @@ class _Reader:
         self._raise()
         object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
         joints = [_to_object(j, object_from_link[j.child]) for j in joints]
-        renamed = self._renamed_helpers(links, {v.link for v in geometry})
+        renamed = renamed_helpers(links, {v.link for v in geometry}, self.renamed)
+        self.notes += self.renamed
         try:
             tree = KinematicTree(
                 tuple(renamed.get(n, n) for n in links),
@@ -423,19 +425,6 @@ class _Reader:
         r, g, b, a = np.clip(self._numbers(color, "rgba", 4, [0.8, 0.8, 0.8, 1], where), 0, 1)
         return round(255 * r), round(255 * g), round(255 * b), round(255 * a)
 
-    def _renamed_helpers(self, links: Sequence[str], owning: set[str]) -> dict[str, str]:
-        out: dict[str, str] = {}
-        for link in links:
-            if link.startswith("link_") and link not in owning:
-                base = new = "helper_" + link.removeprefix("link_").removesuffix("_helper")
-                i = 2
-                while new in links or new in out.values():
-                    new, i = f"{base}_{i}", i + 1
-                out[link] = new
-                self.renamed.append(f"link {link!r} has no geometry; it became the helper {new!r}")
-                self.notes += self.renamed[-1:]
-        return out
-
 
 def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """(3, 3) from URDF's roll, pitch, yaw: fixed axes x, then y, then z, radians."""
@@ -446,31 +435,6 @@ def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     return about_z @ about_y @ about_x
-
-
-def _parse(path: Path) -> Element:
-    from xml.etree.ElementTree import ParseError
-
-    import defusedxml
-    from defusedxml import ElementTree
-
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputFileError(path, "is larger than 64 MiB, too large for a URDF")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputFileError(path, error.strerror or "can't be read") from error
-    try:
-        robot = ElementTree.fromstring(data, forbid_dtd=True)
-    except defusedxml.DefusedXmlException as error:
-        raise InputFileError(path, "declares a DTD or entities", "remove them") from error
-    except (ParseError, ValueError, LookupError) as error:
-        raise InputFileError(
-            path, f"is not well-formed XML ({error})", "a URDF is an XML file"
-        ) from error
-    if robot.tag != "robot":
-        raise InputFileError(path, f"begins with <{robot.tag}>", "a URDF begins with <robot>")
-    return robot
 
 
 def _compose(

@@ -192,6 +192,27 @@ class MaterialFiles:
         return self._textures[target]
 
 
+class OneMaterial(MaterialFiles):
+    """For objects whose looks are told elsewhere: reads no files, and misses none.
+
+    Args:
+        root: as for :class:`MaterialFiles`.
+        material: of all faces.
+    """
+
+    def __init__(self, root: Path, material: Material) -> None:
+        super().__init__(root)
+        self.material = material
+
+    def plain(self, name: str) -> Material:
+        """The material."""
+        return self.material
+
+    def read(self, library: str, obj: Path, warnings: list[str]) -> dict[str, Material]:
+        """No materials."""
+        return {}
+
+
 def _map_file(value: str) -> str:
     """The file name in a line of a map, past its options; it may hold spaces."""
     words = value.split(" ")

@@ -130,7 +130,7 @@ def test_a_folder_of_urdfs(tmp_path: Path) -> None:
 
 MJCF = """<mujoco><compiler angle="degree"/><worldbody><body name="case" pos="0 0 1">
 <geom type="box" size="0.5 0.5 0.5" contype="0" conaffinity="0"/>
-<geom type="sphere" size="9"/>
+<geom type="sphere" size="9" group="3"/>
 <body name="drawer" pos="0 -0.5 0"><joint type="slide" axis="0 -2 0" range="0 0.4"/>
 <geom type="box" size="0.4 0.02 0.2" contype="0" conaffinity="0"/>
 <body name="knob"><joint name="turn" type="hinge" axis="0 1 0" pos="0.1 0 0" range="-90 90"/>
