@@ -376,8 +376,9 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     """What can be opened among ``paths``: files as they are, folders searched in depth.
 
     A folder with a ``mobility.urdf``, an ``object.urdf``, an ``object.xml``, an ``object.json`` or
-    ``link_*`` meshes is one item. What a URDF or MJCF in the folder is made of is none. A file that
-    is named directly is always in, so that opening it can say what is wrong with it.
+    ``link_*`` meshes is one item. What a URDF or MJCF in the folder is made of is none, nor is the
+    MJCF of a converted scene. A file that is named directly is always in, so that opening it can
+    say what is wrong with it.
 
     Raises:
         InputFileError: where a path doesn't exist or a folder holds nothing that can be opened.
@@ -414,12 +415,20 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
             continue
         if entry.is_dir():
             out.extend(_search(entry, seen))
-        elif entry.is_file() and (entry.suffix.lower() in FOLDER_SUFFIXES or is_model(entry)):
+        elif entry.is_file() and (
+            entry.suffix.lower() in FOLDER_SUFFIXES
+            or (is_model(entry) and not (entry.name == "scene.xml" and _is_scene(folder)))
+        ):
             out.append(entry)
     urdf = _urdf_of_package(folder)
     if urdf is not None:  # the package is called after the object, its folder urdf/ isn't
         return [folder, *(p for p in out if p not in (urdf, urdf.parent))]
     return out
+
+
+def _is_scene(folder: Path) -> bool:
+    """Whether ``scene convert`` wrote it: its MJCF is of all its objects together."""
+    return (folder / "scene.json").is_file() and (folder / "assets").is_dir()
 
 
 def _without_pieces(found: list[Path]) -> list[Path]:

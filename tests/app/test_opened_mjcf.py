@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -78,6 +79,17 @@ def test_it_is_no_scene_and_its_meshes_count(mjcf: Path) -> None:
 
     assert _scene_of(Namespace(paths=[mjcf], assets=[], scene=False)) is None
     assert {name for name, _, _ in stamp(mjcf)} == {"cupboard.xml", "body.stl", "door.stl"}
+
+
+def test_the_scene_of_all_objects_beside_them_is_no_object(mjcf: Path, tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    (home / "assets").mkdir(parents=True)
+    shutil.copytree(mjcf.parent, home / "assets" / "cupboard")
+    shutil.copy(mjcf, home / "scene.xml")
+    assert len(find_assets([home])) == 2
+    (home / "scene.json").write_text("{}")
+    (found,) = find_assets([home])
+    assert found.is_relative_to(home / "assets")
 
 
 def test_commands_take_it(mjcf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
