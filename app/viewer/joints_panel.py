@@ -12,7 +12,7 @@ from app.titles import joint_title, moved_part, part_title
 from app.viewer.category_guess import CategoryGuess, guesses_of
 from app.viewer.joint_editor import JointEditor
 from app.viewer.joint_text import shown, tree_text
-from app.viewer.palette import CATEGORIES
+from app.viewer.palette import CATEGORIES, PART_NAMES
 from app.viewer.quick_names import NUMBERED, QuickNames
 from app.viewer.widgets import NONE, put
 from model.kinematics.joint import Joint
@@ -47,12 +47,14 @@ class JointsPanel:
         self._tree = gui.add_markdown("")
         self._what = gui.add_markdown("")
         self._quick = QuickNames(app, self._named)
+        self._name = gui.add_dropdown("Part is a", (NONE, *PART_NAMES), initial_value=NONE)
         self._guess = CategoryGuess(app, self._said)
         self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
         self._folder = gui.add_folder("Joint")
         with self._folder:
             self.editor = JointEditor(app)
         self._motion = gui.add_folder("All joints")
+        app.on_update(self._name, self._name_chosen)
         app.on_update(self._category, self._categorised)
         self._again.on_click(lambda _: app.act(app.commands.predict))
         self._here.on_click(lambda _: app.act(app.commands.predict_here))
@@ -152,6 +154,8 @@ class JointsPanel:
         self._guess.show(guesses_of(self._app) if uncategorised else ())
         put(self._category, "value", NONE)
         self._quick.show(bool(unnamed))
+        put(self._name, "visible", bool(unnamed))
+        put(self._name, "value", NONE)  # the next one has none yet
         what = "**What is the object?**"
         if unnamed:
             assert doc.tree is not None
@@ -162,6 +166,10 @@ class JointsPanel:
         if _settled(doc):
             why = "It is kept for the next prediction (P)."
         put(self._what, "content", f"{what} {why}")
+
+    def _name_chosen(self) -> None:
+        if self._name.value != NONE:
+            self._named(self._name.value)
 
     def _categorised(self) -> None:
         if self._category.value != NONE:
