@@ -29,8 +29,8 @@ _KINDS: Final = {
 """The lexicon's kinds that the categories' own names don't tell."""
 _FOLDERS = 2
 """Folders above the file whose names may tell what it is: "Oven/101773/object.obj"."""
-_LETTERS = 26
-"""Of all guesses together, so that they fit the panel side by side."""
+_ROW, _FRAME = 41, 5
+"""Letters that fit the panel side by side, and for how many a button's frame and gap take room."""
 _MARK = "?"
 
 
@@ -53,7 +53,7 @@ def category_guesses(
     found = dict.fromkeys([*filter(None, [told]), *sorted(last, key=lambda c: last[c])[::-1]])
     out: list[str] = []
     for category in found:
-        if out and sum(map(len, out)) + len(category) > _LETTERS:
+        if out and sum(len(c) + _FRAME for c in (*out, category)) > _ROW:
             break
         out.append(category)
     return tuple(out)

@@ -59,3 +59,17 @@ def test_what_was_said_last_follows_the_own_one_first() -> None:
     assert category_guesses(mine, queue) == ("Lamp", "Oven", "StorageFurniture")
     other = record(7, "/data/f.ply")
     assert category_guesses(other, [*queue, other], "me")[0] == "StorageFurniture"
+
+
+def test_many_short_ones_fit_one_row_too() -> None:
+    """Each button has a frame: five of them went onto a second row and moved the panel."""
+    said = ("Chair", "Laptop", "Kettle", "Lamp", "Safe")
+    times = [f"2026-01-01T1{9 - i}:00:00" for i in range(len(said))]
+    rows = enumerate(zip(said, times, strict=True), start=2)
+    queue = [record(i, f"/data/{i}.ply", category, at) for i, (category, at) in rows]
+    assert category_guesses(record(1, "/data/oven.ply"), queue) == (
+        "Oven", "Chair", "Laptop", "Kettle",
+    )  # fmt: skip
+    assert category_guesses(record(1, "/data/cabinet.ply"), queue[2:]) == (
+        "StorageFurniture", "Kettle", "Lamp",
+    )  # fmt: skip
