@@ -51,7 +51,7 @@ class GlbExporter:
         scene = _Scene(obj)
         for i, part in enumerate(obj.parts):
             progress(i / len(obj.parts), f"writing {part.link}")
-            scene.add(part.link, mesh_to_glb(part_mesh(part)))
+            scene.add(part.link, mesh_to_glb(part_mesh(part)), part.name)
         scene.animate()
         path = folder / FILE
         path.write_bytes(scene.finish())
@@ -84,8 +84,12 @@ class _Scene:
         nodes[above].setdefault("children", []).append(len(nodes) - 1)
         return len(nodes) - 1
 
-    def add(self, link: str, glb: bytes) -> None:
-        """Take over the one mesh of ``glb`` with all that belongs to it."""
+    def add(self, link: str, glb: bytes, name: str | None = None) -> None:
+        """Take over the one mesh of ``glb`` with all that belongs to it.
+
+        Its node and mesh are called after the part, "door", so that people and programs that open
+        the file know it; the nodes that move are called after their links.
+        """
         tree, binary = _chunks(glb)
         base = {key: len(self.lists.setdefault(key, [])) for key in ("accessors", "meshes")}
         pictures = {image["bufferView"] for image in tree.get("images", [])}
@@ -107,17 +111,20 @@ class _Scene:
         for extension in tree.get("extensionsUsed", []):
             self._shared("extensionsUsed", extension)
         materials = [self._shared("materials", m) for m in tree.get("materials", [])]
+        called = name or ("base" if link == self.obj.tree.root else link)
+        if called in self.node:  # nodes of links are told by their names
+            called = f"{link} mesh"
         for mesh in tree["meshes"]:
-            mesh["name"] = link
+            mesh["name"] = called
             for primitive in mesh["primitives"]:
                 primitive["indices"] += base["accessors"]
                 primitive["material"] = materials[primitive["material"]]
-                for name in primitive["attributes"]:
-                    primitive["attributes"][name] += base["accessors"]
+                for attribute in primitive["attributes"]:
+                    primitive["attributes"][attribute] += base["accessors"]
         for key in base:
             self.lists[key] += tree.get(key, [])
         back = (-self.origins[link]).tolist()
-        node = {"name": f"{link} mesh", "mesh": base["meshes"], "translation": back}
+        node = {"name": called, "mesh": base["meshes"], "translation": back}
         self._node(self.node[link], node)
 
     def _shared(self, key: str, entry: dict[str, Any] | str) -> int:

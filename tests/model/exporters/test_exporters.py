@@ -31,6 +31,7 @@ from model.exporters.saved import load_object, reading_notes
 from model.exporters.urdf import losses_of
 from model.geometry.mesh import Material, Mesh
 from model.geometry.point_cloud import PointCloud
+from model.geometry.readers import read_asset
 from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.joint import Joint, Mimic
 from model.kinematics.tree import KinematicTree
@@ -471,6 +472,20 @@ def test_glb_opens_in_trimesh_with_everything_in_place(exported, obj):
         if hasattr(g.visual, "material")
     }
     assert {"red", "pic"} <= materials
+
+
+def test_glb_is_read_again_with_the_names_of_its_parts(obj, tmp_path):
+    """A file of ours opened as one mesh without parts: its meshes were called after links."""
+    # What people typed is no link's name, by which nodes that move are known.
+    names = {"link_2": "drawer", "link_3": "link_0"}
+    parts = [replace(p, name=names.get(p.link, p.name)) for p in obj.parts]
+    named = replace(obj, parts=tuple(parts))
+    files = load_exporter("glb").export(named, tmp_path)
+    assert read_back("glb", files[0], named, configurations=1).problems == ()
+    again = read_asset(files[0])
+    assert again.element_part is not None and again.part_names[0] == "base"
+    told = {"door mesh", "drawer", "link_3 mesh", "link_4 mesh"}  # one link is called "door"
+    assert set(again.part_names[1:]) == told
 
 
 def test_a_bare_urdf_can_be_exported(exported, tmp_path, obj):
