@@ -138,7 +138,8 @@ def _admits(obj: OpenObject, wish: Wish, begun: Begun) -> bool:
     judging, store = obj.judging, obj.bench.store
     waits = judging.report is None and not judging.problem
     if waits and judging.waiting and not (begun.comment or begun.override):
-        obj.tell("Accepting", "As soon as the joints are judged, as was asked before", "gray")
+        asked = f"{obj.bench.called(obj.record)}: as soon as the joints are judged"
+        obj.tell("Accepting", f"{asked}, as was asked before", "gray")
         return False
     if waits:  # first, as the gate may answer any moment: what was typed outlives this server
         store.accepting_begins(obj.record.id, begun)

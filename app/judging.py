@@ -180,7 +180,8 @@ class Judging:
             self._waiting = wish if waits else None
             self._wished = self._revision(self._obj.document)
         if waits:
-            self._obj.tell("Accepting", "As soon as the joints are judged", "blue")
+            name = self._obj.bench.called(self._obj.record)  # another one follows at once
+            self._obj.tell("Accepting", f"{name}: as soon as the joints are judged", "blue")
             return False
         document = self._obj.document
         if report is not None and report.verdict == "broken" and not wish.override.strip():

@@ -182,6 +182,11 @@ class Workbench:
         opened = self._open.get(object_id)
         return opened is not None and opened.judging.waiting
 
+    def called(self, record: ObjectRecord) -> str:
+        """What people call an object: in a scene as it is called there."""
+        work = None if self.desk is None else self.desk.works.get(record.id)
+        return record.name if work is None else work.item.obj.id
+
     def under_way(self, object_id: int) -> bool:
         """Whether an object is being accepted here: nobody need do anything about it."""
         return self.judging_now(object_id) or self.saving_now(object_id)

@@ -250,7 +250,9 @@ class ClientApp:
         def tell(title: str, body: str, color: str) -> None:
             if over():
                 stop()
-            self.notify(title, f"{self.called(obj)}: {in_words(obj.document, body)}", color)
+            name = self.bench.called(obj.record)
+            said = in_words(obj.document, body).removeprefix(f"{name}: ")
+            self.notify(title, f"{name}: {said}", color)
 
         def changed() -> None:
             self.invalidate()
@@ -258,12 +260,6 @@ class ClientApp:
                 stop()  # why it was refused is told by whoever asked for it
 
         stop = obj.watch(changed, tell)
-
-    def called(self, obj: OpenObject) -> str:
-        """What people call an object: in a scene as it is called there."""
-        desk = self.bench.desk
-        work = None if desk is None else desk.works.get(obj.record.id)
-        return obj.record.name if work is None else work.item.obj.id
 
     def close_object(self) -> None:
         """Show no object: the scene is all there is."""

@@ -101,16 +101,16 @@ class Commands:
 
     def _refused(self, obj: OpenObject, error: CommandError) -> None:
         """Say why, and show what the gate wants to be looked at."""
-        app = self._app
+        app, name = self._app, self._app.bench.called(obj.record)
         app.review_panel.refused(obj)
         if isinstance(error, LookFirstError) and app.object is obj:
             app.set_stage("Review")
             app.review_panel.gate.show_worst()
             app.notify("Look at it first", str(error), "yellow")
         elif app.object is not obj and obj.held:
-            app.notify("Look again", f"{app.called(obj)}: {obj.held}", "yellow", seconds=None)
+            app.notify("Look again", f"{name}: {obj.held}", "yellow", seconds=None)
         else:
-            app.notify("Not accepted", f"{app.called(obj)}: {error}", "yellow")
+            app.notify("Not accepted", f"{name}: {error}", "yellow")
 
     def about(self) -> tuple[Any, ...]:
         """What a decision made now would be about."""
@@ -152,11 +152,12 @@ class Commands:
         if app.overview is not None:
             app.overview.reject(reason)
             return
-        panel = app.review_panel
+        panel, name = app.review_panel, app.bench.called(app.need_object().record)
         with panel.deciding():
             app.do(cmd.Reject(reason, panel.comment_text))
         panel.clear()
-        app.notify("Rejected", "It is back with its annotator", "orange")
+        # The next object is shown by now.
+        app.notify("Rejected", f"{name}: it is back with its annotator", "orange")
 
     # --- what is looked at
 

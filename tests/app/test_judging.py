@@ -389,6 +389,9 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject) -> None:
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
     accept(obj, "seen in person", "ann", NOW)
     assert bench.under_way(obj.record.id) and bench.store.accepting()
+    # Another object is on the screen by the time that it is read.
+    waits = f"{obj.record.name}: as soon as the joints are judged"
+    assert notes[-1] == ("Accepting", waits, "blue")
     assert take_back(obj)
     assert notes[-1] == ("Not accepted", "Taken back before the joints were judged", "gray")
     assert not bench.under_way(obj.record.id) and not bench.store.accepting()

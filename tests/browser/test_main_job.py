@@ -359,6 +359,7 @@ def test_reject_with_a_reason(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.button("Reject (X)").click()
     tab.button("4 parts").click()
     wait_until(lambda: tab.document.review.state == "rejected", "rejected")
+    tab.page.get_by_text("cabinet: it is back with its annotator").wait_for()
     assert tab.document.review.reason == "parts"
     assert tab.document.review.comment == "the drawer is missing <b>{1+1}</b>"
     # The words show as they were typed: neither HTML nor an expression.
