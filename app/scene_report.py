@@ -45,7 +45,7 @@ th,td{padding:.4rem .6rem;border-bottom:1px solid #dde1e6;text-align:left;vertic
 img{max-width:100%;border:1px solid #e3e6ea;border-radius:4px}td img{width:150px}
 .dot{display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:.4em}
 .counts{display:flex;flex-wrap:wrap;gap:.4rem 1.6rem;margin:1rem 0;padding:0;list-style:none}
-.note{color:#556}.warn{color:#a4510a}
+.line{white-space:nowrap}.note{color:#556}.warn{color:#a4510a}
 """
 
 
@@ -173,7 +173,8 @@ def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> st
     state = f"{_dot(row.status)}{escape(STATES[row.status][0])}"
     if row.by and row.status in ("accepted", "rejected"):
         why = f": {escape(row.reason)}" if row.reason else ""
-        state += f"<br><span class=note>{escape(row.by)}, {escape(row.at[:16])}{why}</span>"
+        when = row.at[:16].replace("T", " ")
+        state += f"<br><span class=note>{escape(row.by)}, {escape(when)}{why}</span>"
     reason = escape(decision.reason)
     if row.said is not None:
         reason += f"<br>A person said: {'articulable' if row.said else 'static'}."
@@ -203,14 +204,14 @@ def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> st
 def _joint(joint: Joint, name: str, sure: float | None, shorter: Mapping[str, Any] | None) -> str:
     """A joint with its range; ``shorter``: what the saved scene has instead."""
     limits = (joint.lower or 0.0, joint.upper or 0.0) if joint.limited else None
-    told = "" if sure is None else f", {100 * sure:.0f} % sure"
+    told, note = "" if sure is None else f", {100 * sure:.0f} % sure", ""
     if shorter is not None and _same(limits, shorter["was"]):
         hits = ", ".join(dict.fromkeys(shorter["hits"].values()))
         was = "" if limits is None else f" instead of{_span(joint, limits)}"
         limits = shorter["limits"]
-        told += f"<br><span class=note>{escape(f'saved so{was}, because of {hits}')}</span>"
+        note = f"<br><span class=note>{escape(f'saved so{was}, because of {hits}')}</span>"
     span = "" if limits is None else _span(joint, limits)
-    return f"{escape(name)}: {joint.type}{span}{told}"
+    return f"<span class=line>{escape(name)}: {joint.type}{span}{told}</span>{note}"
 
 
 def _span(joint: Joint, limits: Sequence[float]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -647,6 +648,11 @@ def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:
     assert "<script" not in page and "&lt;script&gt;" in page
     assert "src='http" not in page and page.count("data:image/png;base64") >= 3
     assert "accepted" in page and "ann" in page and "drawer" in page and "nowhere" in page
+    # A joint is one line: narrow columns broke each of them into three.
+    assert ".line{white-space:nowrap}" in page
+    lines = re.findall("<span class=line>(.*?)</span>", page)
+    assert lines and all(re.fullmatch(r"[^<]+: \w+.*", line) for line in lines)
+    assert re.search(r"ann, \d{4}-\d\d-\d\d \d\d:\d\d<", page)
 
 
 def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
