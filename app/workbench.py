@@ -80,9 +80,9 @@ class Workbench:
         return ids
 
     def _enter(self, paths: list[Path]) -> list[int]:
-        from model.geometry.readers import refusal
+        from model.geometry.readers import asset_name, refusal
 
-        records = self.store.open_objects((p, None, p.stem) for p in paths)
+        records = self.store.open_objects((p, None, asset_name(p)) for p in paths)
         ids = [r.id for r in records]
         with self._lock:
             self.broken |= {

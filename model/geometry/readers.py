@@ -159,6 +159,14 @@ def refusal(path: Path) -> InputFileError | None:
     )
 
 
+def asset_name(path: Path) -> str:
+    """What people call a file or folder: ``object.urdf``, ``object.xml`` and ``mobility.urdf``,
+    as all are called so, have their folder's name."""
+    if path.name in _WHOLE_FOLDER:
+        path = path.absolute().parent
+    return path.name if path.is_dir() else path.stem
+
+
 def model_of(folder: Path) -> Path | None:
     """The URDF or MJCF that tells what is in a folder; None where its part meshes do, or nothing.
 
@@ -256,7 +264,7 @@ def _read_model(
     matrix[:3, :3] *= scale
     found = open_model(model, matrix, max_bytes, progress)
     return Asset(
-        path.name if path.is_dir() else path.stem,
+        asset_name(path),
         mesh=found.mesh,
         cloud=found.cloud,
         source=Source(path, _digest(found.files), up_axis or "z", scale),

@@ -89,6 +89,13 @@ def test_its_joints_are_there_at_once_and_the_segmenter_is_not_asked(opened, urd
     assert said == "*As cupboard.urdf tells it.*"
 
 
+def test_a_saved_asset_is_called_after_its_folder(opened, urdf: Path) -> None:
+    """Each was "object" in the queue, as the file of every saved asset is called so."""
+    obj = opened(urdf.rename(urdf.with_name("object.urdf")))
+    assert obj.record.name == "cupboard"
+    assert read_asset(obj.record.path).name == "cupboard"
+
+
 def test_it_can_be_taken_back_and_is_not_taken_again(opened, urdf: Path) -> None:
     obj = opened(urdf)
     obj.do(cmd.Undo(), "tester")
