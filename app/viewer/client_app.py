@@ -57,6 +57,7 @@ class ClientApp:
         self.touch_wanted = False
         self.skipped: set[int] = set()
         self._unwatch: Callable[[], None] = lambda: None
+        self._heard: set[OpenObject] = set()
         self.scene = SceneView(client, in_scene=bench.desk is not None)
         self._in_scene: InScene | None = None
         self.commands = Commands(self)
@@ -241,15 +242,21 @@ class ClientApp:
 
     def _hear_out(self, obj: OpenObject | None) -> None:
         """What comes of an acceptance is told here, too, once another object is looked at."""
-        if obj is None or not self.bench.under_way(obj.record.id):
+        if obj is None or obj in self._heard or not self.bench.under_way(obj.record.id):
             return
 
         def over() -> bool:
             return not obj.judging.waiting and "save" not in obj.jobs
 
+        def end() -> None:
+            self._heard.discard(obj)
+            stop()
+
         def tell(title: str, body: str, color: str) -> None:
             if over():
-                stop()
+                end()
+            if self.object is obj:  # come back to, it tells so by itself
+                return
             name = self.bench.called(obj.record)
             said = in_words(obj.document, body).removeprefix(f"{name}: ")
             self.notify(title, f"{name}: {said}", color)
@@ -257,8 +264,9 @@ class ClientApp:
         def changed() -> None:
             self.invalidate()
             if over() and obj.document.review.state != "accepted":
-                stop()  # why it was refused is told by whoever asked for it
+                end()  # why it was refused is told by whoever asked for it
 
+        self._heard.add(obj)
         stop = obj.watch(changed, tell)
 
     def close_object(self) -> None:
