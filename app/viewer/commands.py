@@ -86,6 +86,9 @@ class Commands:
         panel = app.review_panel
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         obj = app.need_object()
+        if obj.document.review.state == "accepted":
+            app.notify("Accepted", "It is already; Reopen lets it be changed", "gray")
+            return
 
         def refused(error: CommandError) -> None:
             app.act(lambda: self._refused(obj, error))

@@ -142,6 +142,12 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     )
     # The next object is there without a click.
     wait_until(lambda: tab.app.object is not obj, "the next object")
+    # Y once more is no change that would need the object to be reopened.
+    tab.key("b")
+    wait_until(lambda: tab.app.object is obj, "back at it")
+    tab.wait_seen()
+    tab.key("y")
+    tab.page.get_by_text("It is already; Reopen lets it be changed").wait_for()
 
 
 def test_y_shows_what_wants_a_look_before_it_accepts(
