@@ -48,7 +48,7 @@ def encode_cells(
     graph = build_graph(nodes)
     progress(0.45, "creases and colours")
     strength = edge_strength(nodes, graph, edges)
-    progress(0.7, "cells")
+    progress(0.7, "small patches")
     return nodes, graph, strength, build_cells(nodes, graph, strength, edge_weight(strength, graph))
 
 
@@ -58,7 +58,7 @@ def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) ->
     room = room_of(asset, nodes, cells)
     if room is not None:
         cells = fenced(cells, room)
-    progress(0.8, "merge trees")
+    progress(0.8, "patches that belong together")
     # SuperLU frees only what the same thread has asked for: the factors are made on this one.
     walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
     nodes.elements.prepare()

@@ -103,10 +103,11 @@ def _glb(path: Path, data: bytes) -> tuple[Json, bytes]:
 def _json(path: Path, data: bytes) -> Json:
     try:
         tree = json.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError):
         raise InputFileError(
-            path, f"is not glTF: {error}", "a .glb or .gltf file is needed"
-        ) from None
+            path, "is damaged or not glTF: what it says of itself can't be read",
+            "export or download it again",
+        ) from None  # fmt: skip
     if not isinstance(tree, dict):
         raise InputFileError(path, "is not glTF: no object at its top")
     return tree
