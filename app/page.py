@@ -8,7 +8,7 @@ from importlib.resources import files
 
 from websockets.http11 import Response
 
-_SCRIPTS = ("upload.js", "focus.js", "panels.js", "pointer.js")
+_SCRIPTS = ("upload.js", "focus.js", "panels.js", "pointer.js", "light.js")
 
 
 def _script(max_upload_bytes: int) -> str:

@@ -55,6 +55,7 @@ class Taking:
             ServeConfig(paths=paths, workspace=workspace, port=0, user="annotator", **settings)
         )
         page = self._chromium.new_page(viewport={"width": size[0], "height": size[1]})
+        page.add_init_script("localStorage.setItem('viser-user:artiworld', '\\n')")  # reflections
         page.goto(server.url)
         tab = kind(page, server)
         self._tabs.append(tab)

@@ -1,4 +1,4 @@
-"""Plain light for browsers without a GPU: seen in the page, kept over objects and reloads."""
+"""Plain light for browsers without a GPU: there from the start, kept over objects and reloads."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import trimesh
-from browsing import wait_until
+from browsing import COARSE, Tab, wait_until
 
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
 
@@ -15,7 +15,7 @@ SURROUNDINGS = "() => window.__viserMutable.scene.environment !== null"
 LAMPS = "() => '/light/sky' in window.__viserSceneTree.getState()"
 
 
-def test_plain_light_is_chosen_kept_and_taken_back(
+def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
     start: Any, open_tab: Any, tmp_path: Path
 ) -> None:
     for name in ("one", "two"):
@@ -26,16 +26,31 @@ def test_plain_light_is_chosen_kept_and_taken_back(
     def lit(plainly: bool) -> bool:
         return bool(page.evaluate(LAMPS)) == plainly != page.evaluate(SURROUNDINGS)
 
-    wait_until(lambda: lit(False), "lit by its surroundings")
-    tab.field("Plain light").check()
-    wait_until(lambda: lit(True), "lit plainly")
+    wait_until(lambda: lit(True), "lit plainly, as nothing was chosen and a processor draws")
+    assert tab.field("Plain light").is_checked()
     first = tab.app.object
     tab.key("n")
     wait_until(lambda: tab.app.object not in (first, None) and tab.app.drawn, "the next object")
     tab.wait_node("/scan")
     assert lit(True)
+    tab.field("Plain light").uncheck()
+    wait_until(lambda: lit(False), "lit by its surroundings")
     page.reload()
     wait_until(lambda: len(tab.server.apps) == 1 and tab.app.drawn, "the page again")
-    wait_until(lambda: lit(True), "lit plainly again")
-    tab.field("Plain light").uncheck()
     wait_until(lambda: lit(False), "lit by its surroundings again")
+    tab.field("Plain light").check()
+    wait_until(lambda: lit(True), "lit plainly again")
+
+
+def test_with_a_gpu_it_is_lit_by_its_surroundings(start: Any, browser: Any, tmp_path: Path) -> None:
+    trimesh.creation.box((0.4, 0.3, 0.2)).export(tmp_path / "one.glb")
+    server = start(tmp_path / "one.glb")
+    context = browser.new_context(viewport={"width": 800, "height": 600})
+    context.add_init_script(
+        "WebGLRenderingContext.prototype.getParameter = () => 'ANGLE (NVIDIA GeForce RTX 4090)'"
+    )
+    page = context.new_page()
+    page.goto(f"{server.url}{COARSE}")
+    tab = Tab(page, server).ready()
+    assert page.evaluate(SURROUNDINGS) and not tab.app.light.plain
+    context.close()

@@ -31,7 +31,7 @@ def fresh() -> list[Sample]:
     Of half as many, two decisions that turn over can hide what a whole cloud is worth.
     """
     families = training_families()
-    truths = [draw_truth(families[k % len(families)], 77_001, k)[0] for k in range(96)]
+    truths = [draw_truth(families[k % len(families)], 77_001, k)[0] for k in range(64)]
     found = [make_sample(t, named=False, seed=k) for k, t in enumerate(truths)]
     return [s for s in found if s is not None]
 

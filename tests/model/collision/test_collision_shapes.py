@@ -346,7 +346,7 @@ def scanned_chest() -> ArticulatedObject:
     obj, rng = chest(), np.random.default_rng(0)
     parts = []
     for part in obj.parts:
-        points = sample_surface(part.mesh, 3000, rng)[0].points.astype(np.float32)
+        points = sample_surface(part.mesh, 1000, rng)[0].points.astype(np.float32)
         colors = rng.integers(0, 255, (len(points), 3)).astype(np.uint8)
         parts.append(Part(part.link, cloud=PointCloud(points, None, colors), name=part.name))
     return ArticulatedObject(obj.name, tuple(parts), obj.tree)
