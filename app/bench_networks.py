@@ -60,7 +60,7 @@ class NetworksConfig:
     steps: int = 8
     clicks: int = 8
     parts: int = 5
-    training: FullConfig = field(default_factory=lambda: FullConfig(bfloat16=True))
+    training: FullConfig = field(default_factory=FullConfig)
 
 
 def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from model.geometric.context import PartContext
 from model.geometric.hypothesis import Hypothesis
-from model.geometric.sweep import free_range
+from model.geometric.sweep import free_turn
 from model.geometric.vocabulary import mechanism_of
 
 OPENING: dict[str, float] = {
@@ -72,15 +72,7 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
         return replace(best, axis=axis, lower=0.0)
 
     def sweep(stop: float) -> float:
-        return free_range(
-            context.scene,
-            context.part,
-            (context.parent,),
-            rotates=True,
-            axis=best.axis,
-            origin=best.origin,
-            stop=stop,
-        )
+        return free_turn(context, best.axis, best.origin, stop)
 
     if context.closed or shut_front(context, best):
         opening = sweep(np.pi * 0.95)

@@ -12,7 +12,7 @@ from model.geometric.context import PartContext
 from model.geometric.hypothesis import UP, Hypothesis, unit
 from model.geometric.outline import roundness
 from model.geometric.shape import Shape
-from model.geometric.sweep import TOLERANCE, free_range
+from model.geometric.sweep import TOLERANCE, free_turn
 from model.kinematics.sweep import TOLERANCE as SWEPT
 
 Array = npt.NDArray[np.float64]
@@ -149,16 +149,7 @@ def within_reach(context: PartContext, h: Hypothesis) -> Hypothesis:
         return h
 
     def free(stop: float) -> float:
-        return free_range(
-            context.scene,
-            context.part,
-            (context.parent,),
-            rotates=True,
-            axis=h.axis,
-            origin=h.origin,
-            stop=stop,
-            tolerance=SWEPT,
-        )
+        return free_turn(context, h.axis, h.origin, stop, SWEPT)
 
     lower, upper = free(h.lower), free(h.upper)
     if upper - lower < LEAST_TURN:
@@ -275,26 +266,8 @@ def tilt_hypotheses(context: PartContext) -> list[Hypothesis]:
         # The head of a lamp nods as its arms do.
         choices.append((plane.normal, 1.2 + 1.5 * plane.sureness))
     for axis, score in choices:
-        down = -free_range(
-            context.scene,
-            context.part,
-            (context.parent,),
-            rotates=True,
-            axis=axis,
-            origin=origin,
-            stop=-0.6,
-            tolerance=TOLERANCE,
-        )
-        up = free_range(
-            context.scene,
-            context.part,
-            (context.parent,),
-            rotates=True,
-            axis=axis,
-            origin=origin,
-            stop=0.6,
-            tolerance=TOLERANCE,
-        )
+        down = -free_turn(context, axis, origin, -0.6, TOLERANCE)
+        up = free_turn(context, axis, origin, 0.6, TOLERANCE)
         found.append(
             Hypothesis(
                 "revolute", axis, origin, -max(down, 0.15), max(up, 0.15), score, "tilts where held"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.geometric.context import PartContext
 from model.geometric.scene import Scene
 from model.geometric.shape import Shape
 from model.kinematics.joint import Joint
@@ -72,6 +73,22 @@ def free_range(
     depth = max(tolerance * frame.diagonal, finest)
     reached = free_until(tree, joint, surfaces, stop * unit, depth)
     return reached / unit
+
+
+def free_turn(
+    context: PartContext, axis: Array, origin: Array, stop: float, tolerance: float | None = None
+) -> float:
+    """:func:`free_range` of the part's turn (rad) against its parent."""
+    return free_range(
+        context.scene,
+        context.part,
+        (context.parent,),
+        rotates=True,
+        axis=axis,
+        origin=origin,
+        stop=stop,
+        tolerance=tolerance,
+    )
 
 
 def own_tolerance(shape: Shape) -> float:

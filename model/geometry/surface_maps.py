@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from model.geometry.formats.textures import TextureError, checked, decode
+from model.geometry.formats.textures import checked, decode, texture_bytes
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,7 @@ def open_image_file(path: Path) -> ImageFile:
     Raises:
         TextureError: where it is missing or not an image.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise TextureError(f"texture {path.name}: {error.strerror or error}") from None
-    return image_file(data, f"texture {path.name}")
+    return image_file(texture_bytes(path), f"texture {path.name}")
 
 
 def holds_normals(image: ImageFile) -> bool:

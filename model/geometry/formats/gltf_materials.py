@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeGuard
+from collections.abc import Callable
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 from PIL import Image, ImageStat
@@ -14,6 +15,8 @@ from model.geometry.formats.srgb import to_srgb
 from model.geometry.formats.textures import TextureError, decode
 from model.geometry.mesh import Material
 from model.geometry.surface_maps import ImageFile, SurfaceMaps, image_file
+
+T = TypeVar("T")
 
 BRIGHTER = "KHR_materials_emissive_strength"
 _BRIGHTEST = 1e6
@@ -125,29 +128,26 @@ class GltfMaterials:
         return (st * (across, up)) @ np.array([[c, s], [-s, c]]).T + offset
 
     def _texture(self, index: int) -> Image.Image | None:
-        source = self._source(index)
-        if source is None:
-            return None
-        if source not in self._images:
-            try:
-                self._images[source] = decode(self._data(source), f"image {source}")
-            except (InputFileError, TextureError) as error:
-                self._unusable("texture", error)
-                self._images[source] = None
-        return self._images[source]
+        return self._kept(self._images, index, "texture", decode)
 
     def _file(self, index: int, kind: str) -> ImageFile | None:
         """As :meth:`_texture`, but the pixels don't stay in memory."""
+        return self._kept(self._files, index, f"{kind} map", image_file)
+
+    def _kept(
+        self, kept: dict[int, T | None], index: int, what: str, read: Callable[[bytes, str], T]
+    ) -> T | None:
+        """An image of a texture, read once; None, with a remark, where that can't be done."""
         source = self._source(index)
         if source is None:
             return None
-        if source not in self._files:
+        if source not in kept:
             try:
-                self._files[source] = image_file(self._data(source), f"image {source}")
+                kept[source] = read(self._data(source), f"image {source}")
             except (InputFileError, TextureError) as error:
-                self._unusable(f"{kind} map", error)
-                self._files[source] = None
-        return self._files[source]
+                self._unusable(what, error)
+                kept[source] = None
+        return kept[source]
 
     def _unusable(self, what: str, error: InputFileError | TextureError) -> None:
         problem = error.problem if isinstance(error, InputFileError) else error

@@ -81,11 +81,19 @@ def open_texture(path: Path) -> Image.Image:
     Raises:
         TextureError: where it is missing or not an image.
     """
+    return decode(texture_bytes(path), f"texture {path.name}")
+
+
+def texture_bytes(path: Path) -> bytes:
+    """What is in the file ``path``.
+
+    Raises:
+        TextureError: where it can't be read.
+    """
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise TextureError(f"texture {path.name}: {error.strerror or error}") from None
-    return decode(data, f"texture {path.name}")
 
 
 def encode(image: Image.Image) -> tuple[bytes, str]:
