@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from app.judging import Wish
 from app.titles import in_words
-from model.errors import CommandError
+from model.core.asset import Source
+from model.core.errors import CommandError
 from model.exporters.asset_folder import publish
 from model.exporters.saved import recover
 from model.gate.report import GateReport
-from model.geometry.asset import Source
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.provenance import provenance

@@ -19,22 +19,17 @@ import numpy as np
 import numpy.typing as npt
 
 from app.mending import WHO, Mender
+from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.core.asset import Asset
+from model.core.errors import ConfigurationError
+from model.core.joint import Joint
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.datasets.registry import DatasetOptions, open_dataset
-from model.errors import ConfigurationError
 from model.evaluation.joint_metrics import UsableLimits, score_object
 from model.evaluation.pool import time_limit
-from model.geometry.asset import Asset
 from model.geometry.parts import split
-from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import (
-    ArticulatedObject,
-    Part,
-    Prediction,
-    SegmentedObject,
-)
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import load_segmenter

@@ -9,8 +9,8 @@ import sys
 
 from app.login import Login
 from app.network import check_address, is_loopback, url
-from model.errors import ConfigurationError
-from model.installing import install_command
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
 from model.remote import TOKEN_VARIABLE, is_backend
 
 DEFAULT_PORT = 8090

@@ -24,7 +24,7 @@ from starlette.types import Receive, Scope, Send
 from app import backend_tasks
 from app.jobs import Job, JobFailed, WorkerProcess
 from app.login import Login
-from model.errors import ArtiworldError
+from model.core.errors import ArtiworldError
 from model.remote.wire import CONTENT_TYPE, HEALTH_PATH, PREDICT_PATH, RequestError, read_header
 
 HEARTBEAT_SECONDS = 1.0

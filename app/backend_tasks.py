@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.progress import Progress, no_progress
 from model.predictor import Predictor
-from model.progress import Progress, no_progress
 
 _loaded: list[Predictor] = []
 

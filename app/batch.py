@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.evaluation.pool import in_processes
 
 T = TypeVar("T")

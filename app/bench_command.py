@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from app.options import add_json, count
-from model.errors import ConfigurationError
-from model.progress import Progress, no_progress
+from model.core.errors import ConfigurationError
+from model.core.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ import numpy as np
 from app.bench_predict import chest
 from model.arti4urdf.language_model import QWEN3, DecoderConfig
 from model.arti4urdf.point_bert import ULIP2, PointBertConfig
-from model.errors import ConfigurationError
-from model.progress import Progress, no_progress
+from model.core.errors import ConfigurationError
+from model.core.progress import Progress, no_progress
 from model.training.full_config import LORA_RANK, FullConfig
 
 if TYPE_CHECKING:
@@ -323,8 +323,8 @@ def _point_sam(config: NetworksConfig, device: str) -> dict[str, Any]:
 
 
 def _cloud(points: int) -> Any:
-    from model.geometry.asset import Asset
-    from model.geometry.mesh import Mesh
+    from model.core.asset import Asset
+    from model.core.mesh import Mesh
     from model.geometry.sampling import sample_surface
 
     parts = [part.mesh for part in chest(6).parts if part.mesh is not None]

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import Part, SegmentedObject
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.mesh import Mesh
+from model.core.progress import Progress, no_progress
 from model.predictor import Predictor
 from model.predictors import load_predictor
-from model.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from model.arti4urdf.predictor import Arti4UrdfPredictor

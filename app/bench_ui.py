@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from app.config import ServeConfig
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 
 WAIT_SECONDS = 300.0
 HEARTBEAT = 0.002
@@ -175,7 +175,7 @@ def _panels() -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
 
 
 def _cabinet_cloud(count: int, rng: np.random.Generator) -> Any:
-    from model.geometry.point_cloud import PointCloud
+    from model.core.point_cloud import PointCloud
 
     points, shares = [], np.array([0.55, 0.15, 0.15, 0.15])
     for (center, size), share in zip(_panels(), shares, strict=True):
@@ -190,7 +190,7 @@ def _cabinet_cloud(count: int, rng: np.random.Generator) -> Any:
 
 
 def _cabinet_mesh(faces: int) -> Any:
-    from model.geometry.mesh import Mesh
+    from model.core.mesh import Mesh
 
     vertices, triangles, start = [], [], 0
     cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))

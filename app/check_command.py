@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 from app.batch import asset_names, find_assets, run_all
 from app.options import add_json
 from app.physics_options import add_physics, physics_settings, store_folder
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
+    from model.core.articulated_object import ArticulatedObject
     from model.exporters.physics import Physics, PhysicsSettings
-    from model.kinematics.articulated_object import ArticulatedObject
 
 DOUBTS_TOLD = 3
 """Of one asset's joints that are to be looked at, in the table's lines; ``--json`` has all."""
@@ -114,9 +114,9 @@ def check_one(task: CheckTask) -> dict[str, Any]:
     Raises:
         ArtiworldError: where it can't be read.
     """
+    from model.core.inertial import inertial_problems
     from model.exporters.physics import physics_of, whose_shapes
     from model.exporters.saved import load_object, reading_notes
-    from model.kinematics.inertial import inertial_problems
 
     obj = load_object(task.asset)
     start = time.process_time()

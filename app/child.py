@@ -12,8 +12,8 @@ from typing import Any
 
 from app.job import Job, JobFailed
 from app.worker import pack, send, unpack
-from model.errors import ArtiworldError
-from model.threads import with_threads
+from model.core.errors import ArtiworldError
+from model.core.threads import with_threads
 
 
 class Child:

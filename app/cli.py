@@ -32,7 +32,7 @@ from app import (
     train_command,
 )
 from app.options import joined_axes
-from model.errors import ArtiworldError
+from model.core.errors import ArtiworldError
 
 _DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."
 

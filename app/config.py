@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 
 if TYPE_CHECKING:
-    from model.geometry.asset import UpAxis  # which reads numpy, and a help page needs none
+    from model.core.asset import UpAxis  # which reads numpy, and a help page needs none
 
 TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
 """Environment variable that may hold the token, so that it stands in no list of processes."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from app import room_tasks
 from app.jobs import CLICKS
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.document import Document
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from app.part_tasks import PartSource
 from app.segmenting_tasks import source_regions
 from app.tasks import ReadOptions, arrays_of, asset_of, working_copy
-from model.geometry.asset import Asset, ElementKind, UpAxis
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Prediction
-from model.progress import Progress, no_progress
+from model.core.articulated_object import Prediction
+from model.core.asset import Asset, ElementKind, UpAxis
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress, no_progress
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
 

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from app.network import check_address
-from model.errors import ArtiworldError
-from model.installing import install_command
-from model.resources import static_assets
+from model.core.errors import ArtiworldError
+from model.core.installing import install_command
+from model.core.resources import static_assets
 
 Status = Literal["fine", "note", "wrong"]
 MIN_MEMORY_GB = 4.0

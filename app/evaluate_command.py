@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.options import add_json, count
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.predictors import DEFAULT
 
 if TYPE_CHECKING:
     from app.printing import Show
+    from model.core.progress import Progress
     from model.datasets.registry import DatasetOptions
     from model.evaluation.report import Report
     from model.evaluation.run import EvaluationConfig
-    from model.progress import Progress
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -109,7 +109,7 @@ def _chosen(args: argparse.Namespace) -> Callable[[argparse.Namespace, Progress]
 @contextmanager
 def _progress(as_json: bool) -> Iterator[Progress]:
     """A bar on the terminal; nothing with JSON."""
-    from model.progress import no_progress
+    from model.core.progress import no_progress
 
     if as_json:
         yield no_progress

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from app.batch import ASSET_FILES, asset_names, find_assets, run_all
 from app.options import add_json
 from app.physics_options import add_physics, physics_settings, store_folder
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
+    from model.core.progress import Progress
     from model.exporters.physics import PhysicsSettings
-    from model.progress import Progress
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -106,12 +106,12 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
         ArtiworldError: where the asset can't be read or written.
     """
     from app.headless import part_of
+    from model.core.progress import no_progress
     from model.exporters.about import write_about
     from model.exporters.physics import physics_of, whose_shapes
     from model.exporters.readback import read_back
     from model.exporters.registry import BUILT_IN, load_exporter, losses_of, write_object
     from model.exporters.saved import load_object, reading_notes
-    from model.progress import no_progress
 
     progress = progress or no_progress
     progress(0.0, f"reading {task.asset}")

@@ -31,8 +31,8 @@ from app.login import Login, login_page
 from app.network import check_address, is_loopback
 from app.page import Page
 from app.upload_guard import UploadGuard
-from model.errors import ConfigurationError
-from model.installing import install_command
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
 
 VISER_VERSION = "1.1.1"
 MAX_MESSAGE_BYTES = 16 * 2**20

@@ -12,19 +12,19 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from app.prompt_file import PromptFile, check_prompts, read_prompts
-from model.errors import ArtiworldError, ConfigurationError, InputFileError
-from model.geometry.asset import Asset, UpAxis
-from model.kinematics.articulated_object import (
+from model.core.articulated_object import (
     ArticulatedObject,
     Part,
     Prediction,
     SegmentedObject,
     remarks_of,
 )
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.asset import Asset, UpAxis
+from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.predictors import DEFAULT
-from model.progress import Progress, no_progress
 
 FORMAT = 1
 OBJECT_JSON = "object.json"

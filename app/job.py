@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Hashable
 from typing import Any, Generic, Literal, TypeVar
 
-from model.progress import Cancelled
+from model.core.progress import Cancelled
 
 T = TypeVar("T")
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]
@@ -36,7 +36,7 @@ class Job(Generic[T]):
         state: "queued", "running", "done", "failed" or "cancelled".
         fraction: progress in [0, 1].
         message: what is being done now.
-        error: why it failed: an :class:`~model.errors.ArtiworldError` or a :class:`JobFailed`.
+        error: why it failed: an :class:`~model.core.errors.ArtiworldError` or a :class:`JobFailed`.
     """
 
     def __init__(

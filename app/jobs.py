@@ -87,7 +87,7 @@ class WorkerProcess:
 
         Args:
             function: importable by name. Where it takes ``progress``, it gets a
-                :class:`~model.progress.Progress` that reports here and stops a cancelled job.
+                :class:`~model.core.progress.Progress` that reports here and stops a cancelled job.
             on_progress: called with (fraction, message) on the callback thread.
             priority: higher runs earlier; equal ones in the order of submission.
             key: a queued (not running) job of the same key is cancelled and this one takes its

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from app.titles import joint_title
-from model.errors import CommandError
+from model.core.errors import CommandError
+from model.core.tree import KinematicTree
 from model.gate.report import GateReport, Mend
 from model.gate.unsure import with_unsure
-from model.kinematics.tree import KinematicTree
 from sessions.document import Document
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from app.part_tasks import PartSource, articulated_object
-from model import codec
+from model.core import codec
+from model.core.progress import Progress, no_progress
+from model.core.resources import static_assets
+from model.core.tree import KinematicTree
 from model.gate.report import GateReport
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
-from model.resources import static_assets
 
 PACKAGES = static_assets().parent
 DECIDES = ("collision", "exporters", "gate", "geometry", "kinematics")

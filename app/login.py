@@ -9,7 +9,7 @@ import secrets
 import time
 from collections import OrderedDict
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 
 MIN_TOKEN_LENGTH = 8
 ATTEMPTS = 5

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from model.core.articulated_object import ArticulatedObject, SegmentedObject
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import (
     UsableLimits,
     axis_angle,
@@ -15,9 +18,6 @@ from model.evaluation.joint_metrics import (
 )
 from model.evaluation.tree_metrics import chain, path
 from model.geometric.retyping import retyped
-from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from sessions.commands import SetJoint, SetRoot
 from sessions.live import LiveSession
 

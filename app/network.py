@@ -7,7 +7,7 @@ import ipaddress
 import os
 import socket
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 
 PORTS = range(8080, 8100)
 """Tried in order where nobody asks for a port."""

@@ -24,9 +24,9 @@ from app.running_jobs import RunningJobs
 from app.segmenting import SOURCE, Segmenting
 from app.tasks import ReadOptions, Stamp, stamp_if_there
 from app.watched import Watched
-from model.errors import ArtiworldError, CommandError
+from model.core.errors import ArtiworldError, CommandError
+from model.core.tree import KinematicTree
 from model.gate.report import GateReport
-from model.kinematics.tree import KinematicTree
 from model.predictors import DEFAULT as DEFAULT_PREDICTOR
 from model.remote.http_predictor import BackendError
 from model.segmentation.prompts import BASE

@@ -11,17 +11,12 @@ import numpy as np
 
 from app.tasks import arrays_of, asset_of
 from model.collision.shapes import Shape
-from model.kinematics.articulated_object import (
-    ArticulatedObject,
-    Part,
-    Prediction,
-    SegmentedObject,
-)
-from model.kinematics.inertial import Inertial
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
-from model.recent import Recent
+from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.core.inertial import Inertial
+from model.core.joint import Joint
+from model.core.lru_cache import Recent
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.segmentation.prompts import BASE
 
 

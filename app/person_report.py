@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any
 
 from app.annotator import BY_HAND, AnnotatorConfig, PersonScore, annotate
+from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
-from model.progress import Progress, no_progress
 
 COLUMNS = (
     "predictor", "objects", "right %", "clicks", "part IoU", "wrong joints %", "corrections",

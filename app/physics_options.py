@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from model.exporters.physics import PhysicsSettings

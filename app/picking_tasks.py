@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from app.tasks import arrays_of, asset_of
+from model.core.lru_cache import Recent
 from model.geometry.strokes import Stroke
-from model.recent import Recent
 
 
 @dataclass(frozen=True)

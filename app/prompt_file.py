@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import ArtiworldError, InputFileError
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.errors import ArtiworldError, InputFileError
 from model.segmentation.prompts import MAX_PARTS, Click, Prompts, Region
 from sessions.checks import NAME_LIMIT
 from sessions.text import clean_text

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from app import tasks
-from model.errors import CommandError
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
+from model.core.asset import Asset
+from model.core.errors import CommandError
+from model.core.progress import Progress, no_progress
 
 GRID = 128.0
 """Origins lie on multiples of 1/128 m: taking one off a float32 loses next to nothing."""

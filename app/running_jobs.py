@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from app.jobs import Job
-from model.errors import ArtiworldError
-from model.progress import Cancelled
+from model.core.errors import ArtiworldError
+from model.core.progress import Cancelled
 
 log = logging.getLogger(__name__)
 

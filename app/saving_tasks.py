@@ -15,9 +15,9 @@ from pathlib import Path
 
 from app.part_tasks import PartSource, articulated_object
 from app.tasks import asset_of
-from model.errors import ArtiworldError, InputFileError
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
+from model.core.errors import ArtiworldError, InputFileError
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 
 DRAFTS_KEPT = 4
 

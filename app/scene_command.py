@@ -140,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _convert(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     from app.headless import check_output
-    from model.errors import ConfigurationError
+    from model.core.errors import ConfigurationError
     from model.predictors import check_predictor
     from model.scenes.convert import ConvertSettings, convert_scene
     from model.scenes.registry import read_scene
@@ -189,7 +189,7 @@ def _clicked(args: argparse.Namespace) -> dict[str, Any]:
     if not args.clicks:
         return {}
     from app.prompt_file import read_prompts
-    from model.errors import ConfigurationError
+    from model.core.errors import ConfigurationError
     from model.scenes.clicked import ObjectClicks
 
     out: dict[str, Any] = {}

@@ -27,7 +27,7 @@ from app.scene_shapes import DrawnParts, Shape
 from app.scene_tasks import OpenedScene, Prepared, SceneItem
 from app.tasks import ReadOptions
 from app.watched import Notice, Watched
-from model.errors import ArtiworldError, CommandError
+from model.core.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable

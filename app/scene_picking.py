@@ -19,7 +19,7 @@ from app import room_tasks, scene_tasks
 from app.cutting import pick_out
 from app.jobs import CLICKS
 from app.scene_tasks import SceneItem
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.scenes.finders import LexiconFinder
 from model.scenes.own_file import quaternion_wxyz
 from model.scenes.poses import pose, rotation_from_quaternion

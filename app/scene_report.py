@@ -20,10 +20,10 @@ import numpy as np
 from app.part_tasks import PartSource, articulated_object
 from app.scene_shapes import Shape
 from app.scene_tasks import SceneItem
-from model.errors import ArtiworldError, InputFileError
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
+from model.core.errors import ArtiworldError, InputFileError
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.scenes.results import SCENE_JSON
 from model.scenes.scene import SceneProblem
 
@@ -229,10 +229,10 @@ def _same(limits: Sequence[float] | None, was: Sequence[float] | None) -> bool:
 
 
 def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]) -> bytes | None:
+    from model.core.articulated_object import ArticulatedObject, Part
+    from model.core.mesh import Mesh
+    from model.core.point_cloud import PointCloud
     from model.evaluation import render
-    from model.geometry.mesh import Mesh
-    from model.geometry.point_cloud import PointCloud
-    from model.kinematics.articulated_object import ArticulatedObject, Part
     from model.kinematics.urdf_meshes import merged
 
     by_state: dict[str, list[Mesh]] = {}

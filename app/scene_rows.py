@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from app.scene_shapes import DrawnParts
 from app.scene_tasks import SceneItem
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from sessions.document import Document
 from sessions.live import LiveSession
 

@@ -18,10 +18,10 @@ from app.jobs import CLICKS
 from app.part_tasks import PartSource, articulated_object
 from app.scene_report import ReportRow, write_report
 from app.scene_tasks import OpenedScene, SceneItem
-from model.errors import ArtiworldError, CommandError
+from model.core.errors import ArtiworldError, CommandError
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.gate.words import called
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
 from model.scenes.jobs import (
     ACCEPTED,
     ASSETS,

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from app.tasks import ReadOptions, arrays_of, stamp, working_copy
-from model.errors import ArtiworldError
-from model.geometry.asset import Source
-from model.kinematics.articulated_object import Part
-from model.progress import Progress, no_progress
+from model.core.articulated_object import Part
+from model.core.asset import Source
+from model.core.errors import ArtiworldError
+from model.core.progress import Progress, no_progress
 
 BATCH_SECONDS = 0.4
 """Work on pictures after which a job hands over what it has, so that the scene fills up."""

@@ -21,10 +21,10 @@ import numpy.typing as npt
 
 from app import part_tasks, room_tasks, segmenting_tasks, tasks
 from app.prompt_file import beside
-from model.errors import CommandError
-from model.geometry.asset import Asset
-from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
-from model.progress import Progress, no_progress
+from model.core.articulated_object import Part, Prediction, SegmentedObject
+from model.core.asset import Asset
+from model.core.errors import CommandError
+from model.core.progress import Progress, no_progress
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, MAX_PARTS, Click

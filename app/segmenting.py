@@ -15,7 +15,7 @@ from app import segmenting_tasks, tool_tasks
 from app.display_tasks import OpenedAsset
 from app.jobs import CLICKS, PREVIEWS, Job
 from app.segmenting_tasks import StoredRegion
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef

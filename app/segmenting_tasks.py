@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from app.tasks import arrays_of, asset_of
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
-from model.recent import Recent
+from model.core.asset import Asset
+from model.core.lru_cache import Recent
+from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import Click, Prompts, Region
 
 ENCODINGS_KEPT = 8

@@ -11,7 +11,7 @@ from app.config import TOKEN_VARIABLE, ServeConfig
 from app.login import Login, new_token
 from app.network import check_address, free_port, is_loopback
 from app.options import add_point_sam, add_reading
-from model.errors import ConfigurationError, InputFileError
+from model.core.errors import ConfigurationError, InputFileError
 from model.predictors import DEFAULT
 from model.remote import is_backend
 

@@ -17,8 +17,8 @@ from app.network import url
 from app.scene_desk import SceneDesk
 from app.viewer.client_app import ClientApp
 from app.workbench import Workbench
-from model.errors import InputFileError
-from model.resources import static_assets
+from model.core.errors import InputFileError
+from model.core.resources import static_assets
 from sessions.store import Store
 
 log = logging.getLogger(__name__)

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from app.part_tasks import PartSource, parts_of, segmented_object
-from model.errors import CommandError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import CommandError
+from model.core.joint import Joint, JointType
+from model.core.tree import KinematicTree
 from model.gate.words import moving_chain
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint, JointType
-from model.kinematics.tree import KinematicTree
 
 SWEEP_POINTS = 3000
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError, CommandError
-from model.geometry.asset import Asset, UpAxis
-from model.progress import Progress, no_progress
+from model.core.asset import Asset, UpAxis
+from model.core.errors import ArtiworldError, CommandError
+from model.core.progress import Progress, no_progress
 from sessions.tool_commands import FaceCut
 
 Stamp = tuple[tuple[str, int, int], ...]

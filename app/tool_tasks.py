@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from app.segmenting_tasks import StoredRegion, prompts_of, session_of
 from app.tasks import arrays_of, asset_of
-from model.errors import CommandError
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
-from model.recent import Recent
+from model.core.asset import Asset
+from model.core.errors import CommandError
+from model.core.lru_cache import Recent
+from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
 from sessions.tool_commands import FaceCut

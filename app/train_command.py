@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigurationError: for a mistake in the options.
     """
     from app.headless import check_output
-    from model.errors import ConfigurationError
+    from model.core.errors import ConfigurationError
     from model.training.config import CONFIDENCE
     from model.training.full_config import full_presets
 
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _fit_confidence(args: argparse.Namespace) -> int:
-    from model.errors import ConfigurationError
+    from model.core.errors import ConfigurationError
     from model.evaluation.table import progress_bar
     from model.training.confidence import PREDICTORS, fit_confidence
     from model.training.config import CONFIDENCE
@@ -187,9 +187,9 @@ def _train_small(args: argparse.Namespace) -> int:
 
 
 def _train_full(args: argparse.Namespace, preset: FullConfig) -> int:
-    from model.errors import ConfigurationError
+    from model.core.errors import ConfigurationError
+    from model.core.progress import no_progress
     from model.evaluation.table import progress_bar
-    from model.progress import no_progress
     from model.training.full_config import require_extras
 
     if args.language_model is None or args.point_encoder is None:

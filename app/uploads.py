@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path, PurePosixPath
 
 from app.upload_guard import plain_name
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 
 MOST_FILES = 5000
 MOST_RATIO = 200

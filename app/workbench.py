@@ -19,8 +19,8 @@ from app.part_tasks import PartSource
 from app.review_order import ReviewOrder
 from app.tasks import stamp_if_there
 from app.watched import Listener
-from model.errors import CommandError
-from model.kinematics.tree import KinematicTree
+from model.core.errors import CommandError
+from model.core.tree import KinematicTree
 from sessions.live import SessionHub
 from sessions.store import Begun, ObjectRecord, Store
 

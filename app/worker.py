@@ -25,8 +25,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from model.errors import ArtiworldError
-from model.progress import Cancelled
+from model.core.errors import ArtiworldError
+from model.core.progress import Cancelled
 
 PROGRESS_PERIOD = 0.03
 """Seconds between two progress messages; a loop may report far more often than people can see."""

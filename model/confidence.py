@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
-from model.resources import static_assets
+from model.core.errors import InputFileError
+from model.core.resources import static_assets
 
 Array = npt.NDArray[np.float64]
 Evidence = Mapping[str, float]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from model.kinematics.articulated_object import Prediction, SegmentedObject
-from model.kinematics.joint import Joint
-from model.progress import Progress, no_progress
+from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
 
 
 @runtime_checkable
@@ -29,6 +29,6 @@ class Predictor(Protocol):
             segmented: parts; category and part names are hints that may be missing.
             locked: joints that the person has settled; they come out unchanged.
             seed: the only source of randomness.
-            progress: may raise :class:`~model.progress.Cancelled`.
+            progress: may raise :class:`~model.core.progress.Cancelled`.
         """
         ...

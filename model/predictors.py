@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.remote import is_backend
 
 if TYPE_CHECKING:  # the command line asks for names alone
@@ -59,7 +59,7 @@ def _table() -> dict[str, Callable[[], Predictor]]:
 
 
 def _plug_in(point: EntryPoint) -> Predictor:
-    from model.plug_ins import load_plug_in
+    from model.core.plug_ins import load_plug_in
     from model.predictor import Predictor
 
     return load_plug_in(point, "predictor", Predictor, "name and predict")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import StoreError
+from model.core.errors import StoreError
 
 MAGIC = b"ARTIWORLD-ARRAY 1\n"
 _MAGIC_ANY = b"ARTIWORLD-ARRAY "

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.segmentation.prompts import MAX_PARTS
 from sessions.text import clean_text
 

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast, get_args
 
-from model import codec
-from model.errors import CommandError
-from model.geometry.asset import UpAxis
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
+from model.core import codec
+from model.core.articulated_object import Prediction
+from model.core.asset import UpAxis
+from model.core.errors import CommandError
+from model.core.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clean_name, put_field
 from sessions.review import REJECT_REASONS, RejectReason

@@ -27,7 +27,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import URL, make_url
 
-from model.errors import StoreError
+from model.core.errors import StoreError
 
 FORMAT = "0001"
 """Newest migration; the format that this version reads and writes."""
@@ -87,7 +87,7 @@ snapshots = Table(
 
 
 class Database:
-    """An engine whose errors are :class:`~model.errors.StoreError`.
+    """An engine whose errors are :class:`~model.core.errors.StoreError`.
 
     Args:
         url: any SQLAlchemy URL; :func:`sqlite_file` makes one of a path. SQLite runs in WAL mode

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from model.geometry.asset import UpAxis
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Prediction
+from model.core.asset import UpAxis
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.review import RejectReason, ReviewState
 from sessions.scene_commands import Decided, PickOut

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from model.errors import ArtiworldError, CommandError
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.errors import ArtiworldError, CommandError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.segmentation.prompts import BASE, Click
 from sessions.commands import (
     Accept,

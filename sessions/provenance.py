@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import Any
 
-from model import codec
-from model.geometry.asset import Source
+from model.core import codec
+from model.core.asset import Source
 from model.segmentation.prompts import Click
 from sessions.commands import (
     LockJoint,

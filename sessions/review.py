@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, get_args
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 
 ReviewState = Literal["todo", "in_progress", "predicted", "accepted", "rejected"]
 RejectReason = Literal["range", "axis", "type", "parts", "not_articulated", "other"]

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions.checks import NAME_LIMIT, PATH_LIMIT, check_count, check_pose, put_field
 from sessions.review import REJECT_REASONS, RejectReason
 from sessions.text import clean_text

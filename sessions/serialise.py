@@ -10,10 +10,10 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from model import codec
-from model.errors import StoreError
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.tree import KinematicTree
+from model.core import codec
+from model.core.articulated_object import Prediction
+from model.core.errors import StoreError
+from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions.document import (
     Document,

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions.commands import Command, Placed, RecordSegmentation, Redo, Saved, Undo
 from sessions.document import Document, acceptance_problems, prompts_key, review_problems
 from sessions.edits import Context, amend, edit

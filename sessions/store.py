@@ -18,8 +18,8 @@ from typing import Any
 import numpy.typing as npt
 from sqlalchemy import Connection, Row, delete, exc, insert, select, update
 
-from model import codec
-from model.errors import CommandError, StoreError
+from model.core import codec
+from model.core.errors import CommandError, StoreError
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 
 _BIDI_CONTROLS = frozenset(
     map(chr, (0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
 from sessions.checks import (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from model.errors import KinematicsError
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.errors import KinematicsError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 
 
 def replace_joint(tree: KinematicTree, joint: Joint) -> KinematicTree:

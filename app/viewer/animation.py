@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from model.kinematics.joint import Joint
+from model.core.joint import Joint
 
 TICKS_PER_SECOND = 25.0
 PERIOD_SECONDS = 3.2

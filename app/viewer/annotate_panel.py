@@ -17,7 +17,7 @@ from app.viewer.quick_names import NUMBERED, QuickNames
 from app.viewer.stage import may_be_a_room
 from app.viewer.unit_hint import UnitHint
 from app.viewer.widgets import NONE, put
-from model.progress import Cancelled
+from model.core.progress import Cancelled
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef

@@ -33,8 +33,8 @@ from app.viewer.seen import Seen
 from app.viewer.source_panel import SourcePanel
 from app.viewer.tab_threads import TabThreads
 from app.workbench import Workbench
-from model.errors import ArtiworldError
-from model.kinematics.joint import Joint
+from model.core.errors import ArtiworldError
+from model.core.joint import Joint
 from model.segmentation.prompts import MAX_PARTS
 from sessions import commands as cmd
 

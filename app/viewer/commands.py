@@ -10,7 +10,7 @@ from app.accepting import accept, take_back
 from app.judging import LookFirstError
 from app.pointer_messages import tell_page
 from app.viewer.keys import KEYS
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason
 

@@ -10,7 +10,7 @@ from app.titles import in_words, joint_title
 from app.viewer import palette
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.gate.report import GateReport, JointVerdict, MendKind, Verdict
 from sessions import commands as cmd
 from sessions.document import Document

@@ -14,8 +14,8 @@ from app.open_object import OpenObject
 from app.pointer_messages import ArtiworldHoverMessage
 from app.segmenting import stored_prompts
 from app.viewer import palette
-from model.errors import ArtiworldError
-from model.progress import Cancelled
+from model.core.errors import ArtiworldError
+from model.core.progress import Cancelled
 from model.segmentation.prompts import Click
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from app.viewer.scene_list import SceneList, order
 from app.viewer.scene_motion import SceneMotion
 from app.viewer.scene_picture import ScenePicture
 from app.viewer.stage import fitting_distance
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason
 from sessions.scene_commands import DecideObjects

@@ -15,9 +15,9 @@ from app.open_object import OpenObject
 from app.titles import joint_title, part_title
 from app.viewer.joint_text import joint_note, shown
 from app.viewer.widgets import differs, put
-from model.errors import CommandError
-from model.kinematics.joint import JOINT_TYPES, Joint
-from model.kinematics.tree import KinematicTree
+from model.core.errors import CommandError
+from model.core.joint import JOINT_TYPES, Joint
+from model.core.tree import KinematicTree
 from sessions import commands as cmd
 from sessions.document import Document
 

@@ -15,7 +15,7 @@ from viser import transforms as vtf
 from app.display_tasks import PartPayload
 from app.judging import JointCheck
 from app.viewer import palette
-from model.kinematics.tree import KinematicTree
+from model.core.tree import KinematicTree
 
 Poses = Mapping[str, npt.NDArray[np.float64]]
 """Link → posed_from_rest."""

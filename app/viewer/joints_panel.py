@@ -15,8 +15,8 @@ from app.viewer.joint_text import shown, tree_text
 from app.viewer.palette import CATEGORIES, PART_NAMES
 from app.viewer.quick_names import NUMBERED, QuickNames
 from app.viewer.widgets import NONE, put
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
 

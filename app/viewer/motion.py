@@ -11,8 +11,8 @@ import numpy.typing as npt
 from viser import transforms as vtf
 
 from app.viewer.animation import Animation
+from model.core.joint import Joint
 from model.gate.report import Finding
-from model.kinematics.joint import Joint
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp

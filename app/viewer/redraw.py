@@ -12,7 +12,7 @@ from app.viewer import palette
 from app.viewer.joint_marks import AxisMark, axis_length
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from model.kinematics.joint import Joint
+from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.document import Document
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from app.viewer.widgets import put
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions.review import RejectReason
 
 if TYPE_CHECKING:

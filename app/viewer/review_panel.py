@@ -21,7 +21,7 @@ from app.viewer.prompt_list import tool_label
 from app.viewer.rejecting import RejectButtons
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.describe import describe
 from sessions.document import Document

@@ -19,8 +19,8 @@ from app.scene_rows import Work
 from app.scene_shapes import Shape
 from app.viewer import palette
 from app.viewer.scene_rays import hit_distance, meets_boxes, nearly_hit, within_tolerance
+from model.core.mesh import Material, Mesh
 from model.geometry.glb import mesh_to_glb
-from model.geometry.mesh import Material, Mesh
 from model.geometry.picking import TOLERANCE
 
 GHOST_OPACITY = 0.14

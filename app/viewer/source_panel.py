@@ -8,7 +8,7 @@ from app.cutting import cut_out, leave_out
 from app.open_object import OpenObject
 from app.viewer.text import plain
 from app.viewer.widgets import put
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.geometry.units import UNITS
 from sessions import commands as cmd
 

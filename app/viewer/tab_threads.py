@@ -12,8 +12,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from model.errors import ArtiworldError
-from model.progress import Cancelled
+from model.core.errors import ArtiworldError
+from model.core.progress import Cancelled
 
 log = logging.getLogger(__name__)
 

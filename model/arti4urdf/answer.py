@@ -18,14 +18,14 @@ import numpy.typing as npt
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.grammar import FREE, Decision
 from model.arti4urdf.structure import Structure
-from model.errors import ArtiworldError, KinematicsError
+from model.core.articulated_object import ArticulatedObject, SegmentedObject
+from model.core.errors import ArtiworldError, KinematicsError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
 from model.geometric.hypothesis import Hypothesis, snapped, unit
 from model.geometric.predictor import joints_of
-from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.kinematics.tree_json import tree_json_problems, tree_to_json
 from model.kinematics.urdf import to_urdf_text, vector
 from model.kinematics.urdf_reader import read_urdf_model

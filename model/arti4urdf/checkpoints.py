@@ -18,7 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 
 FORMAT = 1
 CONFIG_FILE = "config.json"

@@ -19,7 +19,7 @@ from model.arti4urdf import vocabulary as v
 from model.arti4urdf.grammar import Choice, Decision, Feed, Grammar, Lock
 from model.arti4urdf.network import ArtiModel, Prompt, feeds_to_tensors
 from model.arti4urdf.structure import CANDIDATE_SCALARS, SLOTS
-from model.threads import chosen_by_person
+from model.core.threads import chosen_by_person
 
 Array = npt.NDArray[np.float64]
 

@@ -28,8 +28,8 @@ from model.arti4urdf.published_weights import (
     load_tokenizer,
     read_qwen3_config,
 )
-from model.errors import ConfigurationError, InputFileError
-from model.installing import install_command
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.installing import install_command
 
 GLOBAL, PART = "<g>", "<p>"
 SPECIAL_TOKENS = (

@@ -16,11 +16,11 @@ from model.arti4urdf.published_weights import load_qwen3
 from model.arti4urdf.text_engine import LocalEngine, TextEngine, VllmEngine
 from model.arti4urdf.text_prompt import make_example
 from model.arti4urdf.text_script import Author
-from model.errors import ConfigurationError, KinematicsError
-from model.kinematics.articulated_object import ArticulatedObject, Prediction, SegmentedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
+from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
+from model.core.errors import ConfigurationError, KinematicsError
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 
 TOKENS_PER_PART = 400
 TOKENS_AT_LEAST = 600

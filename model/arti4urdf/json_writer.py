@@ -16,7 +16,7 @@ from torch import Tensor
 
 from model.arti4urdf.language_model import Decoder
 from model.arti4urdf.published_weights import load_qwen3
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 
 LONGEST_SENTENCE, LONGEST_NAME, MOST_NAMES = 60, 8, 8
 """Tokens of the reason and of a name, and names in a list."""

@@ -19,10 +19,10 @@ from model.arti4urdf.motion_check import checked
 from model.arti4urdf.network import ArtiModel, Prompt
 from model.arti4urdf.structure import Structure, read_structure, structure_arrays
 from model.confidence import Evidence, doubt, weighing_of
+from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
 from model.geometric.predictor import assemble
-from model.kinematics.articulated_object import Prediction, SegmentedObject
-from model.kinematics.joint import Joint
-from model.progress import Progress, no_progress
 
 Array = npt.NDArray[np.float64]
 

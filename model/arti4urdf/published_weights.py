@@ -18,7 +18,7 @@ from torch import Tensor
 from model.arti4urdf.checkpoints import read_json, read_safetensors, strict_load
 from model.arti4urdf.language_model import Decoder, DecoderConfig
 from model.arti4urdf.point_bert import ULIP2, PointBert
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 
 if TYPE_CHECKING:
     from tokenizers import Tokenizer

@@ -15,6 +15,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import SegmentedObject
+from model.core.progress import Progress, no_progress
 from model.geometric.context import Assembly, PartContext
 from model.geometric.hypothesis import Hypothesis
 from model.geometric.looks import Looks, look
@@ -27,8 +29,6 @@ from model.geometric.scene import SAMPLE_BUDGET, Scene, make_scene
 from model.geometric.shape import rotation
 from model.geometric.tree import root_scores, spanning_parents
 from model.geometric.vocabulary import mechanism_of
-from model.kinematics.articulated_object import SegmentedObject
-from model.progress import Progress, no_progress
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]

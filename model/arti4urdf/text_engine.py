@@ -15,9 +15,9 @@ from torch import Tensor
 from model.arti4urdf.language_model import Decoder
 from model.arti4urdf.text_script import Author
 from model.arti4urdf.text_writing import Vocabulary, Written, write
-from model.errors import ConfigurationError
-from model.installing import install_command
-from model.progress import Progress, no_progress
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
+from model.core.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)

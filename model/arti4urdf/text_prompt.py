@@ -15,8 +15,8 @@ from torch import Tensor
 
 from model.arti4urdf.answer import JSON_END, JSON_START, URDF_END, URDF_START
 from model.arti4urdf.full_model import GLOBAL, PART, Example
+from model.core.articulated_object import Part, SegmentedObject
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.contact import contacts
 
 _SYSTEM = (

@@ -18,9 +18,9 @@ from model.arti4urdf import vocabulary as v
 from model.arti4urdf.answer import DECIMALS, JSON_END, JSON_START, URDF_START, write_answer
 from model.arti4urdf.grammar import Choice, Grammar, Lock
 from model.arti4urdf.structure import SLOTS
-from model.kinematics.articulated_object import SegmentedObject
-from model.kinematics.joint import JOINT_TYPES, Joint, JointType
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import SegmentedObject
+from model.core.joint import JOINT_TYPES, Joint, JointType
+from model.core.tree import KinematicTree
 from model.kinematics.urdf import vector
 
 WHOLE_DIGITS = 3

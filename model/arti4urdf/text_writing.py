@@ -16,7 +16,7 @@ from torch import Tensor
 
 from model.arti4urdf.language_model import Decoder
 from model.arti4urdf.text_script import Author, Numbers, OneOf
-from model.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)

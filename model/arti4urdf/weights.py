@@ -12,8 +12,8 @@ from model.arti4urdf.checkpoints import load_checkpoint, save_checkpoint, strict
 from model.arti4urdf.language_model import DecoderConfig
 from model.arti4urdf.network import ArtiModel, ModelConfig
 from model.arti4urdf.point_bert import PointBertConfig
-from model.errors import InputFileError
-from model.resources import static_assets
+from model.core.errors import InputFileError
+from model.core.resources import static_assets
 
 SHIPPED = static_assets() / "arti4urdf"
 """The weights that come with the repository."""

@@ -22,13 +22,13 @@ from model.collision.shapes import Primitive, Shape, hull_of_shape
 from model.collision.store import fingerprint, load_shapes, packed, save_shapes
 from model.collision.touching import Bodies
 from model.collision.voxels import Occupancy, occupancy
-from model.errors import GeometryError
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import GeometryError
+from model.core.joint import Joint
+from model.core.lru_cache import Recent
+from model.core.mesh import Mesh
+from model.core.progress import Progress, no_progress
 from model.kinematics.sweep import sweep_joint
-from model.progress import Progress, no_progress
-from model.recent import Recent
 
 Method = Literal["hollow", "auto", "coacd", "hull"]
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from model.collision.hulls import FloatArray, Hull, hull_of
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 
 
 def coacd_installed() -> bool:

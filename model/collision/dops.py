@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from model.collision.hulls import Hull, coarse, thick_hull
 from model.collision.voxels import Occupancy, lattice_with_faces
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 
 SAMPLES = 4000
 """Free voxels that stand for all of them."""

@@ -15,7 +15,7 @@ from model.collision.relief import moving_pairs, poses_over_range
 from model.collision.shapes import hull_of_shape
 from model.collision.touching import overlaps
 from model.collision.voxels import occupancy
-from model.kinematics.articulated_object import ArticulatedObject
+from model.core.articulated_object import ArticulatedObject
 
 VOXELS = 200_000
 """Finer than what shapes are made with, so that they are not judged by their own measure."""

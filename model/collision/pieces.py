@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from model.collision.dops import FloatArray, Surface
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 from model.geometry.topology import connected_shells, face_adjacency, weld
 
 SMOOTH = 0.5

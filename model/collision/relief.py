@@ -22,8 +22,8 @@ import numpy.typing as npt
 from model.collision.hulls import Hull, clipped
 from model.collision.overlap import Overlap, overlap
 from model.collision.touching import Bodies, Touching, Way, overlaps
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.kinematics.ways import joint_poses
 
 GAP = 2e-4

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from model.collision.hulls import hull_of
 from model.collision.shapes import Primitive, Shape, Solid
-from model.kinematics.articulated_object import Part
+from model.core.articulated_object import Part
 
 VERSION = 7
 """Counted up when the same input gives other shapes."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.collision.hulls import Hull
 from model.collision.overlap import depths, overlap
-from model.recent import Recent, content_of
+from model.core.lru_cache import Recent, content_of
 
 FloatArray = npt.NDArray[np.float64]
 Bodies = dict[str, list[Hull]]

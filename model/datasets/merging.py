@@ -11,11 +11,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from model.collision.shapes import Shape
-from model.errors import KinematicsError
-from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
-from model.kinematics.inertial import Inertial, together
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.errors import KinematicsError
+from model.core.inertial import Inertial, together
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import merged, merged_clouds
 

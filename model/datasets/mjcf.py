@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from model.core.errors import InputFileError
 from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.errors import InputFileError
 from model.kinematics.mjcf_reader import need_mujoco, read_mjcf_model
 from model.kinematics.urdf_meshes import load_part
 

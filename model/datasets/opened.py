@@ -16,24 +16,24 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.shapes import Shape, moved_shape
+from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.errors import InputFileError
+from model.core.inertial import Inertial
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.datasets.merging import group_inertial, rigid_groups
 from model.datasets.partnet_mobility import partnet_category, semantic_names
 from model.datasets.urdf_folders import description_beside
-from model.errors import InputFileError
 from model.exporters.about import category_told
 from model.exporters.saved import PROVENANCE, URDF, load_object, reading_notes, told_links
 from model.geometry.formats.mtl import MaterialFiles
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
-from model.kinematics.inertial import Inertial
-from model.kinematics.joint import Joint
 from model.kinematics.model_files import read_model
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY, UrdfModel, package_root
-from model.progress import Progress, no_progress
 from model.segmentation.prompts import MAX_PARTS
 
 _LINK = re.compile(r"link_(\d+)")

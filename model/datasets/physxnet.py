@@ -28,14 +28,14 @@ from typing import Any
 
 import numpy as np
 
+from model.core.articulated_object import Part
+from model.core.errors import InputFileError, KinematicsError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.errors import InputFileError, KinematicsError
-from model.geometry.mesh import Mesh
 from model.geometry.readers import read_asset, turned_up
-from model.kinematics.articulated_object import Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged
 
 Vector = tuple[float, float, float]

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from model.core.errors import ConfigurationError, InputFileError
 from model.datasets.procedural.corruption import FAULTS, corrupted
 from model.datasets.procedural.generate import OBJ_FROM_OBJECT, family_names, make
 from model.datasets.procedural.grammar import transformed
 from model.datasets.protocol import GroundTruth
-from model.errors import ConfigurationError, InputFileError
 from model.kinematics.urdf_reader import rotation_from_rpy
 
 SEEDS = 10**9

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
+from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from model.core.errors import ConfigurationError, InputFileError
 from model.datasets.protocol import Dataset
-from model.errors import ConfigurationError, InputFileError
 
 
 @dataclass(frozen=True)

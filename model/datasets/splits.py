@@ -10,8 +10,8 @@ import re
 import zlib
 from collections.abc import Sequence
 
+from model.core.errors import ArtiworldError, ConfigurationError
 from model.datasets.protocol import Dataset
-from model.errors import ArtiworldError, ConfigurationError
 
 HELD_OUT = ("display", "suitcase", "plier", "kettle", "oven")
 """The categories that the paper never trains on (*ArtiWorld*, section on data)."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from model.core.errors import InputFileError
 from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.errors import InputFileError
 from model.geometry.formats.mtl import MaterialFiles
 from model.kinematics.urdf_meshes import load_part
 from model.kinematics.urdf_reader import read_urdf_model

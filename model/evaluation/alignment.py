@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import Joint
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.kinematics.urdf_meshes import moved_mesh
 
 Rule = Literal["as it is", "power of ten", "box"]

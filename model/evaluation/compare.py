@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.evaluation.joint_metrics import ObjectScore
 from model.evaluation.markdown import escaped, table
 from model.evaluation.report import Report, faults, finite, show

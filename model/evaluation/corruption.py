@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.datasets.protocol import GroundTruth
-from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 

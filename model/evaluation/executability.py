@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from model.errors import ConfigurationError
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
 from model.evaluation.pool import OutOfTimeError, time_limit
-from model.installing import install_command
-from model.kinematics.articulated_object import ArticulatedObject
 
 MOST = 6
 """Findings told of one object."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.evaluation.calibration import Calibration
 from model.evaluation.joint_metrics import ObjectScore
 from model.evaluation.pool import robust_map, time_limit

@@ -29,12 +29,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.evaluation.executability import Execution
 from model.evaluation.part_matching import PartMatch
 from model.evaluation.tree_metrics import chain, parents, path, tree_edits
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 ABSENT = ("missing", "unparseable")
 """What stands for the type of a joint that isn't there, or couldn't be read."""

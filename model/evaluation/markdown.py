@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.evaluation.report import (
     COLUMNS,
     Report,

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
-from model.geometry.mesh import Mesh
+from model.core.articulated_object import Part
+from model.core.mesh import Mesh
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import Part
 from model.kinematics.surface import Surface, surface_of
 
 THRESHOLD = 0.5

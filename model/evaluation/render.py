@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import Joint
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
 
 PALETTE: tuple[tuple[int, int, int], ...] = (
     (176, 182, 190), (230, 126, 34), (41, 128, 185), (39, 174, 96), (155, 89, 182),

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.evaluation.calibration import Calibration, calibrate
 from model.evaluation.executability import Execution
 from model.evaluation.joint_metrics import JointScore, ObjectScore

@@ -13,10 +13,12 @@ from typing import IO, Any
 
 import numpy as np
 
+from model.core.articulated_object import ArticulatedObject, Prediction
+from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
+from model.core.progress import Progress, no_progress
 from model.datasets.protocol import Dataset, GroundTruth
 from model.datasets.registry import DatasetOptions, open_dataset
 from model.datasets.splits import select
-from model.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_costs
 from model.evaluation.corruption import Corruption, corrupt
 from model.evaluation.executability import execute, require_simulator
@@ -24,10 +26,8 @@ from model.evaluation.joint_metrics import ObjectScore, UsableLimits, score_obje
 from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
-from model.kinematics.articulated_object import ArticulatedObject, Prediction
 from model.predictor import Predictor
 from model.predictors import DEFAULT, load_predictor, predictor_names
-from model.progress import Progress, no_progress
 
 FRAME_SAMPLE = 24
 """Objects that decide a method's frame."""

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from model.core.progress import Progress
 from model.evaluation.report import COLUMNS, Report, paper_rows
-from model.progress import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,7 +20,7 @@ WIDTH = 150
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """A bar on stderr that is fed as a :class:`~model.progress.Progress`."""
+    """A bar on stderr that is fed as a :class:`~model.core.progress.Progress`."""
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as RichProgress

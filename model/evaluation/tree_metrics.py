@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 
 
 def chain(tree: KinematicTree, part: str, parts: Collection[str]) -> tuple[str, tuple[Joint, ...]]:

@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.exporters.saved import PROVENANCE, read_provenance
 
 ABOUT = "artiworld.json"

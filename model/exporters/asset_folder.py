@@ -39,7 +39,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from model.errors import GeometryError, InputFileError
+from model.core.articulated_object import ArticulatedObject, remarks_of
+from model.core.asset import Asset
+from model.core.errors import GeometryError, InputFileError
+from model.core.progress import Progress, no_progress
 from model.exporters.part_files import PartFile, write_parts
 from model.exporters.physics import Physics
 from model.exporters.reload import AREA_TOLERANCE, reload_check
@@ -56,10 +59,7 @@ from model.exporters.saved import (
     told_entry,
 )
 from model.exporters.urdf import write_urdf_of
-from model.geometry.asset import Asset
-from model.kinematics.articulated_object import ArticulatedObject, remarks_of
 from model.kinematics.tree_json import tree_to_json
-from model.progress import Progress, no_progress
 
 __all__ = [
     "AssetFiles",

@@ -8,9 +8,9 @@ from pathlib import Path
 from model.collision.build import Collision
 from model.collision.hulls import Hull
 from model.collision.shapes import Primitive, Solid, hull_of_shape
+from model.core.articulated_object import Part
 from model.exporters.part_files import file_stems
 from model.exporters.saved import MESHES
-from model.kinematics.articulated_object import Part
 
 FOLDER = f"{MESHES}/collision"
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
 from model.exporters.part_files import part_mesh
 from model.exporters.physics import Physics
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
 from model.kinematics.urdf import link_origins
-from model.progress import Progress, no_progress
 
 FILE = "object.glb"
 SECONDS = 4.0

@@ -14,10 +14,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.inertial import Inertial, inertial_problems
+from model.core.mesh import Mesh
 from model.exporters.materials import PartMaterial
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.inertial import Inertial, inertial_problems
 
 DENSITY = 300.0
 """kg/m³ of a filled convex hull, between hollow furniture and wood."""

@@ -11,8 +11,8 @@ from typing import Any
 import numpy.typing as npt
 
 from model.collision.store import fingerprint, load_arrays, save_arrays
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.reconstruct import mesh_of_scan
 
 KEPT = 48

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from model.errors import ConfigurationError, InputFileError
-from model.kinematics.articulated_object import Part
-from model.resources import static_assets
+from model.core.articulated_object import Part
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.resources import static_assets
 
 FORMAT = 1
 

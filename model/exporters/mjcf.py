@@ -18,20 +18,20 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.collision.shapes import Primitive
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.mesh import Material, Mesh
+from model.core.progress import Progress, no_progress
+from model.core.surface_maps import ImageFile, SurfaceMaps
+from model.core.textures import decode, encode
+from model.core.tree import KinematicTree
 from model.exporters.collision_files import write_collision
 from model.exporters.part_files import file_stems, part_mesh
 from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import MESHES
 from model.geometry.formats.srgb import to_linear
-from model.geometry.formats.textures import decode, encode
-from model.geometry.mesh import Material, Mesh
-from model.geometry.surface_maps import ImageFile, SurfaceMaps
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
 from model.kinematics.mjcf_source import PART_NAME
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import Inertial, link_origins, number, vector, xml_name
-from model.progress import Progress, no_progress
 
 FILE = "object.xml"
 VISUAL_GROUP = 2

@@ -11,12 +11,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from model.errors import GeometryError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import GeometryError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress, no_progress
 from model.exporters.saved import MESHES
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)

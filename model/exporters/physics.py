@@ -14,14 +14,14 @@ from model.collision.build import Collision, CollisionSettings, collision_of
 from model.collision.relief import moving_pairs
 from model.collision.shapes import hull_of_shape
 from model.collision.touching import overlaps
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.exporters.inertia import inertials_of
 from model.exporters.materials import MaterialTable, read_materials
 from model.exporters.part_files import part_mesh
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import Inertial, JointDynamics
-from model.progress import Progress, no_progress
 
 TURNING = JointDynamics(damping=0.05, friction=0.02)
 """N m s/rad and N m: a door that a finger moves and that comes to rest."""

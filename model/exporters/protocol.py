@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.progress import Progress, no_progress
 from model.exporters.physics import Physics
-from model.kinematics.articulated_object import ArticulatedObject
-from model.progress import Progress, no_progress
 
 
 @runtime_checkable

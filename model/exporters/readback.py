@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from model.errors import ArtiworldError
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ArtiworldError
 from model.exporters.registry import BUILT_IN
 from model.exporters.reload import (
     Poses,
@@ -19,7 +20,6 @@ from model.exporters.reload import (
     random_q,
     yourdfpy_problems,
 )
-from model.kinematics.articulated_object import ArticulatedObject
 
 TOLERANCE = 1e-5
 """Metres and entries of rotation matrices, in the size of the pose where that is above 1."""

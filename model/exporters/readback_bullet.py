@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from model.core.articulated_object import ArticulatedObject
 from model.exporters.reload import Poses, object_from_links
-from model.kinematics.articulated_object import ArticulatedObject
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from model.core.articulated_object import ArticulatedObject
 from model.exporters.reload import object_from_links
-from model.kinematics.articulated_object import ArticulatedObject
 
 
 def drake_problems(

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation, Slerp
 
+from model.core.articulated_object import ArticulatedObject
 from model.exporters.glb import joint_track
 from model.exporters.reload import object_from_links
-from model.kinematics.articulated_object import ArticulatedObject
 
 FloatArray = npt.NDArray[np.float64]
 

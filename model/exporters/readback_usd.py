@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject
 from model.exporters.reload import object_from_links
 from model.exporters.usd import NAME_KEY
-from model.kinematics.articulated_object import ArticulatedObject
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,13 +7,13 @@ from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from model.errors import ConfigurationError, InputFileError
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.plug_ins import load_plug_in
+from model.core.progress import Progress, no_progress
 from model.exporters.physics import Physics
 from model.exporters.protocol import Exporter
 from model.exporters.saved import load_object
-from model.kinematics.articulated_object import ArticulatedObject
-from model.plug_ins import load_plug_in
-from model.progress import Progress, no_progress
 
 ENTRY_POINTS = "artiworld.exporters"
 """Entry-point group of plug-ins; each names a callable without arguments that gives an Exporter."""

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ArtiworldError
 from model.exporters.saved import TREE, URDF, load_object, read_provenance
-from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.tree_json import tree_json_problems
 from model.kinematics.urdf import link_origins
 

@@ -6,12 +6,12 @@ import re
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.progress import Progress, no_progress
 from model.exporters.part_files import write_parts
 from model.exporters.physics import Physics
 from model.exporters.urdf import write_urdf_of
-from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.urdf import xml_name
-from model.progress import Progress, no_progress
 
 URDF = "urdf/object.urdf"
 FOLDERS = ("launch", "meshes", "rviz", "urdf")

@@ -9,13 +9,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from model.errors import InputFileError
+from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.errors import InputFileError
+from model.core.joint import ToldDynamics
+from model.core.progress import Progress, no_progress
 from model.geometry.part_folder import remarks_in
-from model.kinematics.articulated_object import ArticulatedObject, Part, remarks_of
-from model.kinematics.joint import ToldDynamics
 from model.kinematics.model_files import read_model
 from model.kinematics.urdf_told import Told
-from model.progress import Progress, no_progress
 
 FORMAT = 1
 URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"

@@ -16,13 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.shapes import Primitive, Solid
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint, Mimic
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.exporters.collision_files import write_collision
 from model.exporters.inertia import HELPER
 from model.exporters.part_files import write_parts
 from model.exporters.physics import Physics, plain_physics
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import (
     Inertial,
     direct_mimics,
@@ -32,7 +33,6 @@ from model.kinematics.urdf import (
     vector,
     xml_name,
 )
-from model.progress import Progress, no_progress
 
 FILE, CONFIG = "model.sdf", "model.config"
 VERSION = "1.11"

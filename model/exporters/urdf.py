@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.progress import Progress, no_progress
 from model.exporters.collision_files import write_collision
 from model.exporters.part_files import PartFile, is_flat, part_mesh, write_parts
 from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import URDF
-from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.urdf import write_urdf
-from model.progress import Progress, no_progress
 
 
 class UrdfExporter:

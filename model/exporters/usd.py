@@ -21,17 +21,17 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.collision.shapes import Primitive, Shape
-from model.errors import ConfigurationError
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
+from model.core.joint import Joint, Mimic
+from model.core.mesh import Material, Mesh
+from model.core.progress import Progress, no_progress
+from model.core.surface_maps import ImageFile, SurfaceMaps
+from model.core.textures import encode
 from model.exporters.part_files import part_mesh
 from model.exporters.physics import Physics, plain_physics
-from model.geometry.formats.textures import encode
-from model.geometry.mesh import Material, Mesh
-from model.geometry.surface_maps import ImageFile, SurfaceMaps
-from model.installing import install_command
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint, Mimic
 from model.kinematics.urdf import Inertial, direct_mimics, link_origins
-from model.progress import Progress, no_progress
 
 FILE = "object.usdc"
 TEXTURES = "textures"

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
 from model.gate.examine import Scene, between, limits_of
 from model.gate.report import Finding, Verdict
 from model.gate.words import length
-from model.kinematics.joint import Joint
 from model.kinematics.sweep import sweep_way
 from model.kinematics.ways import tree_poses
-from model.progress import Progress, no_progress
 
 POSES = 12
 STEPS = 10

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.lru_cache import Recent
 from model.gate.physics_report import Stop
-from model.kinematics.articulated_object import ArticulatedObject
-from model.recent import Recent
 
 OUTSIDE = 0.2
 """Share of the range beyond a limit that counts as exploded."""

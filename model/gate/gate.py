@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.progress import Progress, no_progress
 from model.exporters.physics import physics_of
 from model.gate.combinations import combination_findings
 from model.gate.examine import Scene, examine
@@ -17,9 +19,7 @@ from model.gate.physics_report import PhysicsReport, Stop
 from model.gate.report import Finding, GateReport, JointVerdict, Verdict, worst_first
 from model.gate.support import loose_parts
 from model.gate.words import length, title, value
-from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.sweep import diagonal_of, surfaces_of, sweep_tolerance
-from model.progress import Progress, no_progress
 
 TOUCHING = 0.01
 """Gap that still counts as touching, in the object's diagonal."""
@@ -120,7 +120,7 @@ def _scene(obj: ArticulatedObject, unusable: dict[str, str]) -> Scene | None:
 
 def _without_geometry(obj: ArticulatedObject, unusable: dict[str, str]) -> ArticulatedObject:
     """The object whose unusable parts are empty: their links stay."""
-    from model.geometry.mesh import Mesh
+    from model.core.mesh import Mesh
 
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     parts = tuple(

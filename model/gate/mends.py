@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError
+from model.core.errors import ArtiworldError
+from model.core.joint import Joint
 from model.gate.examine import (
     Scene,
     attached_range,
@@ -21,7 +22,6 @@ from model.gate.examine import (
 from model.gate.report import Finding, Mend
 from model.gate.words import interval
 from model.kinematics.contact import contact_between
-from model.kinematics.joint import Joint
 from model.kinematics.snapping import box_of
 from model.kinematics.sweep import sweep_joint
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
+from model.core.joint import Joint
 from model.gate.physics_report import PhysicsReport
-from model.kinematics.joint import Joint
 
 Verdict = Literal["fine", "look", "broken"]
 Kind = Literal[

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.kinematics.crossing import inverse, moved
-from model.kinematics.joint import Joint
 from model.kinematics.surface import Surface
-from model.kinematics.tree import KinematicTree
 from model.kinematics.ways import joint_poses
 
 FloatArray = npt.NDArray[np.float64]

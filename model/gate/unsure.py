@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.gate.report import Finding, GateReport, JointVerdict, worst_first
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 UNLIKELY = 0.5
 """Confidence below which a joint is more likely wrong than right."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint, value_text
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint, value_text
+from model.core.tree import KinematicTree
 
 BASE = "base"
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")

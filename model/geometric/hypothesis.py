@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.kinematics.joint import JointType
+from model.core.joint import JointType
 
 Array = npt.NDArray[np.float64]
 

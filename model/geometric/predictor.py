@@ -9,6 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from model.confidence import Evidence, doubt, log_odds, weighing_of
+from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.joint import Joint, canonical_axis_sign
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
 from model.geometric.evidence import part_evidence
@@ -17,10 +21,6 @@ from model.geometric.mechanisms import find_front, propose
 from model.geometric.roles import guess_mechanisms
 from model.geometric.scene import TOUCHING, Scene, make_scene
 from model.geometric.tree import root_scores, spanning_parents
-from model.kinematics.articulated_object import Prediction, SegmentedObject
-from model.kinematics.joint import Joint, canonical_axis_sign
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
 
 Array = npt.NDArray[np.float64]
 
@@ -206,7 +206,7 @@ def assemble(
     links: tuple[str, ...], helpers: tuple[str, ...], joints: list[Joint], locked: tuple[Joint, ...]
 ) -> tuple[KinematicTree | None, list[str]]:
     """One tree of predicted and settled joints."""
-    from model.errors import KinematicsError
+    from model.core.errors import KinematicsError
 
     known = {*links, *helpers}
     extra = tuple(

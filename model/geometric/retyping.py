@@ -8,6 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import SegmentedObject
+from model.core.joint import Joint, JointType, canonical_axis_sign
+from model.core.tree import KinematicTree
 from model.gate.words import moving_chain
 from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
@@ -19,9 +22,6 @@ from model.geometric.motion_words import MECHANISMS, SLIDING, TURNING, Mechanism
 from model.geometric.predictor import joints_of
 from model.geometric.roles import guess_mechanisms, mechanism_scores, named_mechanism
 from model.geometric.scene import Scene, make_scene
-from model.kinematics.articulated_object import SegmentedObject
-from model.kinematics.joint import Joint, JointType, canonical_axis_sign
-from model.kinematics.tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from model.core.articulated_object import Part, SegmentedObject
 from model.geometric.denoising import denoised
 from model.geometric.shape import Shape, rotation
 from model.geometric.surface import Noise, dominant_yaw, part_surface
-from model.kinematics.articulated_object import Part, SegmentedObject
 
 Array = npt.NDArray[np.float64]
 

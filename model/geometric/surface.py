@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from model.kinematics.articulated_object import Part
+from model.core.articulated_object import Part
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

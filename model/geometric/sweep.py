@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.geometric.context import PartContext
 from model.geometric.scene import Scene
 from model.geometric.shape import Shape
-from model.kinematics.joint import Joint
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.kinematics.sweep import free_until
-from model.kinematics.tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 
 Array = npt.NDArray[Any]
 

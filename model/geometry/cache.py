@@ -21,17 +21,17 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from model import codec
 from model.collision.shapes import Shape
 from model.collision.store import packed, unpacked
-from model.errors import GeometryError, InputFileError, KinematicsError
-from model.geometry.asset import Asset, Source
-from model.geometry.formats.textures import TextureError, encode, open_texture
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
-from model.geometry.surface_maps import ImageFile, SurfaceMaps
-from model.kinematics.inertial import Inertial
-from model.kinematics.tree import KinematicTree
+from model.core import codec
+from model.core.asset import Asset, Source
+from model.core.errors import GeometryError, InputFileError, KinematicsError
+from model.core.inertial import Inertial
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.surface_maps import ImageFile, SurfaceMaps
+from model.core.textures import TextureError, encode, open_texture
+from model.core.tree import KinematicTree
 
 FORMAT_VERSION = 6
 _META = "asset.json"

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.formats.loaded import Loaded
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
 
 MIN_POINTS = 4
 """Fewest points that span a body."""

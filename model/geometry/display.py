@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.asset import Asset
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.appearance import vertex_colors
-from model.geometry.asset import Asset
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
 
 Array = npt.NDArray[Any]
 WHITE = (255, 255, 255, 255)

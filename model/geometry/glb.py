@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from model.core.mesh import Material, Mesh
+from model.core.surface_maps import ImageFile, SurfaceMaps
+from model.core.textures import decode, encode
 from model.geometry.formats.gltf_materials import BRIGHTER
 from model.geometry.formats.srgb import to_linear
-from model.geometry.formats.textures import decode, encode
-from model.geometry.mesh import Material, Mesh
 from model.geometry.shading import corner_normals
-from model.geometry.surface_maps import ImageFile, SurfaceMaps
 
 Array = npt.NDArray[Any]
 METALLIC, ROUGHNESS = 0.0, 0.9

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
-from model.geometry.point_cloud import PointCloud
+from model.core.errors import GeometryError
+from model.core.point_cloud import PointCloud
 
 Array = npt.NDArray[Any]
 

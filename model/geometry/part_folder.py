@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.references import ReferenceRefused, resolve
 
 OBJECT_JSON = "object.json"

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
-from model.geometry.asset import Asset
-from model.kinematics.articulated_object import Part
+from model.core.articulated_object import Part
+from model.core.asset import Asset
+from model.core.errors import GeometryError
 
 BASE = 0
 """The part that takes what nobody assigned."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.errors import GeometryError
 from model.geometry.strays import Strays
 from model.geometry.strokes import Stroke, covered
 

@@ -1,4 +1,4 @@
-"""Files and folders to :class:`~model.geometry.asset.Asset` values.
+"""Files and folders to :class:`~model.core.asset.Asset` values.
 
 Up axis by default: glTF and GLB are +y up by their standard; a single OBJ file is taken as +y up,
 as modelling tools write it; PLY, STL, PCD, NPZ and text are +z up. Folders of part meshes lie in
@@ -16,8 +16,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ConfigurationError, GeometryError, InputFileError, KinematicsError
-from model.geometry.asset import Asset, Source, UpAxis
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.asset import Asset, Source, UpAxis
+from model.core.errors import ConfigurationError, GeometryError, InputFileError, KinematicsError
+from model.core.progress import Progress, no_progress
 from model.geometry.cleaning import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 from model.geometry.formats.gltf import read_gltf
 from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join, size_of
@@ -36,11 +38,9 @@ from model.geometry.part_folder import (
 )
 from model.geometry.parts import split
 from model.geometry.told_file import load_told
-from model.kinematics.articulated_object import Part, SegmentedObject
 from model.kinematics.mjcf_source import MJCF_SUFFIXES, is_mjcf
 from model.kinematics.model_files import MODEL_SUFFIXES, files_named_by, is_model
 from model.kinematics.urdf_model import MOBILITY, PACKAGE, is_urdf, package_root
-from model.progress import Progress, no_progress
 
 _READERS: dict[str, Callable[[Path, int], Loaded]] = {
     ".ply": read_ply, ".obj": read_obj, ".glb": read_gltf, ".gltf": read_gltf, ".stl": read_stl,

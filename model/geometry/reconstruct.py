@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
+from model.core.errors import GeometryError
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress, no_progress
 from model.geometry.display import WHITE, thin
-from model.geometry.mesh import Material, Mesh
 from model.geometry.normals import estimate_normals
-from model.geometry.point_cloud import PointCloud
-from model.progress import Progress, no_progress
 
 Array = npt.NDArray[Any]
 

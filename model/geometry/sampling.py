@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
+from model.core.errors import GeometryError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.appearance import colors_at
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
 
 
 def sample_surface(

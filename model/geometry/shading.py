@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 from model.geometry.topology import face_adjacency, weld
 
 Array = npt.NDArray[Any]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
-from model.geometry.mesh import Mesh
+from model.core.errors import GeometryError
+from model.core.mesh import Mesh
 from model.geometry.topology import weld
 
 Bool = npt.NDArray[np.bool_]

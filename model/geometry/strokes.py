@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
 
-from model.errors import GeometryError
+from model.core.errors import GeometryError
 
 _HEIGHT = 1024
 """Rows of the raster: finer than most windows."""

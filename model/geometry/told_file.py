@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from model.collision.shapes import Shape, moved_shape
 from model.collision.store import load_arrays, packed, unpacked
-from model.kinematics.inertial import Inertial, inertial_problems
+from model.core.inertial import Inertial, inertial_problems
 
 FILE = "told.npz"
 _SHAPE = "shape "

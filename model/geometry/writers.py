@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ConfigurationError, GeometryError, InputFileError
+from model.core.errors import ConfigurationError, GeometryError, InputFileError
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.textures import encode
 from model.geometry.appearance import vertex_colors
 from model.geometry.formats.srgb import from_linear
-from model.geometry.formats.textures import encode
 from model.geometry.glb import mesh_to_glb
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
 
 Array = npt.NDArray[Any]
 _CHUNK = 50_000

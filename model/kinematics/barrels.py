@@ -9,9 +9,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import Part
-from model.kinematics.joint import Joint
+from model.core.articulated_object import Part
+from model.core.joint import Joint
+from model.core.mesh import Mesh
 
 Array = npt.NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
-from model.kinematics.articulated_object import Part
+from model.core.articulated_object import Part
+from model.core.errors import GeometryError
 from model.kinematics.surface import POINTS, Surface, surface_of
 
 TOLERANCE = 0.01

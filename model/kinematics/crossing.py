@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from model.core.lru_cache import content_of
 from model.kinematics.surface import Surface
-from model.recent import content_of
 
 GRAZING = 0.34
 """Sine of the angle below which a path slides along a surface: 20°."""

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.mesh import Material, Mesh
+from model.core.surface_maps import ImageFile, SurfaceMaps, open_image_file
+from model.core.textures import TextureError, open_texture
 from model.geometry.formats.srgb import to_linear
-from model.geometry.formats.textures import TextureError, open_texture
-from model.geometry.mesh import Material, Mesh
-from model.geometry.surface_maps import ImageFile, SurfaceMaps, open_image_file
 
 UNSAID = (0.5, 0.5, 0.5, 1.0)
 """RGBA that MuJoCo gives to geoms of which nothing is said."""

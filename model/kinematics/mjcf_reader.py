@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ConfigurationError, InputFileError, KinematicsError
+from model.core.errors import ConfigurationError, InputFileError, KinematicsError
+from model.core.inertial import Inertial, inertial_problems
+from model.core.installing import install_command
+from model.core.joint import Joint, Mimic, ToldDynamics
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 from model.geometry.formats.loaded import DEFAULT_MAX_BYTES
-from model.geometry.mesh import Mesh
-from model.installing import install_command
-from model.kinematics.inertial import Inertial, inertial_problems
-from model.kinematics.joint import Joint, Mimic, ToldDynamics
 from model.kinematics.mjcf_looks import Looks, compiled_mesh, ellipsoid
 from model.kinematics.mjcf_source import MjcfSource, read_source
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_collision import ToldCollision, repeats
 from model.kinematics.urdf_model import UrdfModel, UrdfVisual, package_root, renamed_helpers
 from model.kinematics.urdf_told import Told

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.joint import Mimic
 from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, read_bytes
 from model.geometry.formats.references import ReferenceRefused, resolve
-from model.kinematics.joint import Mimic
 from model.kinematics.xml_file import MAX_BYTES, parse
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import KinematicsError
-from model.kinematics.joint import Joint
+from model.core.errors import KinematicsError
+from model.core.joint import Joint
 
 Vector = npt.NDArray[np.float64]
 BoxAxis = Literal["Long", "Middle", "Short"]

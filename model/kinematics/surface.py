@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part
-from model.recent import Recent
+from model.core.articulated_object import Part
+from model.core.lru_cache import Recent
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 
 POINTS = 4096
 """Sample points a part."""

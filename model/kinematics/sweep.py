@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import KinematicsError
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import KinematicsError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.kinematics.surface import POINTS, Surface, surface_of
-from model.kinematics.tree import KinematicTree
 from model.kinematics.ways import (
     LinkContact,
     Poses,

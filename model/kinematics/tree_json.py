@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from model.errors import KinematicsError
-from model.kinematics.joint import JOINT_TYPES
-from model.kinematics.tree import KinematicTree
+from model.core.errors import KinematicsError
+from model.core.joint import JOINT_TYPES
+from model.core.tree import KinematicTree
 
 _KEYS = {"part", "joint_type", "joint_name", "children"}
 _ROOT_TYPES = (None, "fixed", "root")

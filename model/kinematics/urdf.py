@@ -21,11 +21,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError, KinematicsError
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.inertial import Inertial
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ArtiworldError, KinematicsError
+from model.core.inertial import Inertial
+from model.core.joint import Joint, Mimic
+from model.core.tree import KinematicTree
 from model.kinematics.urdf_reader import (
     UrdfModel,
     UrdfVisual,

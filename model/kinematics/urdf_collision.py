@@ -15,8 +15,8 @@ import numpy as np
 
 from model.collision.hulls import hull_of
 from model.collision.shapes import Kind, Primitive, Shape, Solid
-from model.errors import ArtiworldError
-from model.geometry.mesh import Mesh
+from model.core.errors import ArtiworldError
+from model.core.mesh import Mesh
 
 if TYPE_CHECKING:
     from model.kinematics.urdf_model import UrdfVisual

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.articulated_object import Part
+from model.core.errors import InputFileError
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.formats.mtl import MaterialFiles, OneMaterial
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part
 from model.kinematics.urdf_model import UrdfVisual
 
 SECTIONS = 32

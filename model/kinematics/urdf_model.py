@@ -13,13 +13,13 @@ from xml.sax.saxutils import unescape
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.mesh import Material, Mesh
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.geometry.formats.references import ReferenceRefused, resolve
-from model.geometry.mesh import Material, Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_told import Told
 from model.kinematics.xml_file import MAX_BYTES
-from model.progress import Progress, no_progress
 
 
 @dataclass(frozen=True, eq=False)

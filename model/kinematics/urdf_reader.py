@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError, KinematicsError
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import InputFileError, KinematicsError
+from model.core.joint import Joint, JointType, Mimic
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree, tree_problems
 from model.geometry.formats.references import ReferenceRefused
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint, JointType, Mimic
-from model.kinematics.tree import KinematicTree, tree_problems
 from model.kinematics.urdf_collision import ToldCollision, repeats
 from model.kinematics.urdf_model import (
     UrdfModel,
@@ -27,7 +28,6 @@ from model.kinematics.urdf_model import (
 )
 from model.kinematics.urdf_told import told_in
 from model.kinematics.xml_file import parse
-from model.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

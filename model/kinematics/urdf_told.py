@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.shapes import Shape
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.inertial import Inertial, inertial_problems
-from model.kinematics.joint import ToldDynamics
+from model.core.articulated_object import ArticulatedObject
+from model.core.inertial import Inertial, inertial_problems
+from model.core.joint import ToldDynamics
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.joint import Joint, motion
+from model.core.tree import KinematicTree
 from model.kinematics.crossing import Crossings, Path, crossings, inverse, moved
-from model.kinematics.joint import Joint, motion
 from model.kinematics.surface import Surface
-from model.kinematics.tree import KinematicTree
 
 FloatArray = npt.NDArray[np.float64]
 Poses = Mapping[str, FloatArray]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

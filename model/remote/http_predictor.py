@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
-from model.errors import ArtiworldError, ConfigurationError
-from model.kinematics.articulated_object import Prediction, SegmentedObject
-from model.kinematics.joint import Joint
-from model.progress import Cancelled, Progress, no_progress
+from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.joint import Joint
+from model.core.progress import Cancelled, Progress, no_progress
 from model.remote import TOKEN_VARIABLE
 from model.remote.wire import (
     CONTENT_TYPE,

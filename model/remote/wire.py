@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model import codec
-from model.errors import ArtiworldError, GeometryError
+from model.core import codec
+from model.core.articulated_object import Part, Prediction, SegmentedObject
+from model.core.errors import ArtiworldError, GeometryError
+from model.core.joint import Joint
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.appearance import vertex_colors
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
-from model.kinematics.joint import Joint
 
 FORMAT = 1
 CONTENT_TYPE = "application/x-artiworld-parts"

@@ -10,22 +10,22 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.collision.shapes import Shape, moved_shape
+from model.core.articulated_object import Part, SegmentedObject, remarks_of
+from model.core.asset import Asset
+from model.core.errors import ArtiworldError
+from model.core.inertial import Inertial
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
-from model.errors import ArtiworldError
 from model.exporters.saved import told_links
 from model.geometric.vocabulary import MOST_NAMED
-from model.geometry.asset import Asset
 from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
-from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import FOLDER_SUFFIXES, read_asset, read_part_files
 from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
-from model.kinematics.articulated_object import Part, SegmentedObject, remarks_of
-from model.kinematics.inertial import Inertial
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY
 from model.kinematics.urdf_reader import read_urdf_model

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.part_folder import is_part_folder
 from model.geometry.readers import FOLDER_SUFFIXES
 from model.kinematics.urdf_model import MOBILITY

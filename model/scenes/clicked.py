@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from model.errors import PromptError
+from model.core.articulated_object import Part
+from model.core.errors import PromptError
 from model.geometry.parts import split
-from model.kinematics.articulated_object import Part
 from model.scenes.asset_parts import AssetParts, bounds_of, read_unshifted
 from model.scenes.scene import Anchor, FloatArray, SceneObject
 from model.segmentation.prompts import Click, Prompts, Region

@@ -29,12 +29,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
 from model.kinematics.urdf_model import MOBILITY
 from model.kinematics.urdf_reader import read_urdf_model
 from model.predictors import DEFAULT
-from model.progress import Progress, no_progress
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
 from model.scenes.clicked import ClickedObject, ObjectClicks

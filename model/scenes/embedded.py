@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from model.errors import ArtiworldError
+from model.core.errors import ArtiworldError
 from model.geometry.cleaning import cleaned, is_solid, to_cloud, to_mesh
 from model.geometry.formats.loaded import Loaded, join
 from model.geometry.glb import mesh_to_glb

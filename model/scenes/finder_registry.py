@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from model.errors import ConfigurationError
-from model.plug_ins import load_plug_in
-from model.progress import Progress, no_progress
+from model.core.errors import ConfigurationError
+from model.core.plug_ins import load_plug_in
+from model.core.progress import Progress, no_progress
 from model.scenes.finders import LexiconFinder
 from model.scenes.protocol import ArticulableFinder
 

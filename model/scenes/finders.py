@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.protocol import Decision, ObjectDescription
 
 LEXICON = Path(__file__).resolve().parents[2] / "static_assets" / "scenes" / "articulable.json"

@@ -8,9 +8,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from model.core.joint import Joint, Mimic
+from model.core.tree import KinematicTree
 from model.exporters.physics import resisting
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import Inertial
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray

@@ -11,7 +11,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from model.errors import ArtiworldError, InputFileError
+from model.core.articulated_object import ArticulatedObject, SegmentedObject, remarks_of
+from model.core.errors import ArtiworldError, InputFileError
+from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import OutOfTimeError, time_limit
 from model.exporters.asset_folder import write_asset
@@ -19,8 +21,6 @@ from model.exporters.mjcf import MjcfExporter
 from model.exporters.physics import Physics, PhysicsSettings, physics_of, plain_physics
 from model.exporters.sdf import SdfExporter
 from model.exporters.usd import UsdExporter
-from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject, remarks_of
-from model.kinematics.tree import KinematicTree
 from model.predictors import load_predictor
 from model.scenes.asset_parts import (
     AssetParts,

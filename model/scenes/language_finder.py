@@ -18,8 +18,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol
 
-from model.errors import ArtiworldError
-from model.progress import Progress, no_progress
+from model.core.errors import ArtiworldError
+from model.core.progress import Progress, no_progress
 from model.scenes.finders import LexiconFinder
 from model.scenes.jobs import write_json
 from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import Joint
+from model.core.mesh import Mesh
 from model.exporters.saved import load_object
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
 from model.kinematics.crossing import inverse
-from model.kinematics.joint import Joint
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_until, surfaces_of, sweep_tolerance
 from model.kinematics.urdf_meshes import merged, moved_mesh

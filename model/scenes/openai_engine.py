@@ -9,8 +9,8 @@ from contextlib import suppress
 from threading import Thread
 from typing import Any, TypeVar
 
-from model.errors import ConfigurationError
-from model.installing import install_command
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
 from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError
 
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
 from pathlib import Path
 
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError
 from model.evaluation.pool import kill_pool
 from model.scenes.language_finder import Answer, FinderUnavailableError
 

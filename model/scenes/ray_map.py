@@ -6,8 +6,8 @@ import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from model.errors import ConfigurationError
-from model.installing import install_command
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
 
 T = TypeVar("T")
 

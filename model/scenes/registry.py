@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from model.errors import ConfigurationError, InputFileError
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.plug_ins import load_plug_in
 from model.geometry.formats.loaded import size_of
-from model.plug_ins import load_plug_in
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import Scene, SceneProblem
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import ArtiworldError
+from model.core.errors import ArtiworldError
 
 FloatArray = npt.NDArray[np.float64]
 Anchor = Literal["origin", "center", "base"]

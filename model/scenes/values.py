@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.loaded import read_bytes
 from model.scenes.scene import FloatArray, SceneObject, SceneObjectError, SceneProblem
 

@@ -15,8 +15,8 @@ from scipy.sparse import diags
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
+from model.core.asset import Asset
+from model.core.progress import Progress, no_progress
 from model.segmentation.edge_strength import edge_strength, edge_weight
 from model.segmentation.graph import Graph, adjacency, build_graph
 from model.segmentation.nodes import Nodes, nodes_of_asset

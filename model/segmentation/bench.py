@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.core.progress import Progress, no_progress
 from model.datasets.registry import DatasetOptions, open_dataset
-from model.progress import Progress, no_progress
 from model.segmentation.bench_data import (
     BenchObject,
     View,

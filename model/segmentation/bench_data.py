@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.asset import Asset
+from model.core.errors import ArtiworldError, InputFileError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.datasets.protocol import Dataset
-from model.errors import ArtiworldError, InputFileError
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject
 from model.segmentation.seen_clicks import FRONT, picture_of
 
 View = Literal["all", "one-sided", "mesh", "scan"]

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from model.resources import static_assets
+from model.core.resources import static_assets
 from model.segmentation.mlp import Mlp, load_mlp
 from model.segmentation.plane_boxes import SIDE_FEATURES, STEPS, PlaneBoxes
 

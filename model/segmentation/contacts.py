@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 from model.geometry.sampling import sample_surface
 
 TOUCHING = 1e-4

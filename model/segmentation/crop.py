@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.errors import GeometryError
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.errors import GeometryError
 from model.segmentation.cells import groups
 from model.segmentation.nodes import ROOM_METRES
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import PromptError
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.errors import PromptError
 from model.geometry.splitting import ON_THE_PLANE, Plane, crossing_share
 from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession

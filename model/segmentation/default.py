@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.progress import Progress, no_progress
 from model.geometry.topology import coincident_faces
-from model.progress import Progress, no_progress
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
 from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from model.resources import static_assets
+from model.core.resources import static_assets
 from model.segmentation.features import FEATURE_NAMES, edge_features
 from model.segmentation.graph import Graph
 from model.segmentation.mlp import Mlp, load_mlp

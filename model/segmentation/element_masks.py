@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import PromptError
+from model.core.errors import PromptError
 from model.segmentation.default import DefaultSession
 
 Bool = npt.NDArray[np.bool_]

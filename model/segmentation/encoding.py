@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
+from model.core.asset import Asset
+from model.core.progress import Progress, no_progress
 from model.segmentation.cells import Cells, build_cells
 from model.segmentation.edge_strength import edge_strength, edge_weight
 from model.segmentation.graph import Graph, build_graph

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 from model.segmentation.cells import groups
 from model.segmentation.contacts import contacts_of
 from model.segmentation.plates import Plates, small_shells_of

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.npyio import NpzFile
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.segmentation.parallel import mapped
 
 FORMAT = 1

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.strays import stray_points
 
 TARGET_NODES = 100_000

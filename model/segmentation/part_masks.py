@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from model.progress import Progress, no_progress
-from model.resources import static_assets
+from model.core.progress import Progress, no_progress
+from model.core.resources import static_assets
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.mlp import Mlp, load_mlp

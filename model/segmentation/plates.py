@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 from model.segmentation.prompt_steps import ClickStep, Step
 from model.segmentation.prompts import BASE
 

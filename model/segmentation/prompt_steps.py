@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import PromptError
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.errors import PromptError
 from model.segmentation.nodes import Nodes
 from model.segmentation.prompts import BASE, UNASSIGNED, Click, Prompts, Region
 

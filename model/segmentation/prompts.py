@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import PromptError
+from model.core.errors import PromptError
 
 BASE = 0
 """Part 0 is the base: what no prompt claims belongs to it."""

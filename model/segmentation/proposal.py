@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from model.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import ObjectSolver
 from model.segmentation.cells import groups

@@ -7,8 +7,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
+from model.core.asset import Asset
+from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import PartSegmentation, Prompts
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model.errors import PromptError
+from model.core.errors import PromptError
 from model.geometry.splitting import Plane
 from model.geometry.upright_box import box_yaw
 from model.segmentation.cuts import (

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import lru_cache, partial
 from importlib.metadata import entry_points
 
-from model.errors import ConfigurationError
-from model.plug_ins import load_plug_in
+from model.core.errors import ConfigurationError
+from model.core.plug_ins import load_plug_in
 from model.segmentation import baselines
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.protocol import Segmenter

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
 from model.segmentation.cells import Cells
 from model.segmentation.crop import floor_and_walls, largest_piece
 from model.segmentation.hierarchy import Hierarchy

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from model.resources import static_assets
+from model.core.resources import static_assets
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES, ObjectSolver
 from model.segmentation.encoding import Encoding
 from model.segmentation.fronts import Fronts

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial import KDTree
 
+from model.core.asset import Asset
+from model.core.mesh import Mesh
 from model.datasets.procedural.casting import Caster, camera_rays, look_at
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.protocol import SegmentationSession
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.errors import PromptError
+from model.core.errors import PromptError
 from model.geometry.upright_box import box_yaw
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import to_elements, to_nodes

@@ -16,14 +16,14 @@ import numpy as np
 
 from model.arti4urdf.structure import read_structure
 from model.confidence import FORMAT, SHIPPED, Weighing, fit
+from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.progress import Progress, no_progress
 from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
 from model.datasets.procedural.generate import family_names, make
 from model.datasets.protocol import GroundTruth
-from model.errors import ArtiworldError, ConfigurationError
 from model.evaluation.calibration import compared
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import robust_map
-from model.progress import Progress, no_progress
 
 PREDICTORS = ("hybrid", "arti4urdf", "geometric")
 TABLE = "joints.jsonl"

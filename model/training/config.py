@@ -8,7 +8,7 @@ from typing import Any
 from model.arti4urdf import vocabulary as v
 from model.arti4urdf.language_model import DecoderConfig
 from model.arti4urdf.network import ModelConfig
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.training.batches import Augmentation
 from model.training.full_config import full_presets
 

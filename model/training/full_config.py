@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from model import codec
-from model.errors import ConfigurationError, InputFileError
-from model.installing import install_command
+from model.core import codec
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.installing import install_command
 
 SIZES = ("0.6b", "1.7b", "4b", "8b")
 _NEEDED = ("transformers", "tokenizers", "accelerate")

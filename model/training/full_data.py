@@ -21,10 +21,10 @@ from model.arti4urdf.answer import rounded, write_answer
 from model.arti4urdf.full_model import Example
 from model.arti4urdf.text_prompt import make_example
 from model.arti4urdf.text_script import as_written
+from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
+from model.core.errors import ArtiworldError
+from model.core.tree import KinematicTree
 from model.datasets.protocol import Dataset, GroundTruth
-from model.errors import ArtiworldError
-from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
-from model.kinematics.tree import KinematicTree
 from model.remote.wire import decode_request, encode_request
 from model.training.full_config import FullConfig
 from model.training.samples import MOST_PARTS, draw_truth, family_of

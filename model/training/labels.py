@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from model.arti4urdf.structure import SLOTS, Structure
 from model.arti4urdf.vocabulary import TYPES
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
 from model.geometric.hypothesis import Hypothesis
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
 
 Array = npt.NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from model.arti4urdf.network import ArtiModel
 from model.arti4urdf.weights import save_weights
-from model.errors import ConfigurationError
-from model.progress import Progress, no_progress
+from model.core.errors import ConfigurationError
+from model.core.progress import Progress, no_progress
 from model.training.batches import PLAIN, Batch, augmented, collate, teach
 from model.training.config import TrainingConfig
 from model.training.loss import batch_loss, by_kind

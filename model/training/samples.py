@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.arti4urdf.structure import StructureArrays, read_structure, structure_arrays
+from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.progress import Progress, no_progress
 from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
 from model.datasets.procedural.generate import COMPOSITE, family_names, make
 from model.datasets.protocol import GroundTruth
 from model.datasets.registry import recognised
 from model.datasets.splits import training_ids
-from model.errors import ArtiworldError, ConfigurationError
 from model.evaluation.pool import in_processes
-from model.progress import Progress, no_progress
 from model.training.labels import Labels, label
 
 HELD_OUT = ("Display", "Suitcase", "Pliers", "Kettle", "Oven")

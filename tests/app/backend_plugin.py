@@ -8,9 +8,9 @@ ENTRY_POINTS = "[artiworld.predictors]\nmoody = moody:Moody\n"
 MODULE = """
 import os, time
 from pathlib import Path
-from model.errors import GeometryError
+from model.core.errors import GeometryError
 from model.geometric.predictor import GeometricPredictor
-from model.progress import Cancelled, no_progress
+from model.core.progress import Cancelled, no_progress
 
 LOG = Path(os.environ["MOODY_LOG"])
 GO = LOG.with_name("go")  # what is held goes on once this file is there

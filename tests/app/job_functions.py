@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from app.jobs import WorkerProcess
-from model.errors import InputFileError, KinematicsError
-from model.geometry.point_cloud import PointCloud
-from model.progress import Progress
+from model.core.errors import InputFileError, KinematicsError
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress
 
 _state: dict[str, int] = {}
 

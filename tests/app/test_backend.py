@@ -28,12 +28,12 @@ from starlette.requests import Request
 from app.backend_server import Backend, BackendSettings
 from app.cli import make_parser
 from app.serve_command import make_config
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.mesh import Mesh
+from model.core.progress import Cancelled
 from model.geometric.predictor import GeometricPredictor
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import Part, SegmentedObject
 from model.predictors import load_predictor
-from model.progress import Cancelled
 from model.remote import TOKEN_VARIABLE
 from model.remote.http_predictor import (
     BackendError,

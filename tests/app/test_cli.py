@@ -21,7 +21,7 @@ from app import headless, printing
 from app.batch import Crashed, run_all
 from app.cli import main, make_parser
 from app.crash_log import write_crash
-from model.errors import ConfigurationError, KinematicsError
+from model.core.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
 from tests.app.run_cli import (
     BASE_CLICK,
@@ -628,7 +628,7 @@ def test_several_problems_are_still_one_line(monkeypatch, capsys):
 
 
 def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, capsys):
-    from model.kinematics.articulated_object import Prediction
+    from model.core.articulated_object import Prediction
 
     class Silent:
         name = "silent"

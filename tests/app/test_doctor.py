@@ -11,7 +11,7 @@ import pytest
 
 from app import doctor
 from app.cli import main
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from sessions.store import Store
 from tests.app.run_cli import artiworld
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.joint import Joint
+from model.core.point_cloud import PointCloud
 from model.exporters.saved import load_object
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part, SegmentedObject
-from model.kinematics.joint import Joint
 from model.predictor import Predictor
 
 ROOT = Path(__file__).parents[2]

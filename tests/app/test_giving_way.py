@@ -15,8 +15,8 @@ from app.segmenting import Segmenting
 from app.tasks import arrays_of
 from app.tool_tasks import PROPOSE, ToolRequest
 from app.workbench import Workbench
-from model.recent import Recent
-from model.resources import static_assets
+from model.core.lru_cache import Recent
+from model.core.resources import static_assets
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store

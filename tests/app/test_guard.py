@@ -24,7 +24,7 @@ from app.guard import RouteAnswer, RouteRequest, guarded_server
 from app.login import ATTEMPTS, GUESSES, Login, new_token
 from app.network import check_address, free_port, is_loopback
 from app.upload_guard import plain_name
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 
 TOKEN = "correct horse, battery"
 LIMIT = 3_000_000

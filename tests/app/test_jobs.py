@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from app.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
-from model.errors import InputFileError, KinematicsError
-from model.progress import Cancelled
+from model.core.errors import InputFileError, KinematicsError
+from model.core.progress import Cancelled
 from tests.app import job_functions as functions
 
 ROOT = Path(__file__).parents[2]

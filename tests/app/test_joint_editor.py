@@ -11,9 +11,9 @@ import pytest
 
 from app import snapping_tasks
 from app.viewer.joint_editor import JointEditor, _put_vector
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Prediction
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from sessions.document import Document
 
 DOOR = Joint("j", "revolute", "link_0", "link_1", (0, 0, 1), (0.1, 0.2, 0.0), 0.0, 1.65)

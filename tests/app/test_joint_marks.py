@@ -15,8 +15,8 @@ from app.judging import JointCheck
 from app.viewer.joint_marks import AxisMark, JointMarks
 from app.viewer.motion import Motion
 from app.viewer.moving_parts import MovingParts
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 
 LOWER = Joint("lower", "revolute", "link_0", "link_1", (1, 0, 0), (0, 0, 0.1), -1.6, 1.6)
 UPPER = Joint("upper", "revolute", "link_1", "link_2", (1, 0, 0), (0, 0, 0.6), -1.6, 1.6)

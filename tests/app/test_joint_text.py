@@ -11,12 +11,12 @@ import pytest
 from app.titles import in_words, joint_title, moved_part, part_title
 from app.viewer.joint_rows import joint_lines, least_sure
 from app.viewer.joint_text import joint_note, range_text, tree_text
-from model.errors import KinematicsError
+from model.core.articulated_object import ArticulatedObject, Part, Prediction
+from model.core.errors import KinematicsError
+from model.core.joint import Joint, value_text
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.gate.words import interval, title
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part, Prediction
-from model.kinematics.joint import Joint, value_text
-from model.kinematics.tree import KinematicTree
 from sessions.document import Document, PartInfo
 
 DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))

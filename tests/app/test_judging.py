@@ -22,12 +22,12 @@ from app.open_object import OpenObject
 from app.part_tasks import parts_of
 from app.workbench import Workbench
 from model.collision import build
-from model.errors import CommandError
+from model.core.articulated_object import Prediction
+from model.core.errors import CommandError
+from model.core.joint import Joint
+from model.core.resources import static_assets
+from model.core.tree import KinematicTree
 from model.gate import gate
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.resources import static_assets
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Begun, Store

@@ -17,7 +17,7 @@ from app import display_tasks, workbench
 from app.config import ServeConfig
 from app.open_object import OpenObject
 from app.workbench import Workbench
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession

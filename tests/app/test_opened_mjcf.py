@@ -16,7 +16,7 @@ from app.display_tasks import open_asset
 from app.serve_command import _scene_of
 from app.tasks import ReadOptions, stamp
 from app.uploads import keep_upload
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.exporters.saved import load_object
 from model.geometry.readers import find_assets, read_asset
 

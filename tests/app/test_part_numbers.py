@@ -15,8 +15,8 @@ from app.job import Job
 from app.running_jobs import RunningJobs
 from app.segmenting import Segmenting
 from app.tool_tasks import FaceCutOffer, MaskOffer, RegionOffer, ToolRequest
-from model.errors import CommandError
-from model.progress import Cancelled
+from model.core.errors import CommandError
+from model.core.progress import Cancelled
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick, AddPart, NamePart, SetFrame
 from sessions.describe import describe

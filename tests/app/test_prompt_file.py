@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from app.prompt_file import check_prompts, distance_to_surface, read_prompts
-from model.errors import InputFileError
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.resources import static_assets
+from model.core.asset import Asset
+from model.core.errors import InputFileError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.resources import static_assets
 from model.segmentation.prompts import Region
 
 SQUARE = Mesh(

@@ -7,7 +7,7 @@ from app.tool_tasks import NEXT_MASK, TOOLS
 from app.viewer.annotate_panel import TOOL_ROWS, AnnotatePanel, parts_listed
 from app.viewer.prompt_list import prompt_entries
 from app.viewer.review_panel import what_happened
-from model.kinematics.joint import Joint
+from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.commands import ClearPrompts, RemovePrompt, ResetJoint, SetJoint
 from sessions.document import Document, PartInfo, RegionRef

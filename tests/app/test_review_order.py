@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from app.review_order import UNKNOWN, ReviewOrder, confidence
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Prediction
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from sessions.document import Document
 from sessions.records import ObjectRecord
 

@@ -8,8 +8,8 @@ import pytest
 
 from app.job import Job
 from app.running_jobs import RunningJobs
-from model.errors import CommandError
-from model.progress import Cancelled
+from model.core.errors import CommandError
+from model.core.progress import Cancelled
 
 
 def job(cancel: Any = None) -> Job[Any]:

@@ -18,8 +18,8 @@ import pytest
 from scipy.spatial import KDTree
 
 from app.cli import main
+from model.core.point_cloud import PointCloud
 from model.exporters.asset_folder import load_object
-from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import read_asset, read_part_files
 from model.geometry.writers import write_cloud, write_mesh
 from model.kinematics.urdf import read_urdf

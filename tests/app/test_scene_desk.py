@@ -27,13 +27,13 @@ from app.viewer.joint_rows import joint_lines
 from app.viewer.scene_card import count_text
 from app.viewer.scene_list import order, page_buttons
 from app.workbench import Workbench
-from model.errors import CommandError
+from model.core.articulated_object import Prediction
+from model.core.errors import CommandError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.exporters.saved import load_object
 from model.gate.report import Finding, GateReport, JointVerdict
 from model.geometry.readers import read_asset
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.scenes.assets import asset_digest
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo

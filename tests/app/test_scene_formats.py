@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from defusedxml import ElementTree
 
+from model.core.articulated_object import ArticulatedObject
 from model.geometry.formats.gltf import open_gltf
 from model.geometry.readers import read_asset
 from model.geometry.writers import write_cloud
-from model.kinematics.articulated_object import ArticulatedObject
 from model.kinematics.urdf import read_urdf
 from model.scenes.registry import read_scene
 from tests.app.test_scene_command import convert, objects_of, world_of

@@ -22,8 +22,8 @@ from app.network import url
 from app.serve_command import make_config
 from app.server import paths_to_open
 from app.workbench import Workbench
-from model.errors import ArtiworldError
-from model.resources import static_assets
+from model.core.errors import ArtiworldError
+from model.core.resources import static_assets
 from model.scenes.assets import index_assets
 from model.scenes.convert import descriptions
 from model.scenes.finders import LexiconFinder

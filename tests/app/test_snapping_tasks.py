@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from app import snapping_tasks
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Part
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 
 
 def part(link: str, *meshes: trimesh.Trimesh) -> Part:

@@ -13,8 +13,8 @@ from app.display_tasks import OpenedAsset, open_asset
 from app.scene_shapes import drawn_parts
 from app.segmenting_tasks import StoredRegion
 from app.tool_tasks import NEW_PART, ToolRequest, use_tool
-from model.errors import CommandError
-from model.progress import Cancelled
+from model.core.errors import CommandError
+from model.core.progress import Cancelled
 from model.segmentation.prompts import Click
 
 LID = (0.05, 0.02, 0.365)

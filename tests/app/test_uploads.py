@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from app.uploads import keep_upload
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.readers import find_assets, read_asset
 
 OBJ = (

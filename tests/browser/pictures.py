@@ -23,7 +23,7 @@ from playwright.sync_api import sync_playwright
 from app.config import ServeConfig
 from app.prompt_file import read_prompts
 from app.server import Server
-from model.resources import static_assets
+from model.core.resources import static_assets
 
 EXAMPLES = static_assets() / "examples"
 SIZE = (1400, 850)

@@ -12,7 +12,7 @@ import pytest
 from browsing import Tab, wait_until
 from objects import write_cabinet, write_cloud
 
-from model.kinematics.joint import motion
+from model.core.joint import motion
 from sessions.commands import SetCategory
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.

@@ -16,10 +16,10 @@ from browsing import Tab, wait_until
 
 from app.prompt_file import read_prompts
 from app.viewer.gate_view import MENDS
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.resources import static_assets
+from model.core.articulated_object import Prediction
+from model.core.joint import Joint
+from model.core.resources import static_assets
+from model.core.tree import KinematicTree
 from sessions import commands as cmd
 
 pytestmark = [

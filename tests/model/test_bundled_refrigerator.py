@@ -7,11 +7,11 @@ from functools import cache
 
 import pytest
 
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.resources import static_assets
 from model.geometry.parts import split
 from model.geometry.readers import read_asset
-from model.kinematics.articulated_object import Part, SegmentedObject
 from model.predictors import load_predictor
-from model.resources import static_assets
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter
 

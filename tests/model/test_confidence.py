@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from model.confidence import SUREST, doubt, fit, log_odds, weighing_of
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.predictors import BUILT_IN
 
 

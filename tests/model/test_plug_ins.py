@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.exporters import registry as exporters
 from model.exporters.glb import GlbExporter
 from model.scenes import finder_registry as finders

@@ -9,7 +9,7 @@ import pytest
 
 from app.cli import main
 from model import predictors
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.geometric.predictor import GeometricPredictor
 from model.predictor import Predictor
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Prediction
+from model.core.joint import Joint, Mimic
+from model.core.tree import KinematicTree
 from sessions.store import Store
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from model.errors import StoreError
+from model.core.errors import StoreError
 from sessions.arrays import MAGIC, ArrayFiles
 
 dtypes = st.sampled_from(

@@ -8,8 +8,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from model.errors import CommandError
-from model.kinematics.articulated_object import Prediction
+from model.core.articulated_object import Prediction
+from model.core.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions.commands import (
     KINDS,

@@ -11,7 +11,7 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
-from model.errors import StoreError
+from model.core.errors import StoreError
 from model.segmentation.prompts import Click
 from sessions import database
 from sessions.commands import AddClick, Reopen, Undo

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from model.geometry.asset import Source
+from model.core.asset import Source
 from model.segmentation.prompts import Click
 from sessions.commands import (
     Accept,

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions.review import ACTIONS, REVIEW_STATES, TRANSITIONS, transition
 
 

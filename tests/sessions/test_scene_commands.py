@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from sessions.commands import Undo, from_json, to_json
 from sessions.document import DecisionRecord
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable

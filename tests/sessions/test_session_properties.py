@@ -11,10 +11,10 @@ from unittest.mock import patch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from model.errors import CommandError
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Prediction
+from model.core.errors import CommandError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions.commands import (
     Accept,

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from model.errors import CommandError
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import Joint
+from model.core.articulated_object import Prediction
+from model.core.errors import CommandError
+from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.commands import (
     Accept,

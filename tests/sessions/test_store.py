@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import CommandError, StoreError
+from model.core.errors import CommandError, StoreError
 from model.segmentation.prompts import Click
 from sessions.commands import (
     AddClick,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from model.errors import CommandError, StoreError
+from model.core.errors import CommandError, StoreError
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick, SetCategory, Undo
 from sessions.store import ConflictError, Store

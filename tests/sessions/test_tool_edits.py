@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from model.errors import CommandError
+from model.core.errors import CommandError
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import Click
 from sessions.commands import (

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.errors import KinematicsError
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
+from model.core.errors import KinematicsError
+from model.core.joint import Joint, Mimic
+from model.core.tree import KinematicTree
 from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
 
 unit = st.floats(-1, 1, allow_nan=False)

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from model.core.articulated_object import ArticulatedObject, SegmentedObject
+from model.core.mesh import Mesh
 from model.geometry.appearance import colors_at
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
 
 Array = npt.NDArray[np.float64]
 

@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import ConfigurationError
+from model.core.joint import Joint
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.datasets.procedural.casting import Caster
 from model.datasets.procedural.grammar import ProceduralObject, transformed
 from model.datasets.procedural.shapes import rotation
 from model.datasets.protocol import GroundTruth
-from model.errors import ConfigurationError
-from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 LEAST = 24

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.mesh import Mesh
 from model.datasets.procedural.families import (
     cooling,
     decor,
@@ -33,11 +35,9 @@ from model.datasets.procedural.materials import Palette, metal, plain, wood
 from model.datasets.procedural.modules import Opening
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan, visible_elements
 from model.geometry.glb import mesh_to_glb
-from model.geometry.mesh import Mesh
 from model.geometry.readers import read_asset
 from model.geometry.sampling import sample_surface
 from model.geometry.writers import write_cloud
-from model.kinematics.articulated_object import ArticulatedObject
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter
 from model.segmentation.simulate import next_part_click

@@ -18,15 +18,15 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
+from model.core.errors import ConfigurationError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
 from model.datasets.procedural.composite import random_composite
 from model.datasets.procedural.families import FAMILIES, Family
 from model.datasets.procedural.grammar import ProceduralObject
-from model.errors import ConfigurationError
-from model.geometry.mesh import Mesh
 from model.geometry.writers import write_mesh
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.progress import Progress, no_progress
 
 OBJ_FROM_OBJECT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From our frame (+z up, front -y) to the OBJ files' (+y up, front +z)."""

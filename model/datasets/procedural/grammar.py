@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import Joint, JointType, canonical_axis_sign
+from model.core.mesh import Material, Mesh
+from model.core.tree import KinematicTree
 from model.datasets.procedural.materials import Surface
 from model.datasets.procedural.shapes import Solid, Vector
-from model.geometry.mesh import Material, Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint, JointType, canonical_axis_sign
-from model.kinematics.tree import KinematicTree
 
 
 @dataclass(frozen=True, eq=False)

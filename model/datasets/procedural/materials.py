@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from model.core.mesh import Material
 from model.datasets.procedural import textures
-from model.geometry.mesh import Material
 
 RGB = tuple[int, int, int]
 Wood = Literal["oak", "walnut", "beech", "birch", "cherry", "grey"]

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject, SegmentedObject
+from model.core.errors import ConfigurationError
+from model.core.point_cloud import PointCloud
 from model.datasets.procedural.casting import Caster, Hits, camera_rays, daylight
-from model.errors import ConfigurationError
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, SegmentedObject
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.textures import left_out
 from model.geometry.formats.gltf_buffers import MAX_VALUES, Array, GltfBuffers, Json
 from model.geometry.formats.gltf_materials import GltfMaterials, as_dict
 from model.geometry.formats.loaded import (
@@ -22,7 +23,6 @@ from model.geometry.formats.loaded import (
     with_plain_colors,
 )
 from model.geometry.formats.srgb import to_srgb
-from model.geometry.formats.textures import left_out
 
 _UNREADABLE = {
     "KHR_draco_mesh_compression": "Draco compression",

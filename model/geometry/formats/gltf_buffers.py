@@ -11,7 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.loaded import read_bytes
 from model.geometry.formats.references import ReferenceRefused, resolve
 

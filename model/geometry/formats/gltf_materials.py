@@ -9,12 +9,12 @@ from typing import Any, TypeGuard, TypeVar
 import numpy as np
 from PIL import Image, ImageStat
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.mesh import Material
+from model.core.surface_maps import ImageFile, SurfaceMaps, image_file
+from model.core.textures import TextureError, decode
 from model.geometry.formats.gltf_buffers import Array, GltfBuffers, Json
 from model.geometry.formats.srgb import to_srgb
-from model.geometry.formats.textures import TextureError, decode
-from model.geometry.mesh import Material
-from model.geometry.surface_maps import ImageFile, SurfaceMaps, image_file
 
 T = TypeVar("T")
 

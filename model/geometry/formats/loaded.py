@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
-from model.geometry.mesh import Material
+from model.core.errors import InputFileError
+from model.core.mesh import Material
 
 DEFAULT_MAX_BYTES = 4 << 30
 WHITE = (255, 255, 255, 255)
@@ -132,7 +132,7 @@ def _base_colors(piece: Loaded) -> Array:
 def with_plain_colors(loaded: Loaded) -> Loaded:
     """Vertex colours of a mixture (some pieces coloured, some with materials) stay honest.
 
-    :class:`~model.geometry.mesh.Mesh` lets vertex colours replace the base colour, so vertices
+    :class:`~model.core.mesh.Mesh` lets vertex colours replace the base colour, so vertices
     that had none take the base colour of their material.
     """
     if loaded.colors is None or not len(loaded.faces) or not loaded.materials:

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.mesh import Material
+from model.core.surface_maps import ImageFile, SurfaceMaps, holds_normals, open_image_file
+from model.core.textures import TextureError, left_out, open_texture
 from model.geometry.formats.loaded import WHITE, read_bytes
 from model.geometry.formats.references import ReferenceRefused, resolve
 from model.geometry.formats.srgb import to_linear
-from model.geometry.formats.textures import TextureError, left_out, open_texture
-from model.geometry.mesh import Material
-from model.geometry.surface_maps import ImageFile, SurfaceMaps, holds_normals, open_image_file
 
 _MAX_MTL = 64 << 20
 # Options of a map_* line and how many values each takes at most.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.mesh import Material
 from model.geometry.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
@@ -20,7 +21,6 @@ from model.geometry.formats.loaded import (
 )
 from model.geometry.formats.mtl import MaterialFiles
 from model.geometry.formats.triangulate import triangulate
-from model.geometry.mesh import Material
 
 Array = npt.NDArray[Any]
 

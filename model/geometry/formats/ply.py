@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
+from model.core.mesh import Material
+from model.core.textures import TextureError, open_texture
 from model.geometry.formats.loaded import (
     DEFAULT_MAX_BYTES,
     WHITE,
@@ -26,9 +28,7 @@ from model.geometry.formats.ply_rows import (
     read_binary,
 )
 from model.geometry.formats.references import ReferenceRefused, resolve
-from model.geometry.formats.textures import TextureError, open_texture
 from model.geometry.formats.triangulate import triangulate
-from model.geometry.mesh import Material
 
 Array = npt.NDArray[Any]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.loaded import DEFAULT_MAX_BYTES, Loaded, numbers, read_bytes
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.geometry.formats.loaded import Loaded
 from model.geometry.readers import turned_up

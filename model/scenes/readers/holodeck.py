@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.embedded import Unpacked, Unpacker
 from model.scenes.poses import from_unity
 from model.scenes.readers.house import structure_of

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.poses import from_rpy
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import Scene, SceneObject, SceneObjectError

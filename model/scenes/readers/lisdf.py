@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.poses import from_rpy
 from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError, upright
 from model.scenes.values import collect, numbers, read_text, shown

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.poses import about_z, pose, rotation_from_quaternion
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError, upright

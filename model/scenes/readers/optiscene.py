@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.poses import about_z, pose
 from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
 from model.scenes.values import Place, collect, maybe_text, numbers, read_text, shown, text

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.scenes.poses import pose, rotation_from_quaternion
 from model.scenes.scene import (
     ANCHORS,

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.cleaning import MIN_POINTS
 from model.geometry.formats.loaded import Loaded
 from model.geometry.formats.ply import read_ply_columns

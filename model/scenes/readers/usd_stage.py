@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import ConfigurationError, InputFileError
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.installing import install_command
+from model.core.mesh import Material
 from model.geometry.formats.loaded import Loaded, check_indices, colors_from
 from model.geometry.formats.srgb import to_srgb
 from model.geometry.formats.triangulate import triangulate
-from model.geometry.mesh import Material
 from model.geometry.readers import turned_up
-from model.installing import install_command
 from model.scenes.embedded import Unpacked, Unpacker, placed_frame
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import (

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.errors import ConfigurationError, InputFileError
-from model.geometry.asset import Asset
-from model.progress import Progress, no_progress
+from model.core.asset import Asset
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.progress import Progress, no_progress
 from model.segmentation.nodes import Nodes, nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts

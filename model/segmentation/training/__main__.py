@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from model.resources import static_assets
+from model.core.resources import static_assets
 from model.segmentation.training.boxes import BoxTraining, train_boxes
 from model.segmentation.training.clicks import ClickTraining, train_room_scorers, train_scorers
 from model.segmentation.training.clouds import CloudTraining, train_clouds

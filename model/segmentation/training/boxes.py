@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from model.core.asset import Asset
 from model.evaluation.pool import in_order
-from model.geometry.asset import Asset
 from model.segmentation.box_scores import BOX_SCORE_FEATURES, BoxDescriber
 from model.segmentation.boxes import Boxes
 from model.segmentation.edge_strength import shipped_edge_model

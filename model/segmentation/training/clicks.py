@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.core.asset import Asset
 from model.evaluation.pool import in_order
-from model.geometry.asset import Asset
 from model.segmentation.boxes import OBJECT_FEATURE_NAMES
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.geometry.asset import Asset
+from model.core.asset import Asset
 from model.segmentation.edge_strength import hand_set_strength
 from model.segmentation.features import FEATURE_NAMES, edge_features
 from model.segmentation.graph import build_graph

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.asset import Asset
 from model.datasets.procedural.scan import simulate_scan
 from model.evaluation.pool import in_order
-from model.geometry.asset import Asset
-from model.kinematics.articulated_object import Part, SegmentedObject
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.mesh import Material, Mesh
 from model.datasets.procedural.casting import Caster
 from model.geometry.appearance import colors_at
-from model.geometry.mesh import Material, Mesh
 from model.segmentation.training.primitives import Triangles, block, lathe
 from model.segmentation.training.scans import Shape
 

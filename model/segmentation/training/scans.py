@@ -12,14 +12,14 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
 from model.datasets.procedural.examples import joined
 from model.datasets.procedural.families import HELD_OUT
 from model.datasets.procedural.generate import family_names, make
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import ArticulatedObject
 from model.segmentation.normals import sphere_directions
 from model.segmentation.training import furniture, gadgets
 from model.segmentation.training.primitives import Builder

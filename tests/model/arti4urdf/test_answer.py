@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 pytest.importorskip("torch", reason="torch is not installed")
 
 from model.arti4urdf.answer import parse_answer, write_answer
+from model.core.articulated_object import SegmentedObject
 from model.datasets.procedural.generate import make
-from model.kinematics.articulated_object import SegmentedObject
 
 FAMILIES = ("StorageFurniture", "Bottle", "Chair", "Fan", "Oven")
 

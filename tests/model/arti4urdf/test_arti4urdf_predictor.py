@@ -18,11 +18,11 @@ from model.arti4urdf.predictor import (
 )
 from model.arti4urdf.structure import read_structure
 from model.confidence import weighing_of
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.joint import Joint
+from model.core.point_cloud import PointCloud
+from model.core.threads import BY_DEFAULT, NAMES, with_threads
 from model.datasets.procedural.generate import make
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part, SegmentedObject
-from model.kinematics.joint import Joint
-from model.threads import BY_DEFAULT, NAMES, with_threads
 
 
 def _parts(family: str, index: int = 0) -> SegmentedObject:

@@ -30,7 +30,7 @@ from model.arti4urdf.published_weights import (  # noqa: E402
     load_point_bert,
     load_qwen3,
 )
-from model.errors import InputFileError  # noqa: E402
+from model.core.errors import InputFileError  # noqa: E402
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 SMALL = DecoderConfig(97, 64, 160, 2, 4, 2, head_dim=32)

@@ -21,14 +21,14 @@ from model.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa
 from model.arti4urdf.text_engine import Generated, LocalEngine, VllmEngine  # noqa: E402
 from model.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
 from model.arti4urdf.text_script import Author  # noqa: E402
-from model.errors import ArtiworldError, ConfigurationError  # noqa: E402
-from model.geometry.mesh import Mesh  # noqa: E402
-from model.geometry.point_cloud import PointCloud  # noqa: E402
-from model.kinematics.articulated_object import Part, SegmentedObject  # noqa: E402
-from model.kinematics.joint import Joint  # noqa: E402
-from model.kinematics.tree import KinematicTree  # noqa: E402
+from model.core.articulated_object import Part, SegmentedObject  # noqa: E402
+from model.core.errors import ArtiworldError, ConfigurationError  # noqa: E402
+from model.core.joint import Joint  # noqa: E402
+from model.core.mesh import Mesh  # noqa: E402
+from model.core.point_cloud import PointCloud  # noqa: E402
+from model.core.progress import Cancelled  # noqa: E402
+from model.core.tree import KinematicTree  # noqa: E402
 from model.predictors import load_predictor  # noqa: E402
-from model.progress import Cancelled  # noqa: E402
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from model.arti4urdf.vocabulary import SIZE, TOKENS
 from model.arti4urdf.weights import SHIPPED, load_weights, vocabulary_hash
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.training.probes import (
     both,
     foreign_wholes,

@@ -19,18 +19,18 @@ from model.collision.measure import free_volume, overlaps_of
 from model.collision.overlap import overlap
 from model.collision.shapes import Primitive, hull_of_shape
 from model.collision.touching import Way, overlaps
-from model.errors import GeometryError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import GeometryError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.exporters import kept_surfaces
 from model.exporters.part_files import part_mesh
 from model.exporters.physics import physics_of
 from model.gate.physics import run_physics
 from model.geometry import reconstruct
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 WALL = 0.01
 

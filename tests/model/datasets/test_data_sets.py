@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from model.core.errors import ConfigurationError, InputFileError
 from model.datasets.protocol import Dataset
 from model.datasets.registry import DatasetOptions, dataset_names, open_dataset
 from model.datasets.splits import in_test, is_held_out, select
-from model.errors import ConfigurationError, InputFileError
 
 
 def obj_file(path: Path, size: tuple[float, ...], at: tuple[float, ...]) -> None:

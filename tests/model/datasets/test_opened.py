@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import InputFileError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.asset import Asset
+from model.core.errors import InputFileError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 from model.exporters.asset_folder import write_asset
 from model.exporters.physics import plain_physics
 from model.exporters.registry import load_exporter
-from model.geometry.asset import Asset
 from model.geometry.cache import load_asset, save_asset
-from model.geometry.mesh import Mesh
 from model.geometry.readers import find_assets, read_asset
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_reader import MOST_LINKS
 
 LIMIT = '<limit lower="0" upper="1.5"/>'

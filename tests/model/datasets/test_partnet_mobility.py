@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from PIL import Image
 
+from model.core.errors import InputFileError
+from model.core.tree import KinematicTree
 from model.datasets.merging import rigid_groups
 from model.datasets.part_export import export_parts
 from model.datasets.partnet_mobility import PartNetMobility, read_partnet_mobility
 from model.datasets.protocol import Dataset
-from model.errors import InputFileError
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf_reader import read_urdf_model
 
 URDF = """<?xml version="1.0"?>

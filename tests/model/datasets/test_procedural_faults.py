@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from model.core.errors import ConfigurationError
 from model.datasets.procedural.corruption import FAULTS
 from model.datasets.procedural_set import ProceduralSet
-from model.errors import ConfigurationError
 
 
 @pytest.mark.parametrize("fault", FAULTS)

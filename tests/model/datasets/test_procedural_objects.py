@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
 from model.datasets.procedural.families import FAMILIES, HELD_OUT
 from model.datasets.procedural.generate import COMPOSITE, family_names, make
 from model.datasets.procedural.grammar import at_rest
 from model.geometry.topology import weld
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
 from model.kinematics.sweep import sweep_joint
 
 PRESSED = ("button", "key", "switch")

@@ -13,8 +13,10 @@ import pytest
 import trimesh
 
 from model import predictors
+from model.core.articulated_object import Prediction
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.joint import motion
 from model.datasets.registry import DatasetOptions
-from model.errors import ConfigurationError, InputFileError
 from model.evaluation.corruption import Corruption, corrupt, visible
 from model.evaluation.markdown import write_markdown
 from model.evaluation.report import (
@@ -25,8 +27,6 @@ from model.evaluation.report import (
     score_to_json,
 )
 from model.evaluation.run import EvaluationConfig, evaluate
-from model.kinematics.articulated_object import Prediction
-from model.kinematics.joint import motion
 
 URDF = """<robot name="made"><link name="base"/>
 <link name="link_0"><visual><geometry><mesh filename="door.obj"/></geometry></visual></link>

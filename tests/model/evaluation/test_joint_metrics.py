@@ -10,6 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import Joint
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import (
     ObjectScore,
     axis_angle,
@@ -18,10 +22,6 @@ from model.evaluation.joint_metrics import (
     score_object,
 )
 from model.evaluation.summary import summarise
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 DIAGONAL = math.sqrt(3.0)
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 import trimesh
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import ConfigurationError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 from model.datasets.registry import DatasetOptions
-from model.errors import ConfigurationError
 from model.evaluation.alignment import ROTATIONS, Frame, Similarity
 from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS
 from model.exporters.urdf import UrdfExporter
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 LOST_BY_A_TYPE = {"tc", "type_precision", "usable", "usable_joints"}
 RANGE = {"range_right", "ald", "ald_all", "usable", "usable_joints"}

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from model.core.errors import ConfigurationError, InputFileError
 from model.datasets.registry import DatasetOptions
-from model.errors import ConfigurationError, InputFileError
 from model.evaluation import render
 from model.evaluation.calibration import calibrate
 from model.evaluation.compare import compare

@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.resources import static_assets
+from model.core.tree import KinematicTree
 from model.geometry.parts import split
 from model.geometry.readers import read_asset
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.resources import static_assets
 
 EXAMPLES = static_assets() / "examples"
 DEMOS = tuple(sorted(p.stem for p in (EXAMPLES / "truth").glob("*.json")))

@@ -13,7 +13,13 @@ import trimesh
 import yourdfpy
 from PIL import Image
 
-from model.errors import GeometryError, InputFileError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.asset import Asset
+from model.core.errors import GeometryError, InputFileError
+from model.core.joint import Joint, Mimic
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.exporters import asset_folder
 from model.exporters.asset_folder import (
     load_object,
@@ -23,13 +29,7 @@ from model.exporters.asset_folder import (
 )
 from model.exporters.part_files import file_stems
 from model.exporters.physics import physics_of
-from model.geometry.asset import Asset
-from model.geometry.mesh import Material, Mesh
 from model.geometry.parts import split
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import read_urdf
 
 PROVENANCE = {"who": "ana", "source": {"path": "scan.ply", "sha256": "00"}, "prompts": []}

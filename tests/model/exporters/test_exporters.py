@@ -18,8 +18,13 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from model.collision.shapes import Primitive, Solid
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.joint import Joint, Mimic
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.datasets.mjcf import read_mjcf
-from model.errors import ConfigurationError, InputFileError
 from model.exporters import registry
 from model.exporters.asset_folder import write_asset
 from model.exporters.physics import Physics, PhysicsSettings, physics_of, whose_shapes
@@ -29,12 +34,7 @@ from model.exporters.registry import export, exporter_names, load_exporter, writ
 from model.exporters.reload import mujoco_problems, object_from_links
 from model.exporters.saved import load_object, reading_notes
 from model.exporters.urdf import losses_of
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import read_asset
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import read_urdf
 
 TREE = KinematicTree(

@@ -6,7 +6,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.errors import ConfigurationError, InputFileError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.exporters.inertia import (
     MIN_MASS,
     MIN_RADIUS,
@@ -15,11 +20,6 @@ from model.exporters.inertia import (
     inertials_of,
 )
 from model.exporters.materials import PartMaterial, read_materials
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import Inertial
 
 

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import trimesh
 
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.mesh import Material, Mesh
+from model.core.tree import KinematicTree
 from model.exporters.mjcf import MjcfExporter
-from model.geometry.mesh import Material, Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.tree import KinematicTree
 
 
 def test_a_material_on_triangles_without_area_is_left_out(tmp_path):

@@ -18,19 +18,19 @@ from pxr import Usd, UsdShade
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.asset import Asset
+from model.core.joint import Joint
+from model.core.mesh import Material
+from model.core.surface_maps import SurfaceMaps
+from model.core.tree import KinematicTree
 from model.exporters.asset_folder import write_asset
 from model.exporters.registry import export, losses_of
 from model.exporters.saved import load_object
-from model.geometry.asset import Asset
 from model.geometry.cache import load_asset, save_asset
-from model.geometry.mesh import Material
 from model.geometry.parts import split
 from model.geometry.readers import read_asset
 from model.geometry.splitting import Plane, split_faces
-from model.geometry.surface_maps import SurfaceMaps
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 
 W = 0.02
 """Boards."""

@@ -14,14 +14,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 
 from demos import demo_object
 
-from model import codec
 from model.collision import build, touching
+from model.core import codec
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.lru_cache import Recent
 from model.gate import drives, physics
 from model.gate.gate import run_gate
 from model.kinematics import crossing
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint
-from model.recent import Recent
 
 
 def edits_of(joint: Joint) -> list[Joint]:

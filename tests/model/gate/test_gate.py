@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from cabinets import DOOR, DRAWER, W, box, cabinet, part, two
 
-from model.errors import GeometryError, KinematicsError
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import GeometryError, KinematicsError
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Cancelled
+from model.core.tree import KinematicTree
 from model.gate.gate import run_gate
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
-from model.progress import Cancelled
 
 
 def judge(obj: ArticulatedObject, **options):

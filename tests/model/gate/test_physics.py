@@ -10,13 +10,13 @@ import pytest
 from cabinets import DOOR, DRAWER, box, cabinet, part
 
 from model.collision.hulls import hull_of
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint, Mimic
+from model.core.tree import KinematicTree
 from model.exporters.physics import Physics, physics_of
 from model.gate import physics
 from model.gate.gate import run_gate
 from model.gate.physics import run_physics
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
 
 pytest.importorskip("mujoco")
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.gate.report import Finding, GateReport, JointVerdict
 from model.gate.unsure import with_unsure
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
 
 DRAWER = Joint("drawer", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0.0, upper=0.7)
 WHEEL = Joint("wheel", "continuous", "link_0", "link_2", (1, 0, 0))

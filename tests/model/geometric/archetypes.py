@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 import trimesh
 
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import Part, SegmentedObject
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.mesh import Mesh
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from archetypes import THINGS, Thing
 
+from model.core.articulated_object import Part, Prediction, SegmentedObject
+from model.core.joint import Joint
 from model.evaluation.joint_metrics import axis_angle, point_to_line
 from model.geometric.predictor import GeometricPredictor
-from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
-from model.kinematics.joint import Joint
 
 PREDICTOR = GeometricPredictor()
 
@@ -95,7 +95,7 @@ OPENS = {
 @pytest.mark.parametrize(("name", "key"), OPENS)
 def test_positive_q_opens(name: str, key: str) -> None:
     """A little of positive q moves the part's middle out of or off its parent."""
-    from model.kinematics.joint import motion
+    from model.core.joint import motion
 
     thing = THINGS[name]()
     obj = thing.segmented()

@@ -9,16 +9,16 @@ import pytest
 import trimesh
 from archetypes import THINGS, cabinet
 
+from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Cancelled
 from model.datasets.procedural.generate import make
 from model.geometric.mechanisms import BUILDERS
 from model.geometric.predictor import GeometricPredictor
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part, SegmentedObject
-from model.kinematics.joint import Joint
 from model.predictor import Predictor
 from model.predictors import load_predictor
-from model.progress import Cancelled
 
 PREDICTOR = GeometricPredictor()
 
@@ -303,10 +303,10 @@ def test_progress_and_cancel() -> None:
 @pytest.mark.parametrize("name", ["cabinet", "oven", "washer", "microwave", "pedal_bin"])
 def test_one_sided_noisy_scans(name: str) -> None:
     """As seen from the front and above, with noise: types and axes stay right."""
+    from model.core.tree import KinematicTree
     from model.datasets.protocol import GroundTruth
     from model.evaluation.corruption import Corruption, corrupt
     from model.evaluation.joint_metrics import axis_angle
-    from model.kinematics.tree import KinematicTree
 
     thing = THINGS[name]()
     obj = thing.segmented()

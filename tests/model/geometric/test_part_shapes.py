@@ -8,12 +8,12 @@ from archetypes import box, join, rod
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from model.core.articulated_object import Part, SegmentedObject
+from model.core.mesh import Mesh
 from model.geometric.outline import roundness
 from model.geometric.scene import make_scene
 from model.geometric.shape import fit_box, rotation
 from model.geometric.sweep import free_range
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import Part, SegmentedObject
 
 
 def part(link: str, mesh) -> Part:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from model.core.articulated_object import SegmentedObject
+from model.core.joint import Joint
 from model.datasets.procedural.generate import make
 from model.geometric.predictor import GeometricPredictor
-from model.kinematics.articulated_object import SegmentedObject
-from model.kinematics.joint import Joint
 
 PREDICTOR = GeometricPredictor()
 

@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from model.geometry.formats.textures import encode
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
-from model.geometry.surface_maps import ImageFile, SurfaceMaps
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.surface_maps import ImageFile, SurfaceMaps
+from model.core.textures import encode
 
 
 @pytest.fixture

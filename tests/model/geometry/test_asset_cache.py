@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import InputFileError
-from model.geometry.asset import Asset, Source
+from model.core.asset import Asset, Source
+from model.core.errors import InputFileError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.cache import FORMAT_VERSION, load_asset, save_asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
 
 
 def test_mesh_with_textures_comes_back(tmp_path: Path, textured: Mesh) -> None:

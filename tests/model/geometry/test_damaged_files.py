@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import ArtiworldError, InputFileError
+from model.core.errors import ArtiworldError, InputFileError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.formats.npz import read_npz
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import SUFFIXES, find_assets, read_asset, read_part_files
 from model.geometry.writers import write_cloud, write_mesh
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import GeometryError
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.errors import GeometryError
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.display import display_asset, thin
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
 from model.geometry.sampling import sample_surface
 
 

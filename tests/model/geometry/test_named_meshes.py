@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometric.vocabulary import MOST_NAMED, named_parts
 from model.geometry.readers import read_asset, read_part_files
 

@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from model.errors import ConfigurationError, GeometryError, InputFileError
+from model.core.asset import Asset
+from model.core.errors import ConfigurationError, GeometryError, InputFileError
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.textures import encode
 from model.geometry.appearance import face_colors
-from model.geometry.asset import Asset
-from model.geometry.formats.textures import encode
 from model.geometry.glb import face_order
-from model.geometry.mesh import Material, Mesh
 from model.geometry.parts import split
-from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import read_asset
 from model.geometry.writers import mesh_to_glb, write_cloud, write_mesh
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import GeometryError
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
+from model.core.asset import Asset
+from model.core.errors import GeometryError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.geometry.picking import Camera, Picker
-from model.geometry.point_cloud import PointCloud
 from model.geometry.strokes import Stroke
 
 FRONT = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # looks along +y, z up

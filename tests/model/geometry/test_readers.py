@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from PIL import Image
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.surface_maps import SurfaceMaps
 from model.geometry.appearance import face_colors
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
 from model.geometry.readers import find_assets, read_asset, read_part_files
-from model.geometry.surface_maps import SurfaceMaps
 from model.geometry.writers import write_cloud, write_mesh
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import GeometryError
+from model.core.errors import GeometryError
+from model.core.point_cloud import PointCloud
 from model.geometry.normals import estimate_normals
-from model.geometry.point_cloud import PointCloud
 from model.geometry.reconstruct import mesh_from_cloud
 
 

@@ -8,8 +8,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.errors import GeometryError
-from model.geometry.mesh import Mesh
+from model.core.errors import GeometryError
+from model.core.mesh import Mesh
 from model.geometry.splitting import Plane, crossing_share, split_faces
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from model.geometry.asset import Asset
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
 from model.geometry.picking import Picker
-from model.geometry.point_cloud import PointCloud
 from model.geometry.strays import Strays, stray_points
 
 WALL = 20_000

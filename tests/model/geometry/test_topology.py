@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.geometry.mesh import Mesh
+from model.core.mesh import Mesh
 from model.geometry.shading import corner_normals
 from model.geometry.topology import connected_shells, face_adjacency, same_points, weld
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part
+from model.core.articulated_object import Part
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.kinematics.barrels import barrel_line, on_barrels
-from model.kinematics.joint import Joint
 
 AXIS = np.array((0.0, 0.0, 1.0))
 HINGE = Joint("j", "revolute", "link_0", "link_1", (0, 0, 1), (0, 0, 0.3), 0.0, 1.5)

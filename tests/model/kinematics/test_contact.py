@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import GeometryError
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part
+from model.core.articulated_object import Part
+from model.core.errors import GeometryError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.kinematics.contact import contact_between, contact_tolerance, contacts
 
 

@@ -13,12 +13,12 @@ from PIL import Image
 from scipy.spatial import KDTree
 
 from model.collision.shapes import Primitive
-from model.errors import ConfigurationError, InputFileError
+from model.core.asset import Asset
+from model.core.errors import ConfigurationError, InputFileError
 from model.exporters.mjcf import MjcfExporter
 from model.exporters.physics import physics_of
 from model.exporters.registry import write_object
 from model.exporters.saved import load_object
-from model.geometry.asset import Asset
 from model.geometry.readers import find_assets, read_asset
 from model.kinematics import mjcf_reader
 from tests.model.exporters.demos import demo_object

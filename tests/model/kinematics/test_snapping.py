@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from model.errors import KinematicsError
-from model.kinematics.joint import Joint
+from model.core.errors import KinematicsError
+from model.core.joint import Joint
 from model.kinematics.snapping import axis_along_box, box_of, origin_on_box_edge, origin_on_contact
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import KinematicsError
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import Joint, Mimic
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import KinematicsError
+from model.core.joint import Joint, Mimic
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_range, sweep_joint, sweep_way
-from model.kinematics.tree import KinematicTree
 
 KINDS = ("mesh", "badly wound", "cloud")
 BOARD = 0.02

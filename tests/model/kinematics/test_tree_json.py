@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from model.errors import KinematicsError
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.errors import KinematicsError
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.kinematics.tree_json import tree_from_json, tree_json_problems, tree_to_json
 
 TREE = KinematicTree(

@@ -11,10 +11,10 @@ import yourdfpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from model.geometry.mesh import Mesh
-from model.kinematics.articulated_object import ArticulatedObject, Part
-from model.kinematics.joint import JOINT_TYPES, Joint, Mimic
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.joint import JOINT_TYPES, Joint, Mimic
+from model.core.mesh import Mesh
+from model.core.tree import KinematicTree
 from model.kinematics.urdf import Inertial, link_origins, read_urdf_model, to_urdf_text, write_urdf
 
 TETRAHEDRON = Mesh(
@@ -136,7 +136,7 @@ def test_a_continuous_joint_has_no_range():
 
 @pytest.mark.parametrize("name", ["a\x00b", "a\x1bb"])
 def test_a_name_that_xml_cannot_hold(name):
-    from model.errors import ArtiworldError
+    from model.core.errors import ArtiworldError
 
     with pytest.raises(ArtiworldError, match="XML"):
         to_urdf_text(ArticulatedObject(name, (), KinematicTree(("a",))))

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 import yourdfpy
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.kinematics.urdf import read_urdf, read_urdf_model
 from model.kinematics.urdf_reader import rotation_from_rpy
 

@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from model.errors import ArtiworldError
-from model.geometry.mesh import Material, Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.articulated_object import Part, Prediction, SegmentedObject
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
+from model.core.articulated_object import Part, Prediction, SegmentedObject
+from model.core.errors import ArtiworldError
+from model.core.joint import Joint, Mimic
+from model.core.mesh import Material, Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.remote.wire import (
     RequestError,
     decode_answer,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.geometry.readers import read_asset, read_part_files
 from model.scenes.asset_parts import known_parts
 from model.scenes.embedded import Unpacked, placed_frame, unpack

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint, Mimic
+from model.core.tree import KinematicTree
 from model.exporters.mjcf import MjcfExporter
 from model.exporters.physics import PhysicsSettings, holding_load, physics_of
 from model.exporters.sdf import SdfExporter
 from model.exporters.urdf import UrdfExporter
 from model.geometry.parts import Part
-from model.kinematics.articulated_object import ArticulatedObject
-from model.kinematics.joint import Joint, Mimic
-from model.kinematics.tree import KinematicTree
 from model.kinematics.urdf import read_urdf_model
 from model.scenes.convert import Outcome
 from model.scenes.holding import frictions

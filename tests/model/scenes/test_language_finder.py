@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.cli import main
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.scenes.finder_registry import FinderOptions, load_finder
 from model.scenes.finders import LexiconFinder
 from model.scenes.language_finder import (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import ConfigurationError, InputFileError
+from model.core.errors import ConfigurationError, InputFileError
 from model.geometry.readers import read_asset
 from model.scenes.embedded import unpack
 from model.scenes.own_file import scene_to_json

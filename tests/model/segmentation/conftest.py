@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.segmentation.training.primitives import block
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.geometry.asset import Asset
+from model.core.asset import Asset
 from model.segmentation.box_scores import (
     BOX_SCORE_FEATURES,
     Believed,
@@ -130,7 +130,7 @@ def test_without_boxes_none_are_offered() -> None:
 
 def test_an_object_without_planes_has_no_boxes_and_is_answered() -> None:
     """A ball: nothing faces along a direction for long."""
-    from model.geometry.point_cloud import PointCloud
+    from model.core.point_cloud import PointCloud
     from model.segmentation.default import DefaultSegmenter
     from model.segmentation.prompts import Click, Prompts
 

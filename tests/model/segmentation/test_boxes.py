@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
+from model.core.asset import Asset
+from model.core.mesh import Mesh
 from model.geometry.sampling import sample_surface
 from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
 from model.segmentation.edge_strength import shipped_edge_model

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
 from model.segmentation.cell_colors import parted_by_color
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode_cells

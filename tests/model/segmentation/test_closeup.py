@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
 from model.segmentation.bench_data import partnet_objects
 from model.segmentation.closeup import SMALL
 from model.segmentation.default import DefaultSegmenter, DefaultSession

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
+from model.core.asset import Asset
+from model.core.mesh import Mesh
+from model.core.resources import static_assets
 from model.geometry.readers import read_asset
 from model.geometry.topology import coincident_faces
-from model.resources import static_assets
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import ConfigurationError, PromptError
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.errors import ConfigurationError, PromptError
+from model.core.point_cloud import PointCloud
 from model.segmentation.adapters.example import BallSegmenter
 from model.segmentation.prompts import BASE, Click, Prompts, Region
 from model.segmentation.protocol import SegmentationSession, Segmenter

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from model.core.asset import Asset
+from model.core.mesh import Mesh
+from model.core.resources import static_assets
 from model.datasets.procedural.examples import joined
 from model.datasets.procedural.generate import make
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
 from model.geometry.readers import read_asset
-from model.resources import static_assets
 from model.segmentation import fronts
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.masks import FEATURE_NAMES
@@ -136,7 +136,7 @@ def test_the_mesh_is_cut_along_its_edges(mesh_cabinet):
 
 
 def test_progress_rises_and_can_cancel(cloud_cabinet):
-    from model.progress import Cancelled
+    from model.core.progress import Cancelled
 
     seen: list[float] = []
     DefaultSegmenter().encode(cloud_cabinet.asset, lambda f, _: seen.append(f))
@@ -154,8 +154,8 @@ def test_a_modelled_panel_is_never_cut_along_its_triangles() -> None:
     """A door of two triangles a side is one part after one click on one of them."""
     import trimesh
 
-    from model.geometry.asset import Asset
-    from model.geometry.mesh import Mesh
+    from model.core.asset import Asset
+    from model.core.mesh import Mesh
     from model.segmentation.prompts import Click, Prompts
     from model.segmentation.registry import load_segmenter
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import InputFileError
-from model.geometry.point_cloud import PointCloud
+from model.core.errors import InputFileError
+from model.core.point_cloud import PointCloud
 from model.geometry.writers import write_cloud
 from model.segmentation.bench_data import room_objects
 

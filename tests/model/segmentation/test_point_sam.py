@@ -10,7 +10,7 @@ pytest.importorskip("torch", reason="PyTorch is not installed")
 import torch
 from safetensors.torch import save_file
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.segmentation.adapters.point_sam import load_network
 from model.segmentation.adapters.point_sam_network import PointSamConfig, PointSamNetwork
 from model.segmentation.prompts import Click, Prompts

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model.errors import PromptError
+from model.core.errors import PromptError
 from model.segmentation.prompts import MAX_PARTS, Click, PartSegmentation, Prompts, Region
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.scorers import read_scorers

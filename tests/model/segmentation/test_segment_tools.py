@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.errors import GeometryError, PromptError
-from model.geometry.asset import Asset
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.errors import GeometryError, PromptError
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
 from model.segmentation.cuts import pieces, straight_cut
 from model.segmentation.default import DefaultSegmenter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from model.errors import ConfigurationError
+from model.core.errors import ConfigurationError
 from model.segmentation import registry
 from model.segmentation.baselines import nearest_click
 

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
+from model.core.asset import Asset
+from model.core.errors import InputFileError
+from model.core.point_cloud import PointCloud
 from model.datasets.procedural.families import HELD_OUT
 from model.datasets.procedural.generate import GenerateSettings, generate
 from model.datasets.urdf_folders import UrdfFolders
-from model.errors import InputFileError
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
 from model.segmentation.bench import (
     BenchConfig,
     BenchRow,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.geometry.asset import Asset
-from model.geometry.point_cloud import PointCloud
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, resolve, telling

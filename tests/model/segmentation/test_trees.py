@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import InputFileError
+from model.core.errors import InputFileError
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.training.fit import Boosting, fit_mlp, fit_trees, plain_trees
 from model.segmentation.trees import Trees, load_scorer, load_trees, save_trees

@@ -20,10 +20,10 @@ from model.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
 from model.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
 from model.arti4urdf.text_script import Author  # noqa: E402
+from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
 from model.datasets.procedural.generate import GenerateSettings, generate  # noqa: E402
 from model.datasets.registry import recognised  # noqa: E402
 from model.datasets.splits import training_ids  # noqa: E402
-from model.errors import ConfigurationError, InputFileError  # noqa: E402
 from model.predictors import load_predictor  # noqa: E402
 from model.training.full_config import (  # noqa: E402
     FullConfig,

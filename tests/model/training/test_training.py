@@ -20,7 +20,7 @@ from model.arti4urdf.predictor import make_prompt
 from model.arti4urdf.structure import read_structure, structure_arrays
 from model.arti4urdf.vocabulary import SIZE, TYPES
 from model.arti4urdf.weights import load_weights
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError
 from model.evaluation.joint_metrics import score_object
 from model.geometric.predictor import assemble
 from model.training import batches

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
-from model.errors import ArtiworldError
+from model.core.errors import ArtiworldError
 
 T = TypeVar("T")
 

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from model.errors import GeometryError
-from model.geometry.arrays import frozen
-from model.geometry.surface_maps import SurfaceMaps
+from model.core.arrays import frozen
+from model.core.errors import GeometryError
+from model.core.surface_maps import SurfaceMaps
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from model.geometry.formats.textures import checked, decode, texture_bytes
+from model.core.textures import checked, decode, texture_bytes
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.shapes import Shape
-from model.errors import GeometryError
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.inertial import Inertial
-from model.kinematics.tree import KinematicTree
+from model.core.errors import GeometryError
+from model.core.inertial import Inertial
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 ElementKind = Literal["face", "point"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from model.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError
 
 
 def load_plug_in(point: EntryPoint, kind: str, port: type, needs: str) -> Any:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import GeometryError
-from model.geometry.arrays import frozen
+from model.core.arrays import frozen
+from model.core.errors import GeometryError
 
 
 @dataclass(frozen=True, eq=False)

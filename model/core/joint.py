@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import KinematicsError
+from model.core.errors import KinematicsError
 
 JointType = Literal["revolute", "continuous", "prismatic", "fixed"]
 JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)

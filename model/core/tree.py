@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from model.errors import KinematicsError
-from model.kinematics.joint import Joint, motion
+from model.core.errors import KinematicsError
+from model.core.joint import Joint, motion
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from model.collision.shapes import Shape
-from model.errors import GeometryError, KinematicsError
-from model.geometry.mesh import Mesh
-from model.geometry.point_cloud import PointCloud
-from model.kinematics.inertial import Inertial
-from model.kinematics.joint import Joint
-from model.kinematics.tree import KinematicTree
+from model.core.errors import GeometryError, KinematicsError
+from model.core.inertial import Inertial
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 
 
 @dataclass(frozen=True, eq=False)

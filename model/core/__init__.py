@@ -1,0 +1,1 @@
+"""Values that every layer shares: meshes, clouds, assets, joints, trees; errors and progress."""
