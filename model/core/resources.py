@@ -7,4 +7,4 @@ from pathlib import Path
 
 def static_assets() -> Path:
     """The folder ``static_assets`` beside the packages."""
-    return Path(__file__).resolve().parents[1] / "static_assets"
+    return Path(__file__).resolve().parents[2] / "static_assets"
