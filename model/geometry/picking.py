@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
-from model.geometry.strays import Strays
+from model.geometry.outliers import Strays
 from model.geometry.strokes import Stroke, covered
 
 Array = npt.NDArray[Any]

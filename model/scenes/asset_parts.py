@@ -21,10 +21,10 @@ from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
 from model.exporters.saved import told_links
 from model.geometric.vocabulary import MOST_NAMED
+from model.geometry.outliers import stray_points
 from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
 from model.geometry.readers import FOLDER_SUFFIXES, read_asset, read_part_files
-from model.geometry.strays import stray_points
 from model.geometry.topology import connected_shells
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.geometry.strays import stray_points
+from model.geometry.outliers import stray_points
 
 TARGET_NODES = 100_000
 """Nodes per asset: 6 mm spacing on a 1 m cabinet, and a graph that answers within a click."""

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.mesh import Mesh
-from model.datasets.procedural.casting import Caster, camera_rays, look_at
+from model.geometry.casting import Caster, camera_rays, look_at
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.protocol import SegmentationSession
 

@@ -16,10 +16,10 @@ from model.core.errors import ConfigurationError
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.datasets.procedural.casting import Caster
 from model.datasets.procedural.grammar import ProceduralObject, transformed
 from model.datasets.procedural.shapes import rotation
 from model.datasets.protocol import GroundTruth
+from model.geometry.casting import Caster
 from model.geometry.sampling import sample_surface
 
 Array = npt.NDArray[np.float64]

@@ -12,9 +12,9 @@ from pathlib import Path
 from PIL import Image
 
 from model.core.articulated_object import ArticulatedObject
-from model.datasets.procedural.casting import render
 from model.datasets.procedural.generate import family_names, make
 from model.datasets.procedural.grammar import at_rest
+from model.geometry.casting import render
 
 
 def half_open(obj: ArticulatedObject, share: float = 0.6) -> ArticulatedObject:

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.mesh import Material, Mesh
-from model.datasets.procedural.casting import Caster
 from model.geometry.appearance import colors_at
+from model.geometry.casting import Caster
 from model.segmentation.training.primitives import Triangles, block, lathe
 from model.segmentation.training.scans import Shape
 

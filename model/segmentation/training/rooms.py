@@ -14,7 +14,7 @@ import numpy.typing as npt
 from model.core.asset import Asset
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
-from model.datasets.procedural.casting import Caster
+from model.geometry.casting import Caster
 from model.segmentation.crop import floor_and_walls, outliers
 from model.segmentation.training.primitives import AXES, block, turned
 from model.segmentation.training.scans import HELD_OUT, LabelledCloud, family_shape

@@ -8,8 +8,8 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
+from model.geometry.outliers import Strays, stray_points
 from model.geometry.picking import Picker
-from model.geometry.strays import Strays, stray_points
 
 WALL = 20_000
 
