@@ -24,7 +24,7 @@ from model.collision.overlap import Overlap, overlap
 from model.collision.touching import Bodies, Touching, Way, overlaps
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.kinematics.ways import joint_poses
+from model.kinematics.joint_path import joint_poses
 
 GAP = 2e-4
 """Between bodies afterwards, in the object's diagonal."""

@@ -12,8 +12,8 @@ from model.core.progress import Progress, no_progress
 from model.gate.examine import Scene, between, limits_of
 from model.gate.report import Finding, Verdict
 from model.gate.words import length
+from model.kinematics.joint_path import tree_poses
 from model.kinematics.sweep import sweep_way
-from model.kinematics.ways import tree_poses
 
 POSES = 12
 STEPS = 10

@@ -16,8 +16,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import KinematicsError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.kinematics.surface import POINTS, Surface, surface_of
-from model.kinematics.ways import (
+from model.kinematics.joint_path import (
     LinkContact,
     Poses,
     Way,
@@ -26,6 +25,7 @@ from model.kinematics.ways import (
     joint_poses,
     tree_poses,
 )
+from model.kinematics.surface import POINTS, Surface, surface_of
 
 TOLERANCE = 0.005
 """Penetration that is no collision yet, in the object's diagonal."""

@@ -15,11 +15,11 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.exporters.saved import load_object
-from model.kinematics.crossing import inverse
+from model.kinematics.joint_path import joint_poses
+from model.kinematics.penetration import inverse
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_until, surfaces_of, sweep_tolerance
 from model.kinematics.urdf_meshes import merged, moved_mesh
-from model.kinematics.ways import joint_poses
 from model.scenes.scene import FloatArray
 
 SAMPLES = 13

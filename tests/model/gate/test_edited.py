@@ -21,7 +21,7 @@ from model.core.joint import Joint
 from model.core.lru_cache import Recent
 from model.gate import drives, physics
 from model.gate.gate import run_gate
-from model.kinematics import crossing
+from model.kinematics import penetration as crossing
 
 
 def edits_of(joint: Joint) -> list[Joint]:

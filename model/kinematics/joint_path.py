@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from model.core.joint import Joint, motion
 from model.core.tree import KinematicTree
-from model.kinematics.crossing import Crossings, Path, crossings, inverse, moved
+from model.kinematics.penetration import Crossings, Path, crossings, inverse, moved
 from model.kinematics.surface import Surface
 
 FloatArray = npt.NDArray[np.float64]
@@ -123,7 +123,7 @@ def contacts_along(
 
     Args:
         surfaces: by link; links without one touch nothing.
-        tolerance: metres, see :func:`model.kinematics.crossing.crossings`.
+        tolerance: metres, see :func:`model.kinematics.penetration.crossings`.
     """
     count = len(way.q)
     still = np.broadcast_to(np.eye(4), (count, 4, 4))
