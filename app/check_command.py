@@ -17,7 +17,7 @@ from model.core.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
     from model.core.articulated_object import ArticulatedObject
-    from model.exporters.physics import Physics, PhysicsSettings
+    from model.physics.simulation_values import Physics, PhysicsSettings
 
 DOUBTS_TOLD = 3
 """Of one asset's joints that are to be looked at, in the table's lines; ``--json`` has all."""
@@ -115,8 +115,8 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         ArtiworldError: where it can't be read.
     """
     from model.core.inertial import inertial_problems
-    from model.exporters.physics import physics_of, whose_shapes
     from model.exporters.saved import load_object, reading_notes
+    from model.physics.simulation_values import physics_of, whose_shapes
 
     obj = load_object(task.asset)
     start = time.process_time()
@@ -170,8 +170,8 @@ def _formats(
 def _collision(
     obj: ArticulatedObject, physics: Physics, seconds: float, coacd_seconds: float
 ) -> dict[str, Any]:
-    from model.collision.measure import free_volume, overlaps_of
-    from model.collision.shapes import Primitive
+    from model.physics.collision.measure import free_volume, overlaps_of
+    from model.physics.collision.shapes import Primitive
 
     held = physics.collision
     shapes = [s for each in held.values() for s in each]

@@ -15,7 +15,7 @@ from model.core.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
     from model.core.progress import Progress
-    from model.exporters.physics import PhysicsSettings
+    from model.physics.simulation_values import PhysicsSettings
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -108,10 +108,10 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     from app.headless import part_of
     from model.core.progress import no_progress
     from model.exporters.about import write_about
-    from model.exporters.physics import physics_of, whose_shapes
     from model.exporters.readback import read_back
     from model.exporters.registry import BUILT_IN, load_exporter, losses_of, write_object
     from model.exporters.saved import load_object, reading_notes
+    from model.physics.simulation_values import physics_of, whose_shapes
 
     progress = progress or no_progress
     progress(0.0, f"reading {task.asset}")

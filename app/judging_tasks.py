@@ -45,7 +45,7 @@ def judge_joints(
 
 
 def _kept_at(source: PartSource, tree: KinematicTree) -> Path:
-    from model.collision.store import fingerprint
+    from model.physics.collision.store import fingerprint
 
     key = fingerprint(
         "gate", judge_version(), source.folder.name, source.labels,

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from app.tasks import arrays_of, asset_of
-from model.collision.shapes import Shape
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.lru_cache import Recent
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
+from model.physics.collision.shapes import Shape
 from model.segmentation.prompts import BASE
 
 
@@ -89,7 +89,7 @@ def _told(source: PartSource) -> tuple[dict[str, Inertial], dict[str, tuple[Shap
 
 def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
     """Make what judging and saving need of the parts whatever the joints will be."""
-    from model.collision.build import prepare_bodies as prepare
+    from model.physics.collision.build import prepare_bodies as prepare
 
     prepare(parts_of(source), source.workspace / "collision", progress, _told(source)[1])
 

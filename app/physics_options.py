@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, get_args
 from model.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from model.exporters.physics import PhysicsSettings
     from model.kinematics.urdf import JointDynamics
+    from model.physics.simulation_values import PhysicsSettings
 
 
 def add_physics(parser: argparse.ArgumentParser) -> None:
@@ -44,9 +44,9 @@ def physics_settings(args: argparse.Namespace) -> PhysicsSettings:
     Raises:
         ArtiworldError: naming the option and what would be right.
     """
-    from model.collision.build import CollisionSettings, Method
-    from model.exporters.materials import read_materials
-    from model.exporters.physics import SLIDING, TURNING, PhysicsSettings
+    from model.physics.collision.build import CollisionSettings, Method
+    from model.physics.materials import read_materials
+    from model.physics.simulation_values import SLIDING, TURNING, PhysicsSettings
 
     method = args.method if args.method is not None else "hollow"
     if method not in get_args(Method):
@@ -76,7 +76,7 @@ def physics_settings(args: argparse.Namespace) -> PhysicsSettings:
 
 def store_folder(args: argparse.Namespace) -> Path | None:
     """Where collision shapes are kept, or None."""
-    from model.collision.store import default_store
+    from model.physics.collision.store import default_store
 
     return None if args.no_cache else args.cache or default_store()
 

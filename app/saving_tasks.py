@@ -35,8 +35,8 @@ def prepare_asset(
     """
     from app.headless import part_of
     from model.exporters.asset_folder import write_draft
-    from model.exporters.physics import physics_of
     from model.exporters.reload import reload_check
+    from model.physics.simulation_values import physics_of
 
     target = _draft_name(source, tree)
     try:
@@ -72,7 +72,7 @@ def prepare_asset(
 
 
 def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
-    from model.collision.store import fingerprint
+    from model.physics.collision.store import fingerprint
 
     key = fingerprint(
         "draft", version("artiworld"), source.folder.name, source.labels,

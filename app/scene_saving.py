@@ -316,7 +316,7 @@ def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, A
     from dataclasses import asdict
 
     from model.exporters.asset_folder import write_asset
-    from model.exporters.physics import physics_of
+    from model.physics.simulation_values import physics_of
     from model.scenes.assets import asset_digest
     from model.scenes.jobs import write_formats
 

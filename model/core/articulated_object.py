@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Shape
 from model.core.errors import GeometryError, KinematicsError
 from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
+from model.physics.collision.shapes import Shape
 
 
 @dataclass(frozen=True, eq=False)

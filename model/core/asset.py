@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Shape
 from model.core.errors import GeometryError
 from model.core.inertial import Inertial
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
+from model.physics.collision.shapes import Shape
 
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 ElementKind = Literal["face", "point"]

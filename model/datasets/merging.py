@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-from model.collision.shapes import Shape
 from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import KinematicsError
 from model.core.inertial import Inertial, together
@@ -18,6 +17,7 @@ from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import merged, merged_clouds
+from model.physics.collision.shapes import Shape
 
 
 def merge_rigid(

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Shape, moved_shape
 from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import InputFileError
 from model.core.inertial import Inertial
@@ -34,6 +33,7 @@ from model.kinematics.model_files import read_model
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
 from model.kinematics.urdf_meshes import load_part, merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY, UrdfModel, package_root
+from model.physics.collision.shapes import Shape, moved_shape
 from model.segmentation.prompts import MAX_PARTS
 
 _LINK = re.compile(r"link_(\d+)")

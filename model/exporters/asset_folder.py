@@ -44,7 +44,6 @@ from model.core.asset import Asset
 from model.core.errors import GeometryError, InputFileError
 from model.core.progress import Progress, no_progress
 from model.exporters.part_files import PartFile, write_parts
-from model.exporters.physics import Physics
 from model.exporters.reload import AREA_TOLERANCE, reload_check
 from model.exporters.saved import (
     FORMAT,
@@ -60,6 +59,7 @@ from model.exporters.saved import (
 )
 from model.exporters.urdf import write_urdf_of
 from model.kinematics.tree_json import tree_to_json
+from model.physics.simulation_values import Physics
 
 __all__ = [
     "AssetFiles",

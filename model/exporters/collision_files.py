@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from model.collision.build import Collision
-from model.collision.hulls import Hull
-from model.collision.shapes import Primitive, Solid, hull_of_shape
 from model.core.articulated_object import Part
 from model.exporters.part_files import file_stems
 from model.exporters.saved import MESHES
+from model.physics.collision.build import Collision
+from model.physics.collision.hulls import Hull
+from model.physics.collision.shapes import Primitive, Solid, hull_of_shape
 
 FOLDER = f"{MESHES}/collision"
 

@@ -18,8 +18,8 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.exporters.part_files import part_mesh
-from model.exporters.physics import Physics
 from model.kinematics.urdf import link_origins
+from model.physics.simulation_values import Physics
 
 FILE = "object.glb"
 SECONDS = 4.0

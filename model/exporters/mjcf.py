@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model.collision.shapes import Primitive
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.mesh import Material, Mesh
@@ -27,11 +26,12 @@ from model.core.textures import decode, encode
 from model.core.tree import KinematicTree
 from model.exporters.collision_files import write_collision
 from model.exporters.part_files import file_stems, part_mesh
-from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import MESHES
 from model.geometry.formats.srgb import to_linear
 from model.kinematics.mjcf_source import PART_NAME
 from model.kinematics.urdf import Inertial, link_origins, number, vector, xml_name
+from model.physics.collision.shapes import Primitive
+from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.xml"
 VISUAL_GROUP = 2

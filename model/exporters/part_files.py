@@ -140,8 +140,8 @@ def _surface_of_cloud(cloud: PointCloud, store: Path | None) -> Mesh:
 
 
 def _reconstructed(cloud: PointCloud, store: Path | None) -> Mesh:
-    from model.exporters.kept_surfaces import load_surface, save_surface
     from model.geometry.reconstruct import mesh_from_cloud
+    from model.physics.surface_cache import load_surface, save_surface
 
     if store is None:
         return mesh_from_cloud(cloud)

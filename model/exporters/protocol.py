@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.progress import Progress, no_progress
-from model.exporters.physics import Physics
+from model.physics.simulation_values import Physics
 
 
 @runtime_checkable

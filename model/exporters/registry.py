@@ -11,9 +11,9 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.plug_ins import load_plug_in
 from model.core.progress import Progress, no_progress
-from model.exporters.physics import Physics
 from model.exporters.protocol import Exporter
 from model.exporters.saved import load_object
+from model.physics.simulation_values import Physics
 
 ENTRY_POINTS = "artiworld.exporters"
 """Entry-point group of plug-ins; each names a callable without arguments that gives an Exporter."""
@@ -123,7 +123,7 @@ def export(
         asset: the asset's folder, or a URDF file.
         format: one of :func:`exporter_names`.
         out: folder for the files, created where needed.
-        physics: of the asset, see :func:`model.exporters.physics.physics_of`.
+        physics: of the asset, see :func:`model.physics.simulation_values.physics_of`.
         progress: told of each part.
 
     Returns:

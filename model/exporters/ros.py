@@ -9,9 +9,9 @@ from xml.sax.saxutils import escape
 from model.core.articulated_object import ArticulatedObject
 from model.core.progress import Progress, no_progress
 from model.exporters.part_files import write_parts
-from model.exporters.physics import Physics
 from model.exporters.urdf import write_urdf_of
 from model.kinematics.urdf import xml_name
+from model.physics.simulation_values import Physics
 
 URDF = "urdf/object.urdf"
 FOLDERS = ("launch", "meshes", "rviz", "urdf")

@@ -15,15 +15,12 @@ from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Primitive, Solid
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.exporters.collision_files import write_collision
-from model.exporters.inertia import HELPER
 from model.exporters.part_files import write_parts
-from model.exporters.physics import Physics, plain_physics
 from model.kinematics.urdf import (
     Inertial,
     direct_mimics,
@@ -33,6 +30,9 @@ from model.kinematics.urdf import (
     vector,
     xml_name,
 )
+from model.physics.collision.shapes import Primitive, Solid
+from model.physics.inertia import HELPER
+from model.physics.simulation_values import Physics, plain_physics
 
 FILE, CONFIG = "model.sdf", "model.config"
 VERSION = "1.11"

@@ -8,9 +8,9 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.progress import Progress, no_progress
 from model.exporters.collision_files import write_collision
 from model.exporters.part_files import PartFile, is_flat, part_mesh, write_parts
-from model.exporters.physics import Physics, plain_physics
 from model.exporters.saved import URDF
 from model.kinematics.urdf import write_urdf
+from model.physics.simulation_values import Physics, plain_physics
 
 
 class UrdfExporter:

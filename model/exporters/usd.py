@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model.collision.shapes import Primitive, Shape
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
 from model.core.installing import install_command
@@ -30,8 +29,9 @@ from model.core.progress import Progress, no_progress
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
 from model.exporters.part_files import part_mesh
-from model.exporters.physics import Physics, plain_physics
 from model.kinematics.urdf import Inertial, direct_mimics, link_origins
+from model.physics.collision.shapes import Primitive, Shape
+from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.usdc"
 TEXTURES = "textures"

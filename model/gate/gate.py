@@ -10,7 +10,6 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.progress import Progress, no_progress
-from model.exporters.physics import physics_of
 from model.gate.combinations import combination_findings
 from model.gate.examine import Scene, examine
 from model.gate.mends import mends_for
@@ -20,6 +19,7 @@ from model.gate.report import Finding, GateReport, JointVerdict, Verdict, worst_
 from model.gate.support import loose_parts
 from model.gate.words import length, title, value
 from model.kinematics.sweep import diagonal_of, surfaces_of, sweep_tolerance
+from model.physics.simulation_values import physics_of
 
 TOUCHING = 0.01
 """Gap that still counts as touching, in the object's diagonal."""

@@ -12,16 +12,16 @@ from xml.etree import ElementTree as ET  # only writes
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import hull_of_shape
 from model.core.articulated_object import ArticulatedObject
 from model.core.installing import install_command
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
-from model.exporters.physics import Physics, rough_physics
 from model.gate.drives import DRIFT, OUTSIDE, Bounds, KeptDrives, Seen, kept_drives
 from model.gate.physics_report import PhysicsReport, Stop
 from model.gate.words import title, value
 from model.kinematics.urdf import link_origins, vector
+from model.physics.collision.shapes import hull_of_shape
+from model.physics.simulation_values import Physics, rough_physics
 
 STEP = 0.002
 """Seconds."""

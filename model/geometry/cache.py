@@ -21,8 +21,6 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from model.collision.shapes import Shape
-from model.collision.store import packed, unpacked
 from model.core import codec
 from model.core.asset import Asset, Source
 from model.core.errors import GeometryError, InputFileError, KinematicsError
@@ -32,6 +30,8 @@ from model.core.point_cloud import PointCloud
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import TextureError, encode, open_texture
 from model.core.tree import KinematicTree
+from model.physics.collision.shapes import Shape
+from model.physics.collision.store import packed, unpacked
 
 FORMAT_VERSION = 6
 _META = "asset.json"

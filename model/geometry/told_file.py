@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Shape, moved_shape
-from model.collision.store import load_arrays, packed, unpacked
 from model.core.inertial import Inertial, inertial_problems
+from model.physics.collision.shapes import Shape, moved_shape
+from model.physics.collision.store import load_arrays, packed, unpacked
 
 FILE = "told.npz"
 _SHAPE = "shape "

@@ -34,7 +34,7 @@ from model.kinematics.urdf_reader import (
 )
 
 if TYPE_CHECKING:
-    from model.collision.shapes import Primitive
+    from model.physics.collision.shapes import Primitive
 
 __all__ = [
     "CollisionGeometry",

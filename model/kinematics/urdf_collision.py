@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from model.collision.hulls import hull_of
-from model.collision.shapes import Kind, Primitive, Shape, Solid
 from model.core.errors import ArtiworldError
 from model.core.mesh import Mesh
+from model.physics.collision.hulls import hull_of
+from model.physics.collision.shapes import Kind, Primitive, Shape, Solid
 
 if TYPE_CHECKING:
     from model.kinematics.urdf_model import UrdfVisual

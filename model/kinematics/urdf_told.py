@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.shapes import Shape
 from model.core.articulated_object import ArticulatedObject
 from model.core.inertial import Inertial, inertial_problems
 from model.core.joint import ToldDynamics
 from model.kinematics.urdf_collision import ToldCollision, told_shapes
+from model.physics.collision.shapes import Shape
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from model.collision.shapes import Shape, moved_shape
 from model.core.articulated_object import Part, SegmentedObject, remarks_of
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError
@@ -29,6 +28,7 @@ from model.geometry.topology import connected_shells
 from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
 from model.kinematics.urdf_model import MOBILITY
 from model.kinematics.urdf_reader import read_urdf_model
+from model.physics.collision.shapes import Shape, moved_shape
 from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = MOST_NAMED

@@ -10,8 +10,8 @@ import numpy as np
 
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.exporters.physics import resisting
 from model.kinematics.urdf import Inertial
+from model.physics.simulation_values import resisting
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray
 

@@ -18,9 +18,9 @@ from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import OutOfTimeError, time_limit
 from model.exporters.asset_folder import write_asset
 from model.exporters.mjcf import MjcfExporter
-from model.exporters.physics import Physics, PhysicsSettings, physics_of, plain_physics
 from model.exporters.sdf import SdfExporter
 from model.exporters.usd import UsdExporter
+from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, plain_physics
 from model.predictors import load_predictor
 from model.scenes.asset_parts import (
     AssetParts,

@@ -21,13 +21,13 @@ from app.judging import LookFirstError
 from app.open_object import OpenObject
 from app.part_tasks import parts_of
 from app.workbench import Workbench
-from model.collision import build
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.gate import gate
+from model.physics.collision import build
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Begun, Store

@@ -11,26 +11,26 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from model.collision import build
-from model.collision.build import CollisionSettings, collision_of, prepare_bodies
-from model.collision.coacd_process import coacd_hulls
-from model.collision.hulls import hull_of
-from model.collision.measure import free_volume, overlaps_of
-from model.collision.overlap import overlap
-from model.collision.shapes import Primitive, hull_of_shape
-from model.collision.touching import Way, overlaps
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.exporters import kept_surfaces
 from model.exporters.part_files import part_mesh
-from model.exporters.physics import physics_of
 from model.gate.physics import run_physics
 from model.geometry import reconstruct
 from model.geometry.sampling import sample_surface
+from model.physics import surface_cache as kept_surfaces
+from model.physics.collision import build
+from model.physics.collision.build import CollisionSettings, collision_of, prepare_bodies
+from model.physics.collision.coacd_process import coacd_hulls
+from model.physics.collision.hulls import hull_of
+from model.physics.collision.measure import free_volume, overlaps_of
+from model.physics.collision.narrow_phase import Way, overlaps
+from model.physics.collision.overlap import overlap
+from model.physics.collision.shapes import Primitive, hull_of_shape
+from model.physics.simulation_values import physics_of
 
 WALL = 0.01
 

@@ -17,11 +17,11 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.exporters.asset_folder import write_asset
-from model.exporters.physics import plain_physics
 from model.exporters.registry import load_exporter
 from model.geometry.cache import load_asset, save_asset
 from model.geometry.readers import find_assets, read_asset
 from model.kinematics.urdf_reader import MOST_LINKS
+from model.physics.simulation_values import plain_physics
 
 LIMIT = '<limit lower="0" upper="1.5"/>'
 

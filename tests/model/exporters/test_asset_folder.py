@@ -28,9 +28,9 @@ from model.exporters.asset_folder import (
     write_asset,
 )
 from model.exporters.part_files import file_stems
-from model.exporters.physics import physics_of
 from model.geometry.parts import split
 from model.kinematics.urdf import read_urdf
+from model.physics.simulation_values import physics_of
 
 PROVENANCE = {"who": "ana", "source": {"path": "scan.ply", "sha256": "00"}, "prompts": []}
 TREE = KinematicTree(

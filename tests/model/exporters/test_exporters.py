@@ -17,7 +17,6 @@ from PIL import Image
 from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
-from model.collision.shapes import Primitive, Solid
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.joint import Joint, Mimic
@@ -27,7 +26,6 @@ from model.core.tree import KinematicTree
 from model.datasets.mjcf import read_mjcf
 from model.exporters import registry
 from model.exporters.asset_folder import write_asset
-from model.exporters.physics import Physics, PhysicsSettings, physics_of, whose_shapes
 from model.exporters.protocol import Exporter
 from model.exporters.readback import read_back
 from model.exporters.registry import export, exporter_names, load_exporter, write_object
@@ -36,6 +34,8 @@ from model.exporters.saved import load_object, reading_notes
 from model.exporters.urdf import losses_of
 from model.geometry.readers import read_asset
 from model.kinematics.urdf import read_urdf
+from model.physics.collision.shapes import Primitive, Solid
+from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 
 TREE = KinematicTree(
     ("link_0", "door", "link_2", "helper", "link_3", "link_4"),

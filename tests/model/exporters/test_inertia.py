@@ -12,15 +12,15 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.exporters.inertia import (
+from model.kinematics.urdf import Inertial
+from model.physics.inertia import (
     MIN_MASS,
     MIN_RADIUS,
     hull_inertial,
     inertial_problems,
     inertials_of,
 )
-from model.exporters.materials import PartMaterial, read_materials
-from model.kinematics.urdf import Inertial
+from model.physics.materials import PartMaterial, read_materials
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from model.collision.shapes import hull_of_shape
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.exporters.asset_folder import write_asset
 from model.exporters.mjcf import MjcfExporter
-from model.exporters.physics import Physics, PhysicsSettings, physics_of
+from model.physics.collision.shapes import hull_of_shape
+from model.physics.simulation_values import Physics, PhysicsSettings, physics_of
 from tests.model.exporters.demos import DEMOS, demo_object
 
 FORCE = 3.0

@@ -14,7 +14,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 
 from demos import demo_object
 
-from model.collision import build, touching
 from model.core import codec
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
@@ -22,6 +21,8 @@ from model.core.lru_cache import Recent
 from model.gate import drives, physics
 from model.gate.gate import run_gate
 from model.kinematics import penetration as crossing
+from model.physics.collision import build
+from model.physics.collision import narrow_phase as touching
 
 
 def edits_of(joint: Joint) -> list[Joint]:

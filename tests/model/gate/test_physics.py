@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from cabinets import DOOR, DRAWER, box, cabinet, part
 
-from model.collision.hulls import hull_of
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.exporters.physics import Physics, physics_of
 from model.gate import physics
 from model.gate.gate import run_gate
 from model.gate.physics import run_physics
+from model.physics.collision.hulls import hull_of
+from model.physics.simulation_values import Physics, physics_of
 
 pytest.importorskip("mujoco")
 

@@ -12,15 +12,15 @@ import trimesh
 from PIL import Image
 from scipy.spatial import KDTree
 
-from model.collision.shapes import Primitive
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, InputFileError
 from model.exporters.mjcf import MjcfExporter
-from model.exporters.physics import physics_of
 from model.exporters.registry import write_object
 from model.exporters.saved import load_object
 from model.geometry.readers import find_assets, read_asset
 from model.kinematics import mjcf_reader
+from model.physics.collision.shapes import Primitive
+from model.physics.simulation_values import physics_of
 from tests.model.exporters.demos import demo_object
 
 BOX = '<geom type="box" size="0.1 0.2 0.3"/>'

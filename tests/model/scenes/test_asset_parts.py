@@ -11,9 +11,9 @@ import pytest
 import trimesh
 
 from model.exporters.asset_folder import write_asset
-from model.exporters.physics import plain_physics
 from model.exporters.saved import load_object
 from model.geometry.readers import read_asset
+from model.physics.simulation_values import plain_physics
 from model.scenes.asset_parts import known_parts
 from model.scenes.jobs import AssetJob, ConvertAsset
 from tests.model.scenes import scenes_made as made

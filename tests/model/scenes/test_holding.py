@@ -13,11 +13,11 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
 from model.exporters.mjcf import MjcfExporter
-from model.exporters.physics import PhysicsSettings, holding_load, physics_of
 from model.exporters.sdf import SdfExporter
 from model.exporters.urdf import UrdfExporter
 from model.geometry.parts import Part
 from model.kinematics.urdf import read_urdf_model
+from model.physics.simulation_values import PhysicsSettings, holding_load, physics_of
 from model.scenes.convert import Outcome
 from model.scenes.holding import frictions
 from model.scenes.jobs import ASSETS, MJCF, PREDICTED

@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.build import Collision, CollisionSettings, collision_of
-from model.collision.relief import moving_pairs
-from model.collision.shapes import hull_of_shape
-from model.collision.touching import overlaps
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.exporters.inertia import inertials_of
-from model.exporters.materials import MaterialTable, read_materials
 from model.exporters.part_files import part_mesh
 from model.kinematics.urdf import Inertial, JointDynamics
+from model.physics.collision.build import Collision, CollisionSettings, collision_of
+from model.physics.collision.narrow_phase import overlaps
+from model.physics.collision.overlap_resolution import moving_pairs
+from model.physics.collision.shapes import hull_of_shape
+from model.physics.inertia import inertials_of
+from model.physics.materials import MaterialTable, read_materials
 
 TURNING = JointDynamics(damping=0.05, friction=0.02)
 """N m s/rad and N m: a door that a finger moves and that comes to rest."""

@@ -13,9 +13,9 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.hulls import hull_of
-from model.collision.shapes import Primitive, Shape, Solid
 from model.core.articulated_object import Part
+from model.physics.collision.hulls import hull_of
+from model.physics.collision.shapes import Primitive, Shape, Solid
 
 VERSION = 7
 """Counted up when the same input gives other shapes."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.hulls import Hull
-from model.collision.overlap import depths, overlap
 from model.core.lru_cache import Recent, content_of
+from model.physics.collision.hulls import Hull
+from model.physics.collision.overlap import depths, overlap
 
 FloatArray = npt.NDArray[np.float64]
 Bodies = dict[str, list[Hull]]

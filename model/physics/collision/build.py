@@ -11,17 +11,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.coacd_process import coacd_hulls, coacd_installed
-from model.collision.dops import Surface
-from model.collision.fitting import primitive_of
-from model.collision.hulls import Hull, hull_of, simplified, thick_hull
-from model.collision.merging import merge
-from model.collision.pieces import cut_into_pieces
-from model.collision.relief import Free, in_the_way, relieve
-from model.collision.shapes import Primitive, Shape, hull_of_shape
-from model.collision.store import fingerprint, load_shapes, packed, save_shapes
-from model.collision.touching import Bodies
-from model.collision.voxels import Occupancy, occupancy
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
 from model.core.joint import Joint
@@ -29,6 +18,17 @@ from model.core.lru_cache import Recent
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
 from model.kinematics.sweep import sweep_joint
+from model.physics.collision.coacd_process import coacd_hulls, coacd_installed
+from model.physics.collision.decomposition import cut_into_pieces
+from model.physics.collision.dops import Surface
+from model.physics.collision.fitting import primitive_of
+from model.physics.collision.hulls import Hull, hull_of, simplified, thick_hull
+from model.physics.collision.merging import merge
+from model.physics.collision.narrow_phase import Bodies
+from model.physics.collision.overlap_resolution import Free, in_the_way, relieve
+from model.physics.collision.shapes import Primitive, Shape, hull_of_shape
+from model.physics.collision.store import fingerprint, load_shapes, packed, save_shapes
+from model.physics.collision.voxels import Occupancy, occupancy
 
 Method = Literal["hollow", "auto", "coacd", "hull"]
 
@@ -96,7 +96,7 @@ def collision_of(
     back only where a joint's shapes are to give way.
 
     Args:
-        store: folder where shapes are kept by content, see :mod:`model.collision.store`.
+        store: folder where shapes are kept by content, see :mod:`model.physics.collision.store`.
 
     Raises:
         GeometryError: for a part without geometry.

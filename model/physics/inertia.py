@@ -17,7 +17,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.inertial import Inertial, inertial_problems
 from model.core.mesh import Mesh
-from model.exporters.materials import PartMaterial
+from model.physics.materials import PartMaterial
 
 DENSITY = 300.0
 """kg/m³ of a filled convex hull, between hollow furniture and wood."""

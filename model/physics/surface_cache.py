@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from model.collision.store import fingerprint, load_arrays, save_arrays
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.geometry.reconstruct import mesh_of_scan
+from model.physics.collision.store import fingerprint, load_arrays, save_arrays
 
 KEPT = 48
 """Files; those that were asked for last. One of a whole scan has some megabytes."""

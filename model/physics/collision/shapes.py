@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.hulls import Hull, hull_of, simplified
+from model.physics.collision.hulls import Hull, hull_of, simplified
 
 Kind = Literal["box", "cylinder", "sphere", "capsule"]
 SIDES = 32

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from model.collision.dops import FloatArray, Surface
 from model.core.mesh import Mesh
 from model.geometry.topology import connected_shells, face_adjacency, weld
+from model.physics.collision.dops import FloatArray, Surface
 
 SMOOTH = 0.5
 """Radians between faces of one smooth region."""
@@ -37,7 +37,7 @@ class Piece:
 
     Attributes:
         faces: (N,) indices.
-        extent: (2, K), see :class:`~model.collision.dops.Surface`.
+        extent: (2, K), see :class:`~model.physics.collision.dops.Surface`.
         covers: free voxels in it.
     """
 

@@ -1,6 +1,6 @@
 """Runs coacd in a process of its own: it may crash, and it can't be asked to stop.
 
-``python -m model.collision.coacd_process IN.npz OUT.npz`` reads ``vertices``, ``faces`` and
+``python -m model.physics.collision.coacd_process IN.npz OUT.npz`` reads ``vertices``, ``faces`` and
 ``options`` (JSON) and writes ``count`` and the corners of each hull.
 """
 
@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from model.collision.hulls import FloatArray, Hull, hull_of
 from model.core.mesh import Mesh
+from model.physics.collision.hulls import FloatArray, Hull, hull_of
 
 
 def coacd_installed() -> bool:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.hulls import Hull, coarse, thick_hull
-from model.collision.voxels import Occupancy, lattice_with_faces
 from model.core.mesh import Mesh
+from model.physics.collision.hulls import Hull, coarse, thick_hull
+from model.physics.collision.voxels import Occupancy, lattice_with_faces
 
 SAMPLES = 4000
 """Free voxels that stand for all of them."""

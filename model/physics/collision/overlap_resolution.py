@@ -19,12 +19,12 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from model.collision.hulls import Hull, clipped
-from model.collision.overlap import Overlap, overlap
-from model.collision.touching import Bodies, Touching, Way, overlaps
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.kinematics.joint_path import joint_poses
+from model.physics.collision.hulls import Hull, clipped
+from model.physics.collision.narrow_phase import Bodies, Touching, Way, overlaps
+from model.physics.collision.overlap import Overlap, overlap
 
 GAP = 2e-4
 """Between bodies afterwards, in the object's diagonal."""

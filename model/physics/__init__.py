@@ -1,0 +1,1 @@
+"""Collision shapes, mass, inertia and friction."""
