@@ -63,7 +63,7 @@ def run(objects: int) -> list[SceneFigures]:
 def make_scene(root: Path, objects: int) -> Path:
     """Write the scene and its assets into ``root``; returns the scene's file."""
     from model.core.mesh import Mesh
-    from model.geometry.writers import write_mesh
+    from model.io.write.meshes import write_mesh
 
     rng = np.random.default_rng(0)
     entries: list[dict[str, Any]] = []

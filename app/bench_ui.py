@@ -152,7 +152,7 @@ def run(config: BenchUiConfig) -> list[UiFigures]:
 
 
 def _objects(config: BenchUiConfig, root: Path) -> list[Path]:
-    from model.geometry.writers import write_cloud, write_mesh
+    from model.io.write.meshes import write_cloud, write_mesh
 
     rng = np.random.default_rng(0)
     out = []

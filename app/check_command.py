@@ -89,7 +89,7 @@ def _readable_formats(given: list[str]) -> list[str]:
         ConfigurationError: where one of these is asked for by its name.
     """
     from app.export_command import named_formats
-    from model.exporters.registry import BUILT_IN
+    from model.io.export.registry import BUILT_IN
 
     formats = named_formats(given or ["all"])
     unread = [f for f in formats if f not in BUILT_IN]
@@ -115,7 +115,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         ArtiworldError: where it can't be read.
     """
     from model.core.inertial import inertial_problems
-    from model.exporters.saved import load_object, reading_notes
+    from model.io.assets.reader import load_object, reading_notes
     from model.physics.simulation_values import physics_of, whose_shapes
 
     obj = load_object(task.asset)
@@ -145,8 +145,8 @@ def check_one(task: CheckTask) -> dict[str, Any]:
 def _formats(
     obj: ArticulatedObject, physics: Physics, formats: tuple[str, ...]
 ) -> list[dict[str, Any]]:
-    from model.exporters.readback import read_back
-    from model.exporters.registry import load_exporter, write_object
+    from model.io.export.registry import load_exporter, write_object
+    from model.io.readback.compare import read_back
 
     out: list[dict[str, Any]] = []
     with TemporaryDirectory(prefix="artiworld-") as folder:

@@ -101,7 +101,7 @@ def open_asset(
 
 
 def _source_joints(asset: Asset, path: Path) -> Prediction | None:
-    from model.geometry.readers import model_of
+    from model.io.readers import model_of
 
     if asset.tree is None:
         return None
@@ -111,7 +111,7 @@ def _source_joints(asset: Asset, path: Path) -> Prediction | None:
 
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
     from model.geometry.display import display_asset
-    from model.geometry.glb import face_order, mesh_to_glb
+    from model.io.write.glb import face_order, mesh_to_glb
 
     shown = display_asset(asset)
     source = asset.source
@@ -191,7 +191,7 @@ def part_payloads(
 ) -> list[PartPayload]:
     """Each part as the browser draws it, from the displayed elements."""
     from model.geometry.display import display_asset
-    from model.geometry.glb import mesh_to_glb
+    from model.io.write.glb import mesh_to_glb
 
     shown = display_asset(asset_of(source.folder))
     labels = arrays_of(source.workspace).get(source.labels)[element]

@@ -192,7 +192,7 @@ def configurations(args: argparse.Namespace) -> list[EvaluationConfig]:
 
 def folder_name(method: str) -> str:
     """A method's name as a folder's."""
-    from model.geometry.part_folder import safe_link
+    from model.io.part_folder import safe_link
 
     return safe_link(method)
 

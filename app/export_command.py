@@ -87,7 +87,7 @@ def named_formats(given: list[str]) -> list[str]:
     Raises:
         ConfigurationError: for one that isn't there.
     """
-    from model.exporters.registry import exporter_names, load_exporter
+    from model.io.export.registry import exporter_names, load_exporter
 
     names = [n.strip() for text in given for n in text.split(",") if n.strip()]
     if "all" in names:
@@ -107,10 +107,10 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     """
     from app.headless import part_of
     from model.core.progress import no_progress
-    from model.exporters.about import write_about
-    from model.exporters.readback import read_back
-    from model.exporters.registry import BUILT_IN, load_exporter, losses_of, write_object
-    from model.exporters.saved import load_object, reading_notes
+    from model.io.assets.reader import load_object, reading_notes
+    from model.io.export.manifest import write_about
+    from model.io.export.registry import BUILT_IN, load_exporter, losses_of, write_object
+    from model.io.readback.compare import read_back
     from model.physics.simulation_values import physics_of, whose_shapes
 
     progress = progress or no_progress

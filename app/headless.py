@@ -38,7 +38,7 @@ class NothingPredicted(RuntimeError):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How files are read: see :func:`model.geometry.readers.read_asset`."""
+    """How files are read: see :func:`model.io.readers.read_asset`."""
 
     up_axis: UpAxis | None = None
     unit_scale: float = 1.0
@@ -65,7 +65,7 @@ def segment(
         ArtiworldError: naming the file and the place of the mistake.
     """
     from model.geometry.parts import split
-    from model.geometry.readers import read_asset
+    from model.io.readers import read_asset
     from model.segmentation.registry import load_segmenter
 
     reading = reading or ReadOptions()
@@ -144,9 +144,9 @@ def predict(
         ArtiworldError: where the input can't be used.
         NothingPredicted: where the predictor found no tree.
     """
-    from model.exporters.asset_folder import write_asset
     from model.geometric.vocabulary import category_remark
-    from model.geometry.readers import read_part_files
+    from model.io.assets.asset_folder import write_asset
+    from model.io.readers import read_part_files
     from model.physics.collision.store import default_store
     from model.physics.simulation_values import physics_of, plain_physics
     from model.predictors import load_predictor
@@ -379,7 +379,7 @@ def _folder_of(scan: Path) -> Sequence[Path]:
 
 
 def _write_part(part: Part, out: Path) -> dict[str, Any]:
-    from model.geometry.writers import write_cloud, write_mesh
+    from model.io.write.meshes import write_cloud, write_mesh
 
     if part.mesh is not None:
         files = write_mesh(part.mesh, out / f"{part.link}.obj")

@@ -162,7 +162,7 @@ def pick_out(
 
 def _write(asset: Asset, stem: Path, origin: npt.NDArray[np.float64]) -> Path:
     """The asset about ``origin``; a cloud that stays where it is keeps its very numbers."""
-    from model.geometry.writers import write_cloud, write_mesh
+    from model.io.write.meshes import write_cloud, write_mesh
 
     if asset.mesh is not None:
         path = stem.with_name(f"{stem.name}.glb")

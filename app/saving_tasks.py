@@ -34,8 +34,8 @@ def prepare_asset(
         ArtiworldError: where what was written doesn't load as it should.
     """
     from app.headless import part_of
-    from model.exporters.asset_folder import write_draft
-    from model.exporters.reload import reload_check
+    from model.io.assets.asset_folder import write_draft
+    from model.io.assets.reload import reload_check
     from model.physics.simulation_values import physics_of
 
     target = _draft_name(source, tree)

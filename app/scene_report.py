@@ -233,7 +233,7 @@ def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]
     from model.core.mesh import Mesh
     from model.core.point_cloud import PointCloud
     from model.evaluation import render
-    from model.kinematics.urdf_meshes import merged
+    from model.io.urdf.meshes import merged
 
     by_state: dict[str, list[Mesh]] = {}
     scanned: dict[str, list[np.ndarray]] = {}

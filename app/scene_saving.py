@@ -315,7 +315,7 @@ def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, A
     """The working copy as an asset below ``out``, as people left it."""
     from dataclasses import asdict
 
-    from model.exporters.asset_folder import write_asset
+    from model.io.assets.asset_folder import write_asset
     from model.physics.simulation_values import physics_of
     from model.scenes.assets import asset_digest
     from model.scenes.jobs import write_formats

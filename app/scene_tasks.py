@@ -202,7 +202,7 @@ def lay_down(item: SceneItem) -> str:
 def _write_copy(
     parts: tuple[Part, ...], category: str | None, folder: Path, *, unnamed: bool
 ) -> None:
-    from model.geometry.writers import write_cloud, write_mesh
+    from model.io.write.meshes import write_cloud, write_mesh
 
     entries: list[dict[str, str]] = []
     for i, part in enumerate(parts):
@@ -221,7 +221,7 @@ def _write_copy(
 
 def _write_told(known: AssetParts, factors: npt.NDArray[np.float64], folder: Path) -> None:
     """What the asset tells of its parts beside their geometry, under the copy's link names."""
-    from model.geometry.told_file import save_told
+    from model.io.declared_physics_file import save_told
     from model.scenes.asset_parts import masses_at, scaled_shapes
 
     link = {part.link: f"link_{i}" for i, part in enumerate(known.parts)}

@@ -124,8 +124,8 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
     Raises:
         ConfigurationError, InputFileError: where ``--assets`` can't belong to what is named.
     """
-    from model.geometry.readers import SUFFIXES
-    from model.kinematics.model_files import is_model
+    from model.io.model_files import is_model
+    from model.io.readers import SUFFIXES
     from model.scenes.registry import recognised
 
     first: Path | None = args.paths[0] if args.paths else None

@@ -78,7 +78,7 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     Raises:
         InputFileError: where none of them can be opened whatever is in it.
     """
-    from model.geometry.readers import find_assets, refusal
+    from model.io.readers import find_assets, refusal
 
     if config.scene is not None:
         return []

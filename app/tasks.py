@@ -45,8 +45,8 @@ def working_copy(
     path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
 ) -> tuple[Asset, Path]:
     """The asset of ``path`` and the folder of its arrays, which is made where it isn't there."""
-    from model.geometry.cache import load_asset, save_asset
-    from model.geometry.readers import read_asset
+    from model.io.asset_cache import load_asset, save_asset
+    from model.io.readers import read_asset
 
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
@@ -102,7 +102,7 @@ def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
 
 def stamp(path: Path) -> Stamp:
     """Names, sizes and times of what a path holds: tells whether a working copy is still true."""
-    from model.kinematics.model_files import files_named_by, is_model
+    from model.io.model_files import files_named_by, is_model
 
     if is_model(path):
         files = [path, *(m for m in files_named_by(path) if m.is_file())]
@@ -122,7 +122,7 @@ def stamp_if_there(path: Path) -> Stamp:
 @lru_cache(maxsize=8)
 def asset_of(folder: Path) -> Asset:
     """The asset laid down in a folder."""
-    from model.geometry.cache import load_asset
+    from model.io.asset_cache import load_asset
 
     return load_asset(folder)
 

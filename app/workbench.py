@@ -80,7 +80,7 @@ class Workbench:
         return ids
 
     def _enter(self, paths: list[Path]) -> list[int]:
-        from model.geometry.readers import asset_name, refusal
+        from model.io.readers import asset_name, refusal
 
         records = self.store.open_objects((p, None, asset_name(p)) for p in paths)
         ids = [r.id for r in records]
@@ -144,7 +144,7 @@ class Workbench:
             InputFileError: where nothing in it can be opened, or a zip is hostile.
         """
         from app.uploads import keep_upload
-        from model.geometry.readers import find_assets
+        from model.io.readers import find_assets
 
         most = 4 * self.config.max_upload_mb * 1_000_000
         kept = keep_upload(self.workspace / "uploads", name, content, most)

@@ -20,8 +20,8 @@ from app.scene_shapes import Shape
 from app.viewer import palette
 from app.viewer.scene_rays import hit_distance, meets_boxes, nearly_hit, within_tolerance
 from model.core.mesh import Material, Mesh
-from model.geometry.glb import mesh_to_glb
 from model.geometry.picking import TOLERANCE
+from model.io.write.glb import mesh_to_glb
 
 GHOST_OPACITY = 0.14
 TINT = 0.6

@@ -26,9 +26,9 @@ from model.geometric.context import Assembly, PartContext
 from model.geometric.edge_limits import from_zero
 from model.geometric.hypothesis import Hypothesis, snapped, unit
 from model.geometric.predictor import joints_of
-from model.kinematics.tree_json import tree_json_problems, tree_to_json
-from model.kinematics.urdf import to_urdf_text, vector
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.tree_json import tree_json_problems, tree_to_json
+from model.io.urdf.reader import read_urdf_model
+from model.io.urdf.writer import to_urdf_text, vector
 
 Array = npt.NDArray[np.float64]
 

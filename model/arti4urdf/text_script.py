@@ -21,7 +21,7 @@ from model.arti4urdf.structure import SLOTS
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import JOINT_TYPES, Joint, JointType
 from model.core.tree import KinematicTree
-from model.kinematics.urdf import vector
+from model.io.urdf.writer import vector
 
 WHOLE_DIGITS = 3
 SCREW = v.TYPES.index("screw")

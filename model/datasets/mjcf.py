@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from model.core.errors import InputFileError
-from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.kinematics.mjcf_reader import need_mujoco, read_mjcf_model
-from model.kinematics.urdf_meshes import load_part
+from model.io.merging import merge_rigid
+from model.io.mjcf.reader import need_mujoco, read_mjcf_model
+from model.io.urdf.meshes import load_part
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ from typing import Any
 from model.core.errors import InputFileError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.geometry.formats.mtl import MaterialFiles
-from model.kinematics.urdf_meshes import load_part
-from model.kinematics.urdf_model import MOBILITY, UrdfModel
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.formats.mtl import MaterialFiles
+from model.io.merging import merge_rigid
+from model.io.urdf.meshes import load_part
+from model.io.urdf.model import MOBILITY, UrdfModel
+from model.io.urdf.reader import read_urdf_model
 
 _TURNS, _STAYS = frozenset({"revolute", "continuous"}), frozenset({"fixed"})
 _SAID = {

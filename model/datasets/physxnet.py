@@ -33,10 +33,10 @@ from model.core.errors import InputFileError, KinematicsError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.geometry.readers import read_asset, turned_up
-from model.kinematics.urdf_meshes import merged
+from model.io.merging import merge_rigid
+from model.io.readers import read_asset, turned_up
+from model.io.urdf.meshes import merged
 
 Vector = tuple[float, float, float]
 _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -14,7 +14,7 @@ from model.datasets.procedural.corruption import FAULTS, corrupted
 from model.datasets.procedural.generate import OBJ_FROM_OBJECT, family_names, make
 from model.datasets.procedural.grammar import transformed
 from model.datasets.protocol import GroundTruth
-from model.kinematics.urdf_reader import rotation_from_rpy
+from model.io.urdf.reader import rotation_from_rpy
 
 SEEDS = 10**9
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
-from model.datasets.merging import merge_rigid
 from model.datasets.protocol import GroundTruth
-from model.geometry.formats.mtl import MaterialFiles
-from model.kinematics.urdf_meshes import load_part
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.formats.mtl import MaterialFiles
+from model.io.merging import merge_rigid
+from model.io.urdf.meshes import load_part
+from model.io.urdf.reader import read_urdf_model
 
 DESCRIPTION = "object.json"
 PREFERRED = ("object.urdf", "mobility.urdf")

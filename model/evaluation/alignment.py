@@ -23,7 +23,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.kinematics.urdf_meshes import moved_mesh
+from model.io.urdf.meshes import moved_mesh
 
 Rule = Literal["as it is", "power of ten", "box"]
 RULES: tuple[Rule, ...] = get_args(Rule)

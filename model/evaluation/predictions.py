@@ -18,12 +18,12 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import InputFileError
 from model.core.tree import KinematicTree
-from model.datasets.merging import merge_rigid
 from model.datasets.urdf_folders import urdf_files
 from model.evaluation.alignment import Frame, fit, outline, renamed
 from model.evaluation.part_matching import PartMatch, match_parts, sampled_parts
-from model.kinematics.urdf_meshes import load_part
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.merging import merge_rigid
+from model.io.urdf.meshes import load_part
+from model.io.urdf.reader import read_urdf_model
 
 PREDICTION_JSON = "prediction.json"
 

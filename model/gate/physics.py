@@ -19,7 +19,7 @@ from model.core.progress import Progress, no_progress
 from model.gate.drives import DRIFT, OUTSIDE, Bounds, KeptDrives, Seen, kept_drives
 from model.gate.physics_report import PhysicsReport, Stop
 from model.gate.words import title, value
-from model.kinematics.urdf import link_origins, vector
+from model.io.urdf.writer import link_origins, vector
 from model.physics.collision.shapes import hull_of_shape
 from model.physics.simulation_values import Physics, rough_physics
 

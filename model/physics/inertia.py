@@ -77,7 +77,7 @@ def inertials_of(
 
 def _of_material(part: Part, points: FloatArray, material: PartMaterial) -> Inertial | None:
     """From the part's surface; None where it has no mesh with an area."""
-    from model.exporters.part_files import part_mesh
+    from model.io.export.part_files import part_mesh
 
     mesh = part_mesh(part)
     area = float(mesh.face_areas.sum())

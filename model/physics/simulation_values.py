@@ -14,8 +14,8 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.exporters.part_files import part_mesh
-from model.kinematics.urdf import Inertial, JointDynamics
+from model.io.export.part_files import part_mesh
+from model.io.urdf.writer import Inertial, JointDynamics
 from model.physics.collision.build import Collision, CollisionSettings, collision_of
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs

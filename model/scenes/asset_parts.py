@@ -18,16 +18,16 @@ from model.core.tree import KinematicTree
 from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
-from model.exporters.saved import told_links
 from model.geometric.vocabulary import MOST_NAMED
 from model.geometry.outliers import stray_points
-from model.geometry.part_folder import is_part_folder
 from model.geometry.parts import split
-from model.geometry.readers import FOLDER_SUFFIXES, read_asset, read_part_files
 from model.geometry.topology import connected_shells
-from model.kinematics.urdf_meshes import merged, merged_clouds, moved_mesh
-from model.kinematics.urdf_model import MOBILITY
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.assets.reader import told_links
+from model.io.part_folder import is_part_folder
+from model.io.readers import FOLDER_SUFFIXES, read_asset, read_part_files
+from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
+from model.io.urdf.model import MOBILITY
+from model.io.urdf.reader import read_urdf_model
 from model.physics.collision.shapes import Shape, moved_shape
 from model.scenes.scene import FloatArray, SceneObject
 

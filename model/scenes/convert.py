@@ -32,8 +32,8 @@ import numpy.typing as npt
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
-from model.kinematics.urdf_model import MOBILITY
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.urdf.model import MOBILITY
+from model.io.urdf.reader import read_urdf_model
 from model.predictors import DEFAULT
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest

@@ -12,11 +12,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from model.core.errors import ArtiworldError
-from model.geometry.cleaning import cleaned, is_solid, to_cloud, to_mesh
-from model.geometry.formats.loaded import Loaded, join
-from model.geometry.glb import mesh_to_glb
-from model.geometry.part_folder import OBJECT_JSON
-from model.geometry.writers import write_cloud
+from model.io.formats.loaded import Loaded, join
+from model.io.part_folder import OBJECT_JSON
+from model.io.source_checks import cleaned, is_solid, to_cloud, to_mesh
+from model.io.write.glb import mesh_to_glb
+from model.io.write.meshes import write_cloud
 from model.scenes.asset_parts import MOST_PIECES
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import FloatArray, Scene, SceneObjectError

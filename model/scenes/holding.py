@@ -10,7 +10,7 @@ import numpy as np
 
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.kinematics.urdf import Inertial
+from model.io.urdf.writer import Inertial
 from model.physics.simulation_values import resisting
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray
@@ -25,7 +25,7 @@ def frictions(
     """Joint → N or N m of friction with which it holds itself as it stands.
 
     Args:
-        asset: MJCF of the asset, by :class:`~model.exporters.mjcf.MjcfExporter`, whose friction is
+        asset: MJCF of the asset, by :class:`~model.io.export.mjcf.MjcfExporter`, whose friction is
             that of the upright asset.
         world_from_asset: (4, 4) how it stands.
         limits: joint → (lower, upper) where they were shortened.

@@ -16,10 +16,10 @@ from model.core.errors import ArtiworldError, InputFileError
 from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import OutOfTimeError, time_limit
-from model.exporters.asset_folder import write_asset
-from model.exporters.mjcf import MjcfExporter
-from model.exporters.sdf import SdfExporter
-from model.exporters.usd import UsdExporter
+from model.io.assets.asset_folder import write_asset
+from model.io.export.mjcf import MjcfExporter
+from model.io.export.sdf import SdfExporter
+from model.io.export.usd import UsdExporter
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, plain_physics
 from model.predictors import load_predictor
 from model.scenes.asset_parts import (

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET  # only types; reading is defusedxml's
 
 import numpy as np
 
-from model.exporters.mjcf import COLLISION_GROUP
+from model.io.export.mjcf import COLLISION_GROUP
 from model.physics.collision.hulls import Hull, hull_of
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.shapes import Primitive, hull_of_shape

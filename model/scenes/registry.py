@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.plug_ins import load_plug_in
-from model.geometry.formats.loaded import size_of
+from model.io.formats.loaded import size_of
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import Scene, SceneProblem
 

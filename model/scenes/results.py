@@ -14,10 +14,10 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
-from model.exporters.about import ABOUT, write_scene_about
-from model.exporters.mjcf import FILE
-from model.exporters.saved import URDF
-from model.kinematics.urdf import number, xml_name
+from model.io.assets.reader import URDF
+from model.io.export.manifest import ABOUT, write_scene_about
+from model.io.export.mjcf import FILE
+from model.io.urdf.writer import number, xml_name
 from model.scenes.holding import frictions
 from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING, write_json
 from model.scenes.overlaps import at_rest

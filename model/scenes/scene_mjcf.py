@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
-from model.kinematics.urdf import number, vector, xml_name
+from model.io.urdf.writer import number, vector, xml_name
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.own_file import quaternion_wxyz
 from model.scenes.readers.lisdf import parse_xml

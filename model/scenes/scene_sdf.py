@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
-from model.exporters.sdf import FILE, VERSION
-from model.kinematics.urdf import number, rpy_from_rotation, vector, xml_name
+from model.io.export.sdf import FILE, VERSION
+from model.io.urdf.writer import number, rpy_from_rotation, vector, xml_name
 from model.scenes.jobs import ASSETS
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray

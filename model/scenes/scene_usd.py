@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from model.exporters.usd import FILE, FRICTION, NAME_KEY
-from model.kinematics.urdf import xml_name
+from model.io.export.usd import FILE, FRICTION, NAME_KEY
+from model.io.urdf.writer import xml_name
 from model.scenes.jobs import ASSETS
 from model.scenes.own_file import quaternion_wxyz
 from model.scenes.scene import FloatArray

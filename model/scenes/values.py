@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.geometry.formats.loaded import read_bytes
+from model.io.formats.loaded import read_bytes
 from model.scenes.scene import FloatArray, SceneObject, SceneObjectError, SceneProblem
 
 MAX_BYTES = 256 * 2**20

@@ -17,7 +17,7 @@ import pytest
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
-from model.exporters.saved import load_object
+from model.io.assets.reader import load_object
 from model.predictor import Predictor
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from app.annotator import BY_HAND, AnnotatorConfig, annotate
 from app.cli import main
 from app.person_report import run_person
 from model.datasets.registry import DatasetOptions, open_dataset
-from model.exporters.urdf import UrdfExporter
+from model.io.export.urdf import UrdfExporter
 
 MADE = (
     "--data", "procedural", "--family", "Safe", "Laptop", "--jobs", "1", "--timeout", "900"

@@ -17,8 +17,8 @@ from app.serve_command import _scene_of
 from app.tasks import ReadOptions, stamp
 from app.uploads import keep_upload
 from model.core.errors import InputFileError
-from model.exporters.saved import load_object
-from model.geometry.readers import find_assets, read_asset
+from model.io.assets.reader import load_object
+from model.io.readers import find_assets, read_asset
 
 MJCF = """<!-- a comment --><mujoco model="cupboard"><compiler angle="radian" meshdir="meshes"/>
 <asset><mesh name="body" file="body.stl"/><mesh name="door" file="door.stl"/></asset><worldbody>

@@ -23,9 +23,9 @@ from app.tasks import arrays_of, stamp
 from app.viewer.joint_text import joint_note
 from app.viewer.review_panel import summary
 from app.workbench import Workbench
-from model.exporters.saved import load_object, told_entry
-from model.geometry.readers import read_asset
-from model.kinematics.urdf import JointDynamics
+from model.io.assets.reader import load_object, told_entry
+from model.io.readers import read_asset
+from model.io.urdf.writer import JointDynamics
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store

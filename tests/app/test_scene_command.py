@@ -19,10 +19,10 @@ from scipy.spatial import KDTree
 
 from app.cli import main
 from model.core.point_cloud import PointCloud
-from model.exporters.asset_folder import load_object
-from model.geometry.readers import read_asset, read_part_files
-from model.geometry.writers import write_cloud, write_mesh
-from model.kinematics.urdf import read_urdf
+from model.io.assets.asset_folder import load_object
+from model.io.readers import read_asset, read_part_files
+from model.io.urdf.writer import read_urdf
+from model.io.write.meshes import write_cloud, write_mesh
 from model.scenes.assets import asset_digest
 from model.scenes.registry import read_scene
 from tests.model.scenes import scenes_made as made

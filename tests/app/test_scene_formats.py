@@ -13,10 +13,10 @@ import pytest
 from defusedxml import ElementTree
 
 from model.core.articulated_object import ArticulatedObject
-from model.geometry.formats.gltf import open_gltf
-from model.geometry.readers import read_asset
-from model.geometry.writers import write_cloud
-from model.kinematics.urdf import read_urdf
+from model.io.formats.gltf import open_gltf
+from model.io.readers import read_asset
+from model.io.urdf.writer import read_urdf
+from model.io.write.meshes import write_cloud
 from model.scenes.registry import read_scene
 from tests.app.test_scene_command import convert, objects_of, world_of
 from tests.model.scenes import scenes_made as made

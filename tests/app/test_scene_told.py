@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app import part_tasks, scene_tasks, tasks
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.physics.collision.shapes import Primitive
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject

@@ -12,7 +12,7 @@ from PIL import Image
 
 from app.uploads import keep_upload
 from model.core.errors import InputFileError
-from model.geometry.readers import find_assets, read_asset
+from model.io.readers import find_assets, read_asset
 
 OBJ = (
     b"mtllib door.mtl\nusemtl oak\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"

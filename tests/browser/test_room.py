@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from app import tasks
 from app.viewer.gate_view import MENDS
 from model.geometry.picking import Picker
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.segmentation.crop import largest_piece
 from model.segmentation.simulate import iou, next_click
 from tests.model.scenes.saved import points_in_place

@@ -10,7 +10,7 @@ import pytest
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.resources import static_assets
 from model.geometry.parts import split
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.predictors import load_predictor
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter

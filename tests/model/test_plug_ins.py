@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from model.core.errors import ConfigurationError
-from model.exporters import registry as exporters
-from model.exporters.glb import GlbExporter
+from model.io.export import registry as exporters
+from model.io.export.glb import GlbExporter
 from model.scenes import finder_registry as finders
 from model.scenes import registry as scene_readers
 from model.scenes.finders import LexiconFinder

@@ -34,10 +34,10 @@ from model.datasets.procedural.grammar import ProceduralObject
 from model.datasets.procedural.materials import Palette, metal, plain, wood
 from model.datasets.procedural.modules import Opening
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan, visible_elements
-from model.geometry.glb import mesh_to_glb
-from model.geometry.readers import read_asset
 from model.geometry.sampling import sample_surface
-from model.geometry.writers import write_cloud
+from model.io.readers import read_asset
+from model.io.write.glb import mesh_to_glb
+from model.io.write.meshes import write_cloud
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter
 from model.segmentation.simulate import next_part_click

@@ -26,7 +26,7 @@ from model.core.tree import KinematicTree
 from model.datasets.procedural.composite import random_composite
 from model.datasets.procedural.families import FAMILIES, Family
 from model.datasets.procedural.grammar import ProceduralObject
-from model.geometry.writers import write_mesh
+from model.io.write.meshes import write_mesh
 
 OBJ_FROM_OBJECT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From our frame (+z up, front -y) to the OBJ files' (+y up, front +z)."""

@@ -101,7 +101,7 @@ def collision_of(
     Raises:
         GeometryError: for a part without geometry.
     """
-    from model.exporters.part_files import part_mesh
+    from model.io.export.part_files import part_mesh
 
     settings = settings or CollisionSettings()
     told = {link: held for link, held in obj.shapes.items() if link in obj.tree.links}
@@ -177,7 +177,7 @@ def prepare_bodies(
     Args:
         told: links whose shapes the source tells.
     """
-    from model.exporters.part_files import part_mesh
+    from model.io.export.part_files import part_mesh
 
     settings = CollisionSettings()
     diagonal = _diagonal_of(parts)
@@ -256,7 +256,7 @@ def bodies_of(part: Part, diagonal: float, settings: CollisionSettings) -> list[
     Args:
         diagonal: of the whole object, metres; sheets get their thickness from it.
     """
-    from model.exporters.part_files import part_mesh
+    from model.io.export.part_files import part_mesh
 
     mesh = thinned(part_mesh(part))
     thickness = max(SHEET * diagonal, LEAST)

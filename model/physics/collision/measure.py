@@ -91,7 +91,7 @@ def free_volume(
     Args:
         coacd_seconds: time limit of coacd on all parts together; 0 leaves it out.
     """
-    from model.exporters.part_files import part_mesh
+    from model.io.export.part_files import part_mesh
 
     total = kept = by_hull = by_coacd = 0.0
     asked, spent = coacd_seconds > 0, 0.0

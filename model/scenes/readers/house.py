@@ -16,7 +16,7 @@ from typing import Any
 import mapbox_earcut
 import numpy as np
 
-from model.geometry.formats.loaded import Loaded, join
+from model.io.formats.loaded import Loaded, join
 from model.scenes.scene import FloatArray, SceneObjectError, SceneProblem
 from model.scenes.values import maybe_text, numbers, text
 

@@ -28,9 +28,9 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import InputFileError
-from model.geometry.cleaning import MIN_POINTS
-from model.geometry.formats.loaded import Loaded
-from model.geometry.formats.ply import read_ply_columns
+from model.io.formats.loaded import Loaded
+from model.io.formats.ply import read_ply_columns
+from model.io.source_checks import MIN_POINTS
 from model.scenes.embedded import Unpacked, Unpacker
 from model.scenes.poses import about_z, pose
 from model.scenes.scene import Scene, SceneObject, SceneObjectError, SceneProblem

@@ -19,10 +19,10 @@ import numpy as np
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.installing import install_command
 from model.core.mesh import Material
-from model.geometry.formats.loaded import Loaded, check_indices, colors_from
-from model.geometry.formats.srgb import to_srgb
-from model.geometry.formats.triangulate import triangulate
-from model.geometry.readers import turned_up
+from model.io.formats.loaded import Loaded, check_indices, colors_from
+from model.io.formats.srgb import to_srgb
+from model.io.formats.triangulate import triangulate
+from model.io.readers import turned_up
 from model.scenes.embedded import Unpacked, Unpacker, placed_frame
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import (

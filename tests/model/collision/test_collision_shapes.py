@@ -17,10 +17,10 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.exporters.part_files import part_mesh
 from model.gate.physics import run_physics
 from model.geometry import reconstruct
 from model.geometry.sampling import sample_surface
+from model.io.export.part_files import part_mesh
 from model.physics import surface_cache as kept_surfaces
 from model.physics.collision import build
 from model.physics.collision.build import CollisionSettings, collision_of, prepare_bodies

@@ -16,11 +16,11 @@ from model.core.errors import InputFileError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-from model.exporters.asset_folder import write_asset
-from model.exporters.registry import load_exporter
-from model.geometry.cache import load_asset, save_asset
-from model.geometry.readers import find_assets, read_asset
-from model.kinematics.urdf_reader import MOST_LINKS
+from model.io.asset_cache import load_asset, save_asset
+from model.io.assets.asset_folder import write_asset
+from model.io.export.registry import load_exporter
+from model.io.readers import find_assets, read_asset
+from model.io.urdf.reader import MOST_LINKS
 from model.physics.simulation_values import plain_physics
 
 LIMIT = '<limit lower="0" upper="1.5"/>'

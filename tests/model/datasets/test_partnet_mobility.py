@@ -12,11 +12,11 @@ from PIL import Image
 
 from model.core.errors import InputFileError
 from model.core.tree import KinematicTree
-from model.datasets.merging import rigid_groups
 from model.datasets.part_export import export_parts
 from model.datasets.partnet_mobility import PartNetMobility, read_partnet_mobility
 from model.datasets.protocol import Dataset
-from model.kinematics.urdf_reader import read_urdf_model
+from model.io.merging import rigid_groups
+from model.io.urdf.reader import read_urdf_model
 
 URDF = """<?xml version="1.0"?>
 <robot name="made">
@@ -159,7 +159,7 @@ def test_is_a_dataset(folder: Path) -> None:
 
 @pytest.mark.parametrize("with_names", [True, False])
 def test_exported_parts_are_read_back(folder: Path, tmp_path: Path, with_names: bool) -> None:
-    from model.geometry.readers import read_part_files
+    from model.io.readers import read_part_files
 
     truth = read_partnet_mobility(folder)
     rng = np.random.default_rng(5)

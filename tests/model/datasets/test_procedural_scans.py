@@ -18,7 +18,7 @@ from model.datasets.procedural.examples import EXAMPLES, write_examples
 from model.datasets.procedural.generate import GenerateSettings, generate, make
 from model.datasets.procedural.grammar import transformed
 from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.segmentation.registry import load_segmenter
 
 FOLDER = static_assets() / "examples"

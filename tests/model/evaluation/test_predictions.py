@@ -21,7 +21,7 @@ from model.evaluation.alignment import ROTATIONS, Frame, Similarity
 from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS
-from model.exporters.urdf import UrdfExporter
+from model.io.export.urdf import UrdfExporter
 
 LOST_BY_A_TYPE = {"tc", "type_precision", "usable", "usable_joints"}
 RANGE = {"range_right", "ald", "ald_all", "usable", "usable_joints"}

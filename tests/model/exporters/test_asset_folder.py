@@ -20,16 +20,11 @@ from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.exporters import asset_folder
-from model.exporters.asset_folder import (
-    load_object,
-    read_provenance,
-    reload_check,
-    write_asset,
-)
-from model.exporters.part_files import file_stems
 from model.geometry.parts import split
-from model.kinematics.urdf import read_urdf
+from model.io.assets import asset_folder
+from model.io.assets.asset_folder import load_object, read_provenance, reload_check, write_asset
+from model.io.export.part_files import file_stems
+from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import physics_of
 
 PROVENANCE = {"who": "ana", "source": {"path": "scan.ply", "sha256": "00"}, "prompts": []}

@@ -24,16 +24,16 @@ from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.datasets.mjcf import read_mjcf
-from model.exporters import registry
-from model.exporters.asset_folder import write_asset
-from model.exporters.protocol import Exporter
-from model.exporters.readback import read_back
-from model.exporters.registry import export, exporter_names, load_exporter, write_object
-from model.exporters.reload import mujoco_problems, object_from_links
-from model.exporters.saved import load_object, reading_notes
-from model.exporters.urdf import losses_of
-from model.geometry.readers import read_asset
-from model.kinematics.urdf import read_urdf
+from model.io.assets.asset_folder import write_asset
+from model.io.assets.reader import load_object, reading_notes
+from model.io.assets.reload import mujoco_problems, object_from_links
+from model.io.export import registry
+from model.io.export.protocol import Exporter
+from model.io.export.registry import export, exporter_names, load_exporter, write_object
+from model.io.export.urdf import losses_of
+from model.io.readback.compare import read_back
+from model.io.readers import read_asset
+from model.io.urdf.writer import read_urdf
 from model.physics.collision.shapes import Primitive, Solid
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 

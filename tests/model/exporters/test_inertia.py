@@ -12,7 +12,7 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.kinematics.urdf import Inertial
+from model.io.urdf.writer import Inertial
 from model.physics.inertia import (
     MIN_MASS,
     MIN_RADIUS,

@@ -9,7 +9,7 @@ import trimesh
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.mesh import Material, Mesh
 from model.core.tree import KinematicTree
-from model.exporters.mjcf import MjcfExporter
+from model.io.export.mjcf import MjcfExporter
 
 
 def test_a_material_on_triangles_without_area_is_left_out(tmp_path):

@@ -12,8 +12,8 @@ import pytest
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
-from model.exporters.asset_folder import write_asset
-from model.exporters.mjcf import MjcfExporter
+from model.io.assets.asset_folder import write_asset
+from model.io.export.mjcf import MjcfExporter
 from model.physics.collision.shapes import hull_of_shape
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of
 from tests.model.exporters.demos import DEMOS, demo_object

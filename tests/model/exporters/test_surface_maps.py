@@ -24,13 +24,13 @@ from model.core.joint import Joint
 from model.core.mesh import Material
 from model.core.surface_maps import SurfaceMaps
 from model.core.tree import KinematicTree
-from model.exporters.asset_folder import write_asset
-from model.exporters.registry import export, losses_of
-from model.exporters.saved import load_object
-from model.geometry.cache import load_asset, save_asset
 from model.geometry.parts import split
-from model.geometry.readers import read_asset
 from model.geometry.splitting import Plane, split_faces
+from model.io.asset_cache import load_asset, save_asset
+from model.io.assets.asset_folder import write_asset
+from model.io.assets.reader import load_object
+from model.io.export.registry import export, losses_of
+from model.io.readers import read_asset
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 

@@ -13,7 +13,7 @@ from model.core.asset import Asset, Source
 from model.core.errors import InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.geometry.cache import FORMAT_VERSION, load_asset, save_asset
+from model.io.asset_cache import FORMAT_VERSION, load_asset, save_asset
 
 
 def test_mesh_with_textures_comes_back(tmp_path: Path, textured: Mesh) -> None:

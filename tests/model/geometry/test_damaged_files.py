@@ -16,9 +16,9 @@ import pytest
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.geometry.formats.npz import read_npz
-from model.geometry.readers import SUFFIXES, find_assets, read_asset, read_part_files
-from model.geometry.writers import write_cloud, write_mesh
+from model.io.formats.npz import read_npz
+from model.io.readers import SUFFIXES, find_assets, read_asset, read_part_files
+from model.io.write.meshes import write_cloud, write_mesh
 
 HEAD = (
     "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\n"

@@ -10,7 +10,7 @@ import trimesh
 
 from model.core.errors import InputFileError
 from model.geometric.vocabulary import MOST_NAMED, named_parts
-from model.geometry.readers import read_asset, read_part_files
+from model.io.readers import read_asset, read_part_files
 
 
 def glb(path: Path, *names: str) -> Path:

@@ -19,10 +19,10 @@ from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.textures import encode
 from model.geometry.appearance import face_colors
-from model.geometry.glb import face_order
 from model.geometry.parts import split
-from model.geometry.readers import read_asset
-from model.geometry.writers import mesh_to_glb, write_cloud, write_mesh
+from model.io.readers import read_asset
+from model.io.write.glb import face_order
+from model.io.write.meshes import mesh_to_glb, write_cloud, write_mesh
 
 
 @settings(max_examples=40, deadline=None)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.geometry.readers import SUFFIXES, find_assets, read_asset
+from model.io.readers import SUFFIXES, find_assets, read_asset
 
 
 def test_partnet_mobility_objects_open_with_their_textures(shared_data: Path) -> None:

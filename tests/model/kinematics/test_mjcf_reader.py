@@ -14,11 +14,11 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, InputFileError
-from model.exporters.mjcf import MjcfExporter
-from model.exporters.registry import write_object
-from model.exporters.saved import load_object
-from model.geometry.readers import find_assets, read_asset
-from model.kinematics import mjcf_reader
+from model.io.assets.reader import load_object
+from model.io.export.mjcf import MjcfExporter
+from model.io.export.registry import write_object
+from model.io.mjcf import reader as mjcf_reader
+from model.io.readers import find_assets, read_asset
 from model.physics.collision.shapes import Primitive
 from model.physics.simulation_values import physics_of
 from tests.model.exporters.demos import demo_object
@@ -257,7 +257,7 @@ def test_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                    '<geom type="mesh" mesh="b"/></worldbody>')  # fmt: skip
     with pytest.raises(InputFileError, match=r"b\.stl"):
         read_asset(path, max_bytes=100)
-    monkeypatch.setattr("model.kinematics.xml_file.MAX_BYTES", 10)
+    monkeypatch.setattr("model.io.xml_file.MAX_BYTES", 10)
     with pytest.raises(InputFileError, match=r"robot\.xml: is larger"):
         read_asset(path)
 

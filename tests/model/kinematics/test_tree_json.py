@@ -7,7 +7,7 @@ import pytest
 from model.core.errors import KinematicsError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.kinematics.tree_json import tree_from_json, tree_json_problems, tree_to_json
+from model.io.tree_json import tree_from_json, tree_json_problems, tree_to_json
 
 TREE = KinematicTree(
     ("knob", "body", "door", "handle"),

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.exporters.saved import load_object, reading_notes
-from model.geometry.cache import load_asset, save_asset
-from model.geometry.readers import read_asset
+from model.io.asset_cache import load_asset, save_asset
+from model.io.assets.reader import load_object, reading_notes
+from model.io.readers import read_asset
 from model.physics.collision.shapes import Primitive, Solid, hull_of_shape
 
 VISUAL = '<visual><geometry><mesh filename="{}.ply"/></geometry></visual>'

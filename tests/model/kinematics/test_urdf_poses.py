@@ -15,7 +15,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import JOINT_TYPES, Joint, Mimic
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-from model.kinematics.urdf import Inertial, link_origins, read_urdf_model, to_urdf_text, write_urdf
+from model.io.urdf.writer import Inertial, link_origins, read_urdf_model, to_urdf_text, write_urdf
 
 TETRAHEDRON = Mesh(
     np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 0.1,

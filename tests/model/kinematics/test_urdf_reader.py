@@ -11,8 +11,8 @@ import trimesh
 import yourdfpy
 
 from model.core.errors import InputFileError
-from model.kinematics.urdf import read_urdf, read_urdf_model
-from model.kinematics.urdf_reader import rotation_from_rpy
+from model.io.urdf.reader import rotation_from_rpy
+from model.io.urdf.writer import read_urdf, read_urdf_model
 
 
 def robot(body: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from model.exporters.asset_folder import load_object
+from model.io.assets.asset_folder import load_object
 
 
 def points_in_place(out: Path) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from model.core.mesh import Mesh
-from model.geometry.writers import write_mesh
+from model.io.write.meshes import write_mesh
 
 CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], float)
 FACES = np.array(
@@ -214,7 +214,7 @@ def write_usd(path: Path, up: str = "Y", unit: float = 0.01) -> Path:
 def write_scan(path: Path, labels: bool = True, seed: int = 0) -> Path:
     """A room of points: floor, the cabinet and a rock; with instances beside it, or boxes."""
     from model.core.point_cloud import PointCloud
-    from model.geometry.writers import write_cloud
+    from model.io.write.meshes import write_cloud
 
     rng = np.random.default_rng(seed)
     pose = world_pose()

@@ -12,7 +12,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-from model.exporters.asset_folder import write_asset
+from model.io.assets.asset_folder import write_asset
 from model.scenes.asset_parts import known_parts, scaled, scaled_tree
 from model.scenes.jobs import ANNOTATE, PREDICTED, usability
 from tests.app.test_scene_command import convert

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.exporters.mjcf import MjcfExporter
-from model.exporters.sdf import SdfExporter
-from model.exporters.urdf import UrdfExporter
 from model.geometry.parts import Part
-from model.kinematics.urdf import read_urdf_model
+from model.io.export.mjcf import MjcfExporter
+from model.io.export.sdf import SdfExporter
+from model.io.export.urdf import UrdfExporter
+from model.io.urdf.writer import read_urdf_model
 from model.physics.simulation_values import PhysicsSettings, holding_load, physics_of
 from model.scenes.convert import Outcome
 from model.scenes.holding import frictions

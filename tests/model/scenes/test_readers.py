@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.scenes.embedded import unpack
 from model.scenes.own_file import scene_to_json
 from model.scenes.readers.house import THICKNESS

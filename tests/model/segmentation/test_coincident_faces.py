@@ -11,8 +11,8 @@ import pytest
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.resources import static_assets
-from model.geometry.readers import read_asset
 from model.geometry.topology import coincident_faces
+from model.io.readers import read_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region

@@ -14,7 +14,7 @@ from model.core.mesh import Mesh
 from model.core.resources import static_assets
 from model.datasets.procedural.examples import joined
 from model.datasets.procedural.generate import make
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.segmentation import fronts
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.masks import FEATURE_NAMES

@@ -10,8 +10,8 @@ import pytest
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.resources import static_assets
-from model.geometry.readers import read_asset
 from model.geometry.topology import connected_shells
+from model.io.readers import read_asset
 from model.segmentation.contacts import contacts_of
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.fittings import fittings_of

@@ -10,7 +10,7 @@ import pytest
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
 from model.core.resources import static_assets
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.edge_strength import shipped_edge_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.core.resources import static_assets
-from model.geometry.readers import read_asset
+from model.io.readers import read_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.tools import hover

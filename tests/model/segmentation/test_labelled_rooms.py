@@ -9,7 +9,7 @@ import pytest
 
 from model.core.errors import InputFileError
 from model.core.point_cloud import PointCloud
-from model.geometry.writers import write_cloud
+from model.io.write.meshes import write_cloud
 from model.segmentation.bench_data import room_objects
 
 

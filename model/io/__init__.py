@@ -1,0 +1,1 @@
+"""Every format that is read or written, and the saved asset."""

@@ -1,0 +1,1 @@
+"""The saved asset: written, read back, loaded by other software."""

@@ -1,0 +1,306 @@
+"""The asset as it is saved: a folder that any URDF reader can open.
+
+::
+
+    object.urdf        links, joints, inertia; see model.io.urdf.writer
+    meshes/            link_0.obj, link_0.mtl, texture_….png; link_0.ply beside it for a cloud
+    meshes/collision/  link_0_0.obj, …: convex hulls; other shapes are in the URDF itself
+    tree.json          the kinematic tree without numbers; see model.io.tree_json
+    provenance.json    where it comes from
+
+``provenance.json`` holds what the caller gives (source and hash, prompts, predictor, edits, who,
+when, versions) and an entry ``asset`` of this module::
+
+    {"format": 1, "name": str, "category": str | null, "written": ISO 8601 in UTC,
+     "parts": [{"link", "name", "mesh": file, "cloud": file | null, "faces", "points", "area"}],
+     "original": {"faces", "points", "area"} | null, "give_way": [joint, ...],
+     "told": {"masses": [link, ...], "dynamics": {joint: ["damping", ...]},
+              "collision": [link, ...]},
+     "files": {file: sha256}, "versions": {package: version}}
+
+Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
+the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, the
+joints of whose dynamics something, and the links whose collision shapes the source told; all else
+was worked out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import platform
+import secrets
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from model.core.articulated_object import ArticulatedObject, remarks_of
+from model.core.asset import Asset
+from model.core.errors import GeometryError, InputFileError
+from model.core.progress import Progress, no_progress
+from model.io.assets.reader import (
+    FORMAT,
+    PROVENANCE,
+    TOLD,
+    TREE,
+    URDF,
+    load_object,
+    old_name,
+    read_provenance,
+    recover,
+    told_entry,
+)
+from model.io.assets.reload import AREA_TOLERANCE, reload_check
+from model.io.export.part_files import PartFile, write_parts
+from model.io.export.urdf import write_urdf_of
+from model.io.tree_json import tree_to_json
+from model.physics.simulation_values import Physics
+
+__all__ = [
+    "AssetFiles",
+    "load_object",
+    "publish",
+    "read_provenance",
+    "reload_check",
+    "write_asset",
+    "write_draft",
+]
+
+
+@dataclass(frozen=True)
+class AssetFiles:
+    """What was written; all paths lie in ``folder``.
+
+    Attributes:
+        meshes: link → the mesh that the URDF refers to.
+        clouds: link → the cloud of a scanned part.
+    """
+
+    folder: Path
+    urdf: Path
+    tree: Path
+    provenance: Path
+    meshes: Mapping[str, Path]
+    clouds: Mapping[str, Path]
+
+
+def write_asset(
+    obj: ArticulatedObject,
+    folder: str | Path,
+    *,
+    provenance: Mapping[str, Any],
+    original: Asset | None = None,
+    physics: Physics | None = None,
+    progress: Progress = no_progress,
+) -> AssetFiles:
+    """Save ``obj``. An asset that is there already is replaced only by a complete new one.
+
+    Args:
+        obj: its parts hold the original geometry; a part with a cloud alone gets a mesh too.
+        folder: created where needed, its parents as well.
+        provenance: anything that JSON can hold.
+        original: what the parts were cut from; their areas, or points, must add up to its own.
+        physics: mass, collision shapes and joint dynamics; None leaves the shapes out.
+        progress: told of each part.
+
+    Raises:
+        GeometryError: for a part without geometry, or parts that don't add up.
+        InputFileError: where the folder holds something else, or can't be written.
+    """
+    folder = Path(folder).absolute()
+    json.dumps(dict(provenance), allow_nan=False)  # fails before anything is written
+    recover(folder)
+    _check_target(folder)
+    draft = _beside(folder)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        write_draft(obj, draft, original=original, physics=physics, progress=progress)
+    except OSError as error:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise _unwritable(folder, error) from error
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+    return publish(draft, folder, provenance)
+
+
+def write_draft(
+    obj: ArticulatedObject,
+    draft: Path,
+    *,
+    original: Asset | None = None,
+    physics: Physics | None = None,
+    progress: Progress = no_progress,
+) -> None:
+    """Everything of an asset but where it comes from, into the new folder ``draft``.
+
+    It reads as an asset does; :func:`publish` makes it one.
+
+    Raises:
+        GeometryError: for a part without geometry, or parts that don't add up.
+        OSError: where the folder is there already, or can't be written.
+    """
+    _check_sums(obj, original)
+    draft.mkdir()
+    parts = write_parts(obj, draft, progress=progress)
+    _write_texts(obj, draft, parts, original, physics)
+
+
+def publish(draft: Path, folder: Path, provenance: Mapping[str, Any]) -> AssetFiles:
+    """Say where the asset in ``draft`` comes from, and let it take its place; the draft is gone.
+
+    Raises:
+        InputFileError: where the folder holds something else, or can't be written.
+    """
+    folder = folder.absolute()
+    text = json.dumps(dict(provenance), allow_nan=False)
+    recover(folder)
+    _check_target(folder)
+    entry: dict[str, Any] = read_provenance(draft)["asset"]
+    entry["written"] = _now()
+    fresh = _beside(folder)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        _write_json(draft / PROVENANCE, {**json.loads(text), "asset": entry})
+        shutil.move(draft, fresh)
+        _take_place(fresh, folder)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+    clouds = {p["link"]: folder / p["cloud"] for p in entry["parts"] if p["cloud"]}
+    return AssetFiles(
+        folder,
+        folder / URDF,
+        folder / TREE,
+        folder / PROVENANCE,
+        {p["link"]: folder / p["mesh"] for p in entry["parts"]},
+        clouds,
+    )
+
+
+def _beside(folder: Path) -> Path:
+    """A new name on the same disk, which :func:`~model.io.assets.reader.recover` knows."""
+    return folder.with_name(f".{folder.name}.{secrets.token_hex(6)}")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _unwritable(folder: Path, error: OSError) -> InputFileError:
+    return InputFileError(
+        folder, f"can't be written ({error.strerror or error})", "check space and permissions"
+    )
+
+
+def _check_target(folder: Path) -> None:
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if not (folder / PROVENANCE).is_file():
+        raise InputFileError(
+            folder, "holds something that is not a saved asset", "choose another folder"
+        )
+
+
+def _check_sums(obj: ArticulatedObject, original: Asset | None) -> None:
+    if original is None:
+        return
+    if original.mesh is not None:
+        whole = float(original.mesh.face_areas.sum())
+        cut = sum(float(p.mesh.face_areas.sum()) for p in obj.parts if p.mesh is not None)
+        if abs(cut - whole) > AREA_TOLERANCE * max(whole, 1e-300):
+            raise GeometryError(
+                f"{obj.name}: the parts' area is {cut:.9g} m², the original's {whole:.9g} m²; "
+                "every face must be in exactly one part"
+            )
+    elif original.cloud is not None:
+        count = sum(len(p.cloud) for p in obj.parts if p.cloud is not None)
+        if count != len(original.cloud):
+            raise GeometryError(
+                f"{obj.name}: the parts have {count} points, the original {len(original.cloud)}; "
+                "every point must be in exactly one part"
+            )
+
+
+def _write_texts(
+    obj: ArticulatedObject,
+    folder: Path,
+    parts: tuple[PartFile, ...],
+    original: Asset | None,
+    physics: Physics | None,
+) -> None:
+    write_urdf_of(obj, parts, folder / URDF, physics)
+    _write_json(folder / TREE, tree_to_json(obj.tree))
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    entry = {
+        "format": FORMAT,
+        "name": obj.name,
+        "category": obj.category,
+        "written": _now(),
+        "parts": [_entry(p) for p in parts],
+        "remarks": list(remarks_of(obj.parts)),
+        "original": None if original is None else _sums(original),
+        "give_way": [j.name for j in obj.tree.joints if j.give_way],
+        TOLD: told_entry(obj, () if physics is None else physics.told_shapes),
+        "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
+        "versions": _versions(),
+    }
+    _write_json(folder / PROVENANCE, {"asset": entry})
+
+
+def _entry(part: PartFile) -> dict[str, Any]:
+    out = asdict(part)
+    del out["flat"]
+    return out
+
+
+def _sums(original: Asset) -> dict[str, Any]:
+    mesh, cloud = original.mesh, original.cloud
+    return {
+        "faces": 0 if mesh is None else len(mesh.faces),
+        "points": 0 if cloud is None else len(cloud),
+        "area": 0.0 if mesh is None else float(mesh.face_areas.sum()),
+    }
+
+
+def _write_json(path: Path, data: Any) -> None:
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_bytes((text + "\n").encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    out = {"python": platform.python_version()}
+    for package in ("artiworld", "numpy", "scipy", "open3d", "trimesh"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            out[package] = metadata.version(package)
+    return out
+
+
+def _take_place(fresh: Path, folder: Path) -> None:
+    """Put ``fresh`` where ``folder`` is; whatever fails, one of the two is left whole.
+
+    Between the two renames there is no ``folder``; who is killed there leaves the old one beside
+    it, and :func:`~model.io.assets.reader.recover` puts it back.
+    """
+    if not folder.exists():
+        fresh.rename(folder)
+        return
+    old = old_name(fresh)
+    folder.rename(old)
+    try:
+        fresh.rename(folder)
+    except OSError:
+        old.rename(folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)

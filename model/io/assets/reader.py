@@ -1,0 +1,189 @@
+"""Reading a saved asset back; ``asset_folder`` writes it and tells the format."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Collection
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.errors import InputFileError
+from model.core.joint import ToldDynamics
+from model.core.progress import Progress, no_progress
+from model.io.model_files import read_model
+from model.io.part_folder import remarks_in
+from model.io.urdf.declared_physics import Told
+
+FORMAT = 1
+URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"
+MIN_CLOUD = 4
+"""Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
+TOLD = "told"
+"""Entry of ``provenance.json`` that names what the source told of masses, joints and shapes."""
+
+_LOG = logging.getLogger(__name__)
+
+
+_OLD = ".old"
+
+
+def old_name(fresh: Path) -> Path:
+    """Where an asset waits while ``fresh``, the folder written beside it, takes its place."""
+    return fresh.with_name(fresh.name + _OLD)
+
+
+def recover(folder: Path) -> None:
+    """Put an asset back whose replacement was killed between its two renames."""
+    if folder.exists() or not folder.parent.is_dir() or not folder.name:
+        return
+    start = f".{folder.name}."
+    try:
+        waiting = [
+            p for p in folder.parent.iterdir()
+            if p.name.startswith(start) and p.name.endswith(_OLD) and (p / PROVENANCE).is_file()
+        ]  # fmt: skip
+        if waiting:
+            max(waiting, key=lambda p: p.stat().st_mtime).rename(folder)
+    except OSError:
+        return  # whoever reads the folder next says what is wrong with it
+
+
+def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
+    """The object of a saved asset, with its category, part names and clouds.
+
+    Of a URDF or MJCF alone masses, joint dynamics and collision shapes are those of the file; of a
+    saved asset those that its own source told, while the others are worked out again.
+
+    Args:
+        asset: the folder; or a URDF or MJCF file, or a folder with an ``object.urdf`` alone, which
+            have neither category nor clouds.
+
+    Raises:
+        InputFileError: for anything else, or a damaged file in it.
+    """
+    from model.io.readers import SUFFIXES, read_asset
+
+    path = Path(asset)
+    recover(path)
+    if path.is_file():
+        if path.suffix.lower() in SUFFIXES:
+            raise InputFileError(
+                path,
+                "is no URDF or MJCF",
+                "run artiworld segment and predict on it first, or serve it",
+            )
+        obj, told = _read(path, progress)
+        return told.of(obj)
+    if not (path / URDF).is_file():
+        raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")
+    obj, told = _read(path / URDF, progress)
+    if not (path / PROVENANCE).is_file():
+        return told.of(obj)
+    kept = read_provenance(path)["asset"]
+    entries = {entry["link"]: entry for entry in kept.get("parts", [])}
+    remarks = remarks_in(kept)
+    parts: list[Part] = []
+    for part in obj.parts:
+        entry = entries.get(part.link, {})
+        cloud = None
+        if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
+            cloud = read_asset(path / entry["cloud"], up_axis="z").cloud
+        said = (*remarks, *part.remarks)
+        parts.append(replace(part, cloud=cloud, name=entry.get("name"), remarks=said))
+    gives_way = kept.get("give_way")
+    names = gives_way if isinstance(gives_way, list) else []
+    joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
+    tree = replace(obj.tree, joints=joints)
+    obj = replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
+    return _listed(told, kept.get(TOLD)).of(obj)
+
+
+def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, Told]:
+    """The object of a URDF or MJCF, and what the file tells beside."""
+    model = read_model(path)
+    told = model.told
+    for note in (*model.notes, *told.notes):
+        _LOG.warning("%s: %s", path, note)
+    return model.load(progress), told
+
+
+def _listed(told: Told, entry: Any) -> Told:
+    """What of ``told`` the entry ``told`` of a ``provenance.json`` names; all else is of ours."""
+    named = entry if isinstance(entry, dict) else {}
+    masses, dynamics, shaped = (named.get(k) for k in ("masses", "dynamics", "collision"))
+    links = masses if isinstance(masses, list) else []
+    kept = shaped if isinstance(shaped, list) else []
+    fields = dynamics if isinstance(dynamics, dict) else {}
+    return Told(
+        {link: i for link, i in told.inertials.items() if link in links},
+        {
+            name: ToldDynamics(**{k: v for k, v in asdict(d).items() if k in fields[name]})
+            for name, d in told.dynamics.items()
+            if isinstance(fields.get(name), list)
+        },
+        collision={link: c for link, c in told.collision.items() if link in kept},
+    )
+
+
+def told_links(folder: Path, what: Literal["masses", "collision"]) -> list[str] | None:
+    """Links of a saved asset whose masses or collision shapes its own source told; None where
+    ``folder`` is none, and its URDF tells all of them."""
+    if not (folder / PROVENANCE).is_file():
+        return None
+    named = read_provenance(folder)["asset"].get(TOLD)
+    links = named.get(what) if isinstance(named, dict) else None
+    return links if isinstance(links, list) else []
+
+
+def told_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict[str, Any]:
+    """The entry ``told`` of ``provenance.json``: what of masses and joints the source told.
+
+    Args:
+        shaped: links whose collision shapes, of those that are written, the source told.
+    """
+    return {
+        "masses": sorted(obj.inertials),
+        "dynamics": {
+            j.name: [k for k, v in asdict(j.dynamics).items() if v is not None]
+            for j in obj.tree.joints
+            if j.dynamics is not None
+        },
+        "collision": sorted(shaped),
+    }
+
+
+def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
+    """What :func:`load_object` changed of a file on reading ``obj`` from it, and what was passed
+    over of its meshes or of the source they come from, for people."""
+    path = Path(asset)
+    model = read_model(path if path.is_file() else path / URDF)
+    return (*model.notes, *model.told.notes, *remarks_of(obj.parts))
+
+
+def read_provenance(folder: str | Path) -> dict[str, Any]:
+    """``provenance.json`` of an asset folder.
+
+    Raises:
+        InputFileError: where it is missing, damaged, or of a newer format.
+    """
+    recover(Path(folder))
+    path = Path(folder) / PROVENANCE
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputFileError(
+            path, error.strerror or "can't be read", "give the folder of a saved asset"
+        ) from error
+    except ValueError as error:
+        raise InputFileError(path, f"is not JSON ({error})", "save the asset again") from error
+    asset = data.get("asset") if isinstance(data, dict) else None
+    if not isinstance(asset, dict) or not isinstance(asset.get("format"), int):
+        raise InputFileError(path, "has no 'asset' entry", "save the asset again")
+    if asset["format"] > FORMAT:
+        raise InputFileError(
+            path, f"has format {asset['format']}, newer than {FORMAT}", "update ArtiWorld"
+        )
+    return data

@@ -1,0 +1,261 @@
+"""One GLB file with the joints as animations, for browsers, Blender and game engines.
+
+Link nodes sit where URDF link frames sit (``model.io.urdf.writer``) below one node that turns
++z up to glTF's +y up. The first animation moves all joints, then there is one for each joint.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.io.export.part_files import part_mesh
+from model.io.urdf.writer import link_origins
+from model.physics.simulation_values import Physics
+
+FILE = "object.glb"
+SECONDS = 4.0
+"""From rest to the upper limit, the lower one, and back."""
+KEYS = 8
+"""Keyframes a stretch: viewers turn the shorter way between two, so a turn needs several."""
+_HALF = float(np.sqrt(0.5))
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class GlbExporter:
+    """``object.glb``: textures inside, joints as animations."""
+
+    name = "glb"
+    description = "GLB with the joints as animations"
+
+    def export(
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
+    ) -> tuple[Path, ...]:
+        """See :class:`~model.io.export.protocol.Exporter`; glTF has no place for ``physics``."""
+        from model.io.write.meshes import mesh_to_glb
+
+        scene = _Scene(obj)
+        for i, part in enumerate(obj.parts):
+            progress(i / len(obj.parts), f"writing {part.link}")
+            scene.add(part.link, mesh_to_glb(part_mesh(part)), part.name)
+        scene.animate()
+        path = folder / FILE
+        path.write_bytes(scene.finish())
+        progress(1.0, "written")
+        return (path,)
+
+
+class _Scene:
+    """Joins the parts' own GLB files under the nodes of their links."""
+
+    def __init__(self, obj: ArticulatedObject) -> None:
+        self.obj = obj
+        self.origins = link_origins(obj.tree)
+        self.binary = bytearray()
+        self.pictures: dict[bytes, int] = {}
+        self.lists: dict[str, list[Any]] = {"nodes": [], "animations": []}
+        self.node: dict[str, int] = {}
+        up = {"name": obj.name, "rotation": [-_HALF, 0.0, 0.0, _HALF], "children": []}
+        self.lists["nodes"].append(up)
+        for link in obj.tree.order:
+            joint = obj.tree.joint_of.get(link)
+            above = 0 if joint is None else self.node[joint.parent]
+            base = np.zeros(3) if joint is None else self.origins[joint.parent]
+            offset = self.origins[link] - base
+            self.node[link] = self._node(above, {"name": link, "translation": offset.tolist()})
+
+    def _node(self, above: int, node: dict[str, Any]) -> int:
+        nodes = self.lists["nodes"]
+        nodes.append(node)
+        nodes[above].setdefault("children", []).append(len(nodes) - 1)
+        return len(nodes) - 1
+
+    def add(self, link: str, glb: bytes, name: str | None = None) -> None:
+        """Take over the one mesh of ``glb`` with all that belongs to it.
+
+        Its node and mesh are called after the part, "door", so that people and programs that open
+        the file know it; the nodes that move are called after their links.
+        """
+        tree, binary = _chunks(glb)
+        base = {key: len(self.lists.setdefault(key, [])) for key in ("accessors", "meshes")}
+        pictures = {image["bufferView"] for image in tree.get("images", [])}
+        views = [
+            self._view(binary, view, shared=i in pictures)
+            for i, view in enumerate(tree["bufferViews"])
+        ]
+        for key in ("accessors", "images"):
+            for entry in tree.get(key, []):
+                entry["bufferView"] = views[entry["bufferView"]]
+        images = [self._shared("images", image) for image in tree.get("images", [])]
+        textures = [
+            self._shared("textures", {**texture, "source": images[texture["source"]]})
+            for texture in tree.get("textures", [])
+        ]
+        for material in tree.get("materials", []):
+            for slot in _texture_slots(material):
+                slot["index"] = textures[slot["index"]]
+        for extension in tree.get("extensionsUsed", []):
+            self._shared("extensionsUsed", extension)
+        materials = [self._shared("materials", m) for m in tree.get("materials", [])]
+        called = name or ("base" if link == self.obj.tree.root else link)
+        if called in self.node:  # nodes of links are told by their names
+            called = f"{link} mesh"
+        for mesh in tree["meshes"]:
+            mesh["name"] = called
+            for primitive in mesh["primitives"]:
+                primitive["indices"] += base["accessors"]
+                primitive["material"] = materials[primitive["material"]]
+                for attribute in primitive["attributes"]:
+                    primitive["attributes"][attribute] += base["accessors"]
+        for key in base:
+            self.lists[key] += tree.get(key, [])
+        back = (-self.origins[link]).tolist()
+        node = {"name": called, "mesh": base["meshes"], "translation": back}
+        self._node(self.node[link], node)
+
+    def _shared(self, key: str, entry: dict[str, Any] | str) -> int:
+        """An entry's number in a list; one that is there already is used again, as viewers keep
+        a picture and a shader for each."""
+        entries = self.lists.setdefault(key, [])
+        if entry not in entries:
+            entries.append(entry)
+        return entries.index(entry)
+
+    def _view(self, binary: bytes, view: dict[str, Any], *, shared: bool) -> int:
+        """Take over a view of ``binary``; pictures that are there already are used again."""
+        start = view.get("byteOffset", 0)
+        data = binary[start : start + view["byteLength"]]
+        known = self.pictures.get(data) if shared else None
+        if known is not None:
+            return known
+        views = self.lists.setdefault("bufferViews", [])
+        views.append({**view, "byteOffset": self._reserve(data)})
+        if shared:
+            self.pictures[data] = len(views) - 1
+        return len(views) - 1
+
+    def animate(self) -> None:
+        """An animation of all joints, and one of each."""
+        leaders = [j for j in self.obj.tree.joints if j.moves and j.mimic is None]
+        if not leaders:
+            return
+        self._animation("all joints", leaders)
+        for joint in leaders if len(leaders) > 1 else []:
+            self._animation(joint.name, [joint])
+
+    def _animation(self, name: str, joints: list[Joint]) -> None:
+        tree = self.obj.tree
+        tracks = [joint_track(j) for j in joints]
+        times = np.linspace(0.0, SECONDS, len(tracks[0]))
+        named = [j.name for j in joints]
+        values = [
+            tree.joint_values(dict(zip(named, row, strict=True)))
+            for row in np.stack(tracks, axis=1).tolist()
+        ]
+        at = self._accessor(times[:, None], "SCALAR", bounds=True)
+        samplers: list[dict[str, Any]] = []
+        channels: list[dict[str, Any]] = []
+        for joint in tree.joints:
+            if not joint.moves or not (joint in joints or _follows(self.obj, joint, named)):
+                continue
+            q = np.array([v[joint.name] for v in values])
+            offset = self.origins[joint.child] - self.origins[joint.parent]
+            axis = np.asarray(joint.axis)
+            if joint.rotates:
+                keys = np.column_stack([np.sin(q / 2)[:, None] * axis, np.cos(q / 2)])
+            else:
+                keys = offset + q[:, None] * axis
+            kind, path = ("VEC4", "rotation") if joint.rotates else ("VEC3", "translation")
+            sampler = {"input": at, "output": self._accessor(keys, kind), "interpolation": "LINEAR"}
+            target = {"node": self.node[joint.child], "path": path}
+            channels.append({"sampler": len(samplers), "target": target})
+            samplers.append(sampler)
+        self.lists["animations"].append({"name": name, "samplers": samplers, "channels": channels})
+
+    def _accessor(self, values: FloatArray, kind: str, bounds: bool = False) -> int:
+        data = np.ascontiguousarray(values, "<f4")
+        start = self._reserve(data.tobytes())
+        views = self.lists.setdefault("bufferViews", [])
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": data.nbytes})
+        entry: dict[str, Any] = {
+            "bufferView": len(views) - 1,
+            "componentType": 5126,
+            "count": len(data),
+            "type": kind,
+        }
+        if bounds:
+            entry |= {"min": data.min(0).tolist(), "max": data.max(0).tolist()}
+        accessors = self.lists.setdefault("accessors", [])
+        accessors.append(entry)
+        return len(accessors) - 1
+
+    def _reserve(self, data: bytes) -> int:
+        self.binary.extend(b"\0" * (-len(self.binary) % 4))
+        start = len(self.binary)
+        self.binary.extend(data)
+        return start
+
+    def finish(self) -> bytes:
+        """The file's bytes."""
+        self.binary.extend(b"\0" * (-len(self.binary) % 4))
+        tree: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "ArtiWorld"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            **{key: entries for key, entries in self.lists.items() if entries},
+        }
+        if self.binary:
+            tree["buffers"] = [{"byteLength": len(self.binary)}]
+        text = json.dumps(tree, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        size = 12 + 8 + len(text) + 8 + len(self.binary)
+        head = b"glTF" + struct.pack("<II", 2, size)
+        head += struct.pack("<I", len(text)) + b"JSON" + text
+        return head + struct.pack("<I", len(self.binary)) + b"BIN\0" + bytes(self.binary)
+
+
+def _texture_slots(material: dict[str, Any]) -> list[dict[str, Any]]:
+    """What refers to textures in a material."""
+    found = [material["pbrMetallicRoughness"].get("baseColorTexture")]
+    found += [material.get(f"{kind}Texture") for kind in ("normal", "occlusion", "emissive")]
+    return [slot for slot in found if slot is not None]
+
+
+def _chunks(glb: bytes) -> tuple[dict[str, Any], bytes]:
+    (length,) = struct.unpack_from("<I", glb, 12)
+    tree = json.loads(glb[20 : 20 + length])
+    (size,) = struct.unpack_from("<I", glb, 20 + length)
+    return tree, glb[28 + length : 28 + length + size]
+
+
+def joint_track(joint: Joint) -> FloatArray:
+    """(3 * KEYS + 1,) values from rest to the upper limit, the lower one, and back to rest."""
+    if joint.type == "continuous":
+        return np.linspace(0.0, 2 * np.pi, 3 * KEYS + 1)
+    lower, upper = joint.lower or 0.0, joint.upper or 0.0
+    rest = min(max(0.0, lower), upper)
+    return np.interp(
+        np.arange(3 * KEYS + 1), np.array([0, 1, 2, 3]) * KEYS, [rest, upper, lower, rest]
+    )
+
+
+def _follows(obj: ArticulatedObject, joint: Joint, leaders: list[str]) -> bool:
+    while joint.mimic is not None:
+        joint = obj.tree.by_name[joint.mimic.joint]
+        if joint.name in leaders:
+            return True
+    return False

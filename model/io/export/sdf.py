@@ -1,0 +1,194 @@
+"""SDFormat for Gazebo and Drake, with ``model.config`` so that the folder is a Gazebo model.
+
+Links sit where URDF link frames sit (``model.io.urdf.writer``), their poses are the model's frame
+at rest, and a joint's frame is its child's, so axes need no turning. Materials are those of the
+meshes' MTL, of which Gazebo reads normal and emissive maps too; one in the SDF would replace all of
+a link's by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.articulated_object import ArticulatedObject
+from model.core.joint import Joint, Mimic
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
+from model.io.export.collision_files import write_collision
+from model.io.export.part_files import write_parts
+from model.io.urdf.writer import (
+    Inertial,
+    direct_mimics,
+    link_origins,
+    number,
+    rpy_from_rotation,
+    vector,
+    xml_name,
+)
+from model.physics.collision.shapes import Primitive, Solid
+from model.physics.inertia import HELPER
+from model.physics.simulation_values import Physics, plain_physics
+
+FILE, CONFIG = "model.sdf", "model.config"
+VERSION = "1.11"
+"""The first version with mimic joints."""
+
+
+class SdfExporter:
+    """``model.sdf``, ``model.config`` and ``meshes/``."""
+
+    name = "sdf"
+    description = "SDFormat for Gazebo and Drake"
+
+    def export(
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
+    ) -> tuple[Path, ...]:
+        """See :class:`~model.io.export.protocol.Exporter`."""
+        physics = physics or plain_physics(obj)
+        parts = write_parts(obj, folder, clouds=False, progress=progress)
+        shapes = write_collision(physics.collision, obj.parts, folder, capsules=True)
+        visuals = {p.link: p.mesh for p in parts}
+        sdf = ET.Element("sdf", version=VERSION)
+        model = ET.SubElement(sdf, "model", name=xml_name(obj.name), canonical_link=obj.tree.root)
+        origins = link_origins(obj.tree)
+        for link in obj.tree.order:
+            element = ET.SubElement(model, "link", name=xml_name(link))
+            _text(element, "pose", _pose(origins[link]))
+            _inertial(element, physics.inertials.get(link, HELPER), origins[link])
+            if link in visuals:
+                _geometry(element, "visual", visuals[link], 0, origins[link])
+            held = zip(shapes.get(link, []), physics.collision.get(link, ()), strict=True)
+            for i, (shape, whole) in enumerate(held):
+                convex = not isinstance(whole, Solid)
+                _geometry(element, "collision", shape, i, origins[link], convex)
+        names, mimics = sdf_joint_names(obj.tree), direct_mimics(obj.tree)
+        for joint in obj.tree.joints:
+            _joint(model, joint, names, mimics.get(joint.name), physics)
+        if physics.fixed_base:
+            root = ET.SubElement(model, "joint", name=_free("fixed_to_world", names), type="fixed")
+            _text(root, "parent", "world")
+            _text(root, "child", obj.tree.root)
+        config = ET.Element("model")
+        _text(config, "name", xml_name(obj.name))
+        _text(config, "version", "1.0")
+        ET.SubElement(config, "sdf", version=VERSION).text = FILE
+        _text(config, "description", f"Articulated object {xml_name(obj.name)}")
+        _write(folder / FILE, sdf)
+        _write(folder / CONFIG, config)
+        files = [folder / s for held in shapes.values() for s in held if isinstance(s, str)]
+        return (folder / FILE, folder / CONFIG, *(folder / p.mesh for p in parts), *files)
+
+
+def sdf_joint_names(tree: KinematicTree) -> dict[str, str]:
+    """Joint → its name in the file: links and joints share one set of names there."""
+    taken = {*tree.links, *tree.by_name}
+    out: dict[str, str] = {}
+    for joint in tree.joints:
+        name = joint.name
+        while name in tree.links or (name != joint.name and name in taken):
+            name += "_joint"
+        taken.add(name)
+        out[joint.name] = name
+    return out
+
+
+def _free(name: str, names: Mapping[str, str]) -> str:
+    while name in names.values():
+        name += "_"
+    return name
+
+
+def _text(parent: ET.Element, tag: str, text: str) -> ET.Element:
+    element = ET.SubElement(parent, tag)
+    element.text = text
+    return element
+
+
+def _pose(place: npt.ArrayLike, rotation: npt.NDArray[np.float64] | None = None) -> str:
+    turn = np.zeros(3) if rotation is None else rpy_from_rotation(rotation)
+    return f"{vector(place)} {vector(turn)}"
+
+
+def _inertial(link: ET.Element, inertial: Inertial, origin: npt.NDArray[np.float64]) -> None:
+    element = ET.SubElement(link, "inertial")
+    center = inertial.center if inertial is not HELPER else origin
+    _text(element, "pose", _pose(center - origin))
+    _text(element, "mass", f"{inertial.mass:.9g}")
+    tensor = ET.SubElement(element, "inertia")
+    for i, j, key in ((0, 0, "ixx"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 1, "iyy"), (1, 2, "iyz"),
+                      (2, 2, "izz")):  # fmt: skip
+        _text(tensor, key, f"{inertial.tensor[i, j]:.9g}")
+
+
+def _geometry(
+    link: ET.Element,
+    tag: str,
+    shape: str | Primitive,
+    count: int,
+    origin: npt.NDArray[np.float64],
+    convex: bool = False,
+) -> None:
+    element = ET.SubElement(link, tag, name=f"{tag}_{count}")
+    if isinstance(shape, str):
+        _text(element, "pose", _pose(-origin))
+        mesh = ET.SubElement(ET.SubElement(element, "geometry"), "mesh")
+        if convex:
+            mesh.set("optimization", "convex_hull")
+        _text(mesh, "uri", shape)
+        return
+    pose = shape.object_from_shape
+    _text(element, "pose", _pose(pose[:3, 3] - origin, pose[:3, :3]))
+    kind = ET.SubElement(ET.SubElement(element, "geometry"), shape.kind)
+    if shape.kind == "box":
+        _text(kind, "size", vector(shape.sizes))
+        return
+    _text(kind, "radius", f"{shape.sizes[0]:.9g}")
+    if len(shape.sizes) > 1:
+        _text(kind, "length", f"{shape.sizes[1]:.9g}")
+
+
+def _joint(
+    model: ET.Element,
+    joint: Joint,
+    names: Mapping[str, str],
+    mimic: Mimic | None,
+    physics: Physics,
+) -> None:
+    element = ET.SubElement(model, "joint", name=xml_name(names[joint.name]), type=joint.type)
+    _text(element, "parent", joint.parent)
+    _text(element, "child", joint.child)
+    if not joint.moves:
+        return
+    axis = ET.SubElement(element, "axis")
+    _text(axis, "xyz", vector(joint.axis))
+    limit = ET.SubElement(axis, "limit")
+    if joint.limited:
+        _text(limit, "lower", number(joint.lower or 0.0))
+        _text(limit, "upper", number(joint.upper or 0.0))
+    dynamics = physics.dynamics.get(joint.name)
+    if dynamics is not None:
+        _text(limit, "effort", number(dynamics.effort))
+        _text(limit, "velocity", number(dynamics.velocity))
+        resists = ET.SubElement(axis, "dynamics")
+        _text(resists, "damping", number(dynamics.damping))
+        _text(resists, "friction", number(dynamics.friction))
+    if mimic is not None:
+        follows = ET.SubElement(axis, "mimic", joint=xml_name(names[mimic.joint]))
+        _text(follows, "multiplier", number(mimic.multiplier))
+        _text(follows, "offset", number(mimic.offset))
+        _text(follows, "reference", "0")
+
+
+def _write(path: Path, root: ET.Element) -> None:
+    ET.indent(root)
+    path.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")

@@ -1,0 +1,407 @@
+"""OpenUSD with UsdPhysics, for Isaac Sim, Omniverse and whatever reads the standard schema.
+
+Links are prims beside each other below the default prim, each where its URDF link frame sits
+(``model.io.urdf.writer``). Joints hold an axis that is x of both their frames. Angles are degrees,
+as the schema has it. What the schema lacks (joint friction, mimic joints) is written as PhysX's
+applied schemas, which other programs ignore.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
+from model.core.joint import Joint, Mimic
+from model.core.mesh import Material, Mesh
+from model.core.progress import Progress, no_progress
+from model.core.surface_maps import ImageFile, SurfaceMaps
+from model.core.textures import encode
+from model.io.export.part_files import part_mesh
+from model.io.urdf.writer import Inertial, direct_mimics, link_origins
+from model.physics.collision.shapes import Primitive, Shape
+from model.physics.simulation_values import Physics, plain_physics
+
+FILE = "object.usdc"
+TEXTURES = "textures"
+FRICTION = "physxJoint:jointFriction"
+NAME_KEY = "artiworld:name"
+"""Custom data of links and joints: their own names, which USD's identifiers may not hold."""
+
+FloatArray = npt.NDArray[np.float64]
+_ROUGHNESS = 0.6  # of materials that don't say
+
+
+class UsdExporter:
+    """``object.usdc`` and ``textures/``."""
+
+    name = "usd"
+    description = "OpenUSD with UsdPhysics joints, drives, mass and collision"
+
+    def export(
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
+    ) -> tuple[Path, ...]:
+        """See :class:`~model.io.export.protocol.Exporter`."""
+        if find_spec("pxr") is None:
+            how = install_command("artiworld[usd]")
+            raise ConfigurationError(f"USD needs the package usd-core: {how}")
+        return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
+
+
+class _Writer:
+    def __init__(self, obj: ArticulatedObject, folder: Path, physics: Physics) -> None:
+        self.obj, self.folder, self.physics = obj, folder, physics
+        pxr: Any = import_module("pxr")
+        names = ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt")
+        for name in names:
+            setattr(self, name, import_module(f"{pxr.__name__}.{name}"))
+        self.origins = link_origins(obj.tree)
+        self.files: list[Path] = []
+        self.looks: dict[tuple[Any, ...], Any] = {}
+        self.names: dict[str, set[str]] = {}
+
+    Gf: Any
+    Sdf: Any
+    Usd: Any
+    UsdGeom: Any
+    UsdPhysics: Any
+    UsdShade: Any
+    Vt: Any
+
+    def write(self, progress: Progress) -> tuple[Path, ...]:
+        stage = self.stage = self.Usd.Stage.CreateInMemory()
+        self.UsdGeom.SetStageUpAxis(stage, self.UsdGeom.Tokens.z)
+        self.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        self.UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        self.top = f"/{self._identifier('/', self.obj.name or 'object')}"
+        root = self.UsdGeom.Xform.Define(stage, self.top).GetPrim()
+        stage.SetDefaultPrim(root)
+        self.Usd.ModelAPI(root).SetKind("component")
+        self.UsdPhysics.ArticulationRootAPI.Apply(root)
+        parts = {p.link: p for p in self.obj.parts}
+        self.links: dict[str, Any] = {}
+        for i, link in enumerate(self.obj.tree.order):
+            progress(i / len(self.obj.tree.order), f"writing {link}")
+            prim = self.links[link] = self._link(link)
+            if link in parts:
+                self._visual(prim, part_mesh(parts[link]), link)
+            for number, shape in enumerate(self.physics.collision.get(link, ())):
+                self._collision(prim, shape, number, link)
+        self._joints()
+        path = self.folder / FILE
+        stage.GetRootLayer().Export(str(path))
+        progress(1.0, "written")
+        return (path, *dict.fromkeys(self.files))
+
+    def _identifier(self, scope: str, name: str) -> str:
+        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name) or "_"
+        plain = f"_{plain}" if plain[0].isdigit() else plain
+        taken = self.names.setdefault(scope, {"joints", "Looks"})
+        base, i = plain, 2
+        while plain in taken:
+            plain, i = f"{base}_{i}", i + 1
+        taken.add(plain)
+        return plain
+
+    # Links
+
+    def _link(self, link: str) -> Any:
+        path = f"{self.top}/{self._identifier(self.top, link)}"
+        xform = self.UsdGeom.Xform.Define(self.stage, path)
+        xform.AddTranslateOp().Set(self.Gf.Vec3d(*self.origins[link].tolist()))
+        prim = xform.GetPrim()
+        prim.SetCustomDataByKey(NAME_KEY, link)
+        self.UsdPhysics.RigidBodyAPI.Apply(prim)
+        inertial = self.physics.inertials.get(link)
+        if inertial is not None:
+            self._mass(prim, inertial, self.origins[link])
+        return prim
+
+    def _mass(self, prim: Any, inertial: Inertial, origin: FloatArray) -> None:
+        values, axes = np.linalg.eigh(inertial.tensor)
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        api = self.UsdPhysics.MassAPI.Apply(prim)
+        api.CreateMassAttr(float(inertial.mass))
+        api.CreateCenterOfMassAttr(self._vec3f(inertial.center - origin))
+        api.CreateDiagonalInertiaAttr(self._vec3f(values))
+        api.CreatePrincipalAxesAttr(self._quatf(axes))
+
+    def _vec3f(self, values: npt.ArrayLike) -> Any:
+        return self.Gf.Vec3f(*np.asarray(values, np.float64).tolist())
+
+    def _quatf(self, rotation: FloatArray) -> Any:
+        x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+        return self.Gf.Quatf(w, x, y, z)
+
+    # Looks
+
+    def _visual(self, prim: Any, mesh: Mesh, link: str) -> None:
+        made = self._mesh(
+            f"{prim.GetPath()}/visual", mesh.vertices - self.origins[link], mesh.faces
+        )
+        if mesh.uv is not None:
+            st = self.UsdGeom.PrimvarsAPI(made).CreatePrimvar(
+                "st", self.Sdf.ValueTypeNames.TexCoord2fArray, self.UsdGeom.Tokens.vertex
+            )
+            st.Set(self.Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uv, np.float32)))
+        shown = () if mesh.vertex_colors is None else self._colors(made, mesh.vertex_colors)
+        binding = self.UsdShade.MaterialBindingAPI
+        used = np.unique(mesh.face_material).tolist()
+        if len(used) == 1:
+            binding.Apply(made.GetPrim()).Bind(self._look(mesh.materials[used[0]], shown))
+            return
+        for index in used:
+            faces = np.flatnonzero(mesh.face_material == index).astype(np.int32)
+            subset = binding.Apply(made.GetPrim()).CreateMaterialBindSubset(
+                f"subset_{index}", self.Vt.IntArray.FromNumpy(faces)
+            )
+            binding.Apply(subset.GetPrim()).Bind(self._look(mesh.materials[index], shown))
+
+    def _colors(self, made: Any, rgba: npt.NDArray[np.uint8]) -> tuple[str, ...]:
+        """Write a mesh' own colours; the names of what materials read of them."""
+        linear = np.ascontiguousarray((rgba[:, :3] / 255.0) ** 2.2, np.float32)
+        vertex = self.UsdGeom.Tokens.vertex
+        made.CreateDisplayColorPrimvar(vertex).Set(self.Vt.Vec3fArray.FromNumpy(linear))
+        if (rgba[:, 3] == 255).all():
+            return ("displayColor",)
+        alpha = np.ascontiguousarray(rgba[:, 3] / 255.0, np.float32)
+        made.CreateDisplayOpacityPrimvar(vertex).Set(self.Vt.FloatArray.FromNumpy(alpha))
+        return ("displayColor", "displayOpacity")
+
+    def _mesh(self, path: str, vertices: FloatArray, faces: npt.NDArray[np.int32]) -> Any:
+        made = self.UsdGeom.Mesh.Define(self.stage, path)
+        points = np.ascontiguousarray(vertices, np.float32)
+        made.CreatePointsAttr(self.Vt.Vec3fArray.FromNumpy(points))
+        counts = np.full(len(faces), 3, np.int32)
+        made.CreateFaceVertexCountsAttr(self.Vt.IntArray.FromNumpy(counts))
+        indices = np.ascontiguousarray(faces.reshape(-1), np.int32)
+        made.CreateFaceVertexIndicesAttr(self.Vt.IntArray.FromNumpy(indices))
+        made.CreateSubdivisionSchemeAttr(self.UsdGeom.Tokens.none)
+        extent = np.ascontiguousarray(np.stack([points.min(axis=0), points.max(axis=0)]))
+        made.CreateExtentAttr(self.Vt.Vec3fArray.FromNumpy(extent))
+        return made
+
+    def _look(self, material: Material, shown: tuple[str, ...]) -> Any:
+        """The material; ``shown`` of the mesh stands for its colour where it has no texture."""
+        picture = None
+        if material.texture is not None:
+            picture = self._picture(ImageFile(*encode(material.texture)))
+        shown = shown if picture is None else ()
+        color_of = material.base_color if not shown else (255, 255, 255, 255)
+        key = (color_of, picture, material.metallic, material.roughness, material.maps, shown)
+        if key in self.looks:
+            return self.looks[key]
+        types, shade = self.Sdf.ValueTypeNames, self.UsdShade
+        path = f"{self.top}/Looks/{self._identifier('Looks', material.name)}"
+        made = self.looks[key] = shade.Material.Define(self.stage, path)
+        surface = shade.Shader.Define(self.stage, f"{path}/surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        *rgb, alpha = (c / 255.0 for c in color_of)
+        color = surface.CreateInput("diffuseColor", types.Color3f)
+        color.Set(self.Gf.Vec3f(*(c**2.2 for c in rgb)))
+        opacity = surface.CreateInput("opacity", types.Float)
+        opacity.Set(alpha)
+        roughness = _ROUGHNESS if material.roughness is None else material.roughness
+        surface.CreateInput("roughness", types.Float).Set(roughness)
+        if material.metallic is not None:
+            surface.CreateInput("metallic", types.Float).Set(material.metallic)
+        if picture is not None:
+            texture = self._texture(path, "texture", picture, "sRGB")
+            color.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        self._maps(path, surface, material.maps)
+        if "displayColor" in shown:
+            color.ConnectToSource(self._primvar(path, "displayColor", "float3", types.Float3))
+        if "displayOpacity" in shown:
+            opacity.ConnectToSource(self._primvar(path, "displayOpacity", "float", types.Float))
+        output = surface.CreateOutput("surface", types.Token)
+        made.CreateSurfaceOutput().ConnectToSource(output)
+        return made
+
+    def _maps(self, path: str, surface: Any, maps: SurfaceMaps) -> None:
+        """What a map holds is times its scale plus its bias, after it was made linear."""
+        types = self.Sdf.ValueTypeNames
+        if maps.normal is not None:
+            picture, bump = self._picture(maps.normal), maps.normal_scale
+            texture = self._texture(path, "normal_map", picture, "raw")
+            self._scaled(texture, (2 * bump, 2 * bump, 2.0, 1.0), (-bump, -bump, -1.0, 0.0))
+            normal = surface.CreateInput("normal", types.Normal3f)
+            normal.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        if any(maps.emission):
+            glow = surface.CreateInput("emissiveColor", types.Color3f)
+            glow.Set(self._vec3f(maps.emission))
+            if maps.emissive is not None:
+                picture = self._picture(maps.emissive)
+                texture = self._texture(path, "emissive_map", picture, "sRGB")
+                self._scaled(texture, (*maps.emission, 1.0), (0.0,) * 4)
+                glow.ConnectToSource(texture.CreateOutput("rgb", types.Float3))
+        if maps.occlusion is not None:
+            picture, strength = self._picture(maps.occlusion), maps.occlusion_strength
+            texture = self._texture(path, "occlusion_map", picture, "raw")
+            self._scaled(texture, (strength,) * 4, (1.0 - strength,) * 4)
+            occlusion = surface.CreateInput("occlusion", types.Float)
+            occlusion.ConnectToSource(texture.CreateOutput("r", types.Float))
+
+    def _texture(self, path: str, name: str, picture: str, color_space: str) -> Any:
+        types = self.Sdf.ValueTypeNames
+        texture = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", types.Asset).Set(self.Sdf.AssetPath(f"./{picture}"))
+        texture.CreateInput("wrapS", types.Token).Set("repeat")
+        texture.CreateInput("wrapT", types.Token).Set("repeat")
+        texture.CreateInput("sourceColorSpace", types.Token).Set(color_space)
+        st = self._primvar(path, "st", "float2", types.Float2)
+        texture.CreateInput("st", types.Float2).ConnectToSource(st)
+        return texture
+
+    def _scaled(self, texture: Any, scale: Sequence[float], bias: Sequence[float]) -> None:
+        for name, values in (("scale", scale), ("bias", bias)):
+            made = texture.CreateInput(name, self.Sdf.ValueTypeNames.Float4)
+            made.Set(self.Gf.Vec4f(*values))
+
+    def _primvar(self, path: str, name: str, kind: str, type: Any) -> Any:
+        """What reads a value that the mesh has at each vertex."""
+        reader = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
+        reader.CreateInput("varname", self.Sdf.ValueTypeNames.String).Set(name)
+        return reader.CreateOutput("result", type)
+
+    def _picture(self, image: ImageFile) -> str:
+        digest = hashlib.sha256(image.data).hexdigest()[:12]
+        name = f"{TEXTURES}/texture_{digest}{image.suffix}"
+        path = self.folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(image.data)
+        self.files.append(path)
+        return name
+
+    # Collision
+
+    def _collision(self, link_prim: Any, shape: Shape, number: int, link: str) -> None:
+        path = f"{link_prim.GetPath()}/collision_{number}"
+        if isinstance(shape, Primitive):
+            made = self._primitive(path, shape, self.origins[link])
+        else:
+            made = self._mesh(path, shape.vertices - self.origins[link], shape.faces)
+            api = self.UsdPhysics.MeshCollisionAPI.Apply(made.GetPrim())
+            api.CreateApproximationAttr(self.UsdPhysics.Tokens.convexHull)
+        made.CreatePurposeAttr(self.UsdGeom.Tokens.guide)
+        self.UsdPhysics.CollisionAPI.Apply(made.GetPrim())
+
+    def _primitive(self, path: str, shape: Primitive, origin: FloatArray) -> Any:
+        pose = shape.object_from_shape
+        kinds = {"box": "Cube", "cylinder": "Cylinder", "sphere": "Sphere", "capsule": "Capsule"}
+        made = getattr(self.UsdGeom, kinds[shape.kind]).Define(self.stage, path)
+        made.AddTranslateOp().Set(self.Gf.Vec3d(*(pose[:3, 3] - origin).tolist()))
+        made.AddOrientOp().Set(self._quatf(pose[:3, :3]))
+        if shape.kind == "box":
+            made.CreateSizeAttr(1.0)
+            made.AddScaleOp().Set(self._vec3f(shape.sizes))
+            return made
+        made.CreateRadiusAttr(shape.sizes[0])
+        if shape.kind != "sphere":
+            made.CreateHeightAttr(shape.sizes[1])
+            made.CreateAxisAttr(self.UsdGeom.Tokens.z)
+        return made
+
+    # Joints
+
+    def _joints(self) -> None:
+        scope = f"{self.top}/joints"
+        self.UsdGeom.Scope.Define(self.stage, scope)
+        prims: dict[str, Any] = {}
+        for joint in self.obj.tree.joints:
+            path = f"{scope}/{self._identifier('joints', joint.name)}"
+            prims[joint.name] = self._joint(path, joint)
+        for name, mimic in direct_mimics(self.obj.tree).items():
+            self._mimic(prims[name], self.obj.tree.by_name[name], mimic, prims[mimic.joint])
+        if self.physics.fixed_base:
+            path = f"{scope}/{self._identifier('joints', 'fixed_to_world')}"
+            made = self.UsdPhysics.FixedJoint.Define(self.stage, path)
+            made.CreateBody1Rel().SetTargets([self.links[self.obj.tree.root].GetPath()])
+        for a, b in self.physics.touching:
+            api = self.UsdPhysics.FilteredPairsAPI.Apply(self.links[a])
+            api.CreateFilteredPairsRel().AddTarget(self.links[b].GetPath())
+
+    def _joint(self, path: str, joint: Joint) -> Any:
+        kinds = {"prismatic": "PrismaticJoint", "fixed": "FixedJoint"}
+        made = getattr(self.UsdPhysics, kinds.get(joint.type, "RevoluteJoint")).Define(
+            self.stage, path
+        )
+        prim = made.GetPrim()
+        prim.SetCustomDataByKey(NAME_KEY, joint.name)
+        made.CreateBody0Rel().SetTargets([self.links[joint.parent].GetPath()])
+        made.CreateBody1Rel().SetTargets([self.links[joint.child].GetPath()])
+        offset = self.origins[joint.child] - self.origins[joint.parent]
+        turn = self._quatf(x_onto(np.asarray(joint.axis)) if joint.moves else np.eye(3))
+        made.CreateLocalPos0Attr(self._vec3f(offset))
+        made.CreateLocalPos1Attr(self._vec3f(np.zeros(3)))
+        made.CreateLocalRot0Attr(turn)
+        made.CreateLocalRot1Attr(turn)
+        if joint.moves:
+            made.CreateAxisAttr(self.UsdPhysics.Tokens.x)
+            unit = 180.0 / math.pi if joint.rotates else 1.0
+            if joint.limited:
+                made.CreateLowerLimitAttr((joint.lower or 0.0) * unit)
+                made.CreateUpperLimitAttr((joint.upper or 0.0) * unit)
+            self._drive(prim, joint, unit)
+        return prim
+
+    def _drive(self, prim: Any, joint: Joint, unit: float) -> None:
+        dynamics = self.physics.dynamics.get(joint.name)
+        if dynamics is None:
+            return
+        api = self.UsdPhysics.DriveAPI.Apply(prim, "angular" if joint.rotates else "linear")
+        api.CreateTypeAttr(self.UsdPhysics.Tokens.force)
+        api.CreateStiffnessAttr(0.0)
+        api.CreateDampingAttr(dynamics.damping / unit)
+        api.CreateMaxForceAttr(dynamics.effort)
+        self._extra(prim, "PhysxJointAPI", [
+            (FRICTION, dynamics.friction),
+            ("physxJoint:maxJointVelocity", dynamics.velocity * unit),
+        ])  # fmt: skip
+
+    def _extra(self, prim: Any, schema: str, values: Sequence[tuple[str, float]]) -> None:
+        """A schema of PhysX, which usd-core doesn't know, by its names."""
+        prim.AddAppliedSchema(schema)
+        for name, value in values:
+            prim.CreateAttribute(name, self.Sdf.ValueTypeNames.Float, False).Set(value)
+
+    def _mimic(self, prim: Any, joint: Joint, mimic: Mimic, leader: Any) -> None:
+        """PhysX: q + gearing * q(leader) + offset = 0, in degrees or metres."""
+        axis = "rotX" if joint.rotates else "transX"
+        theirs = "rotX" if self.obj.tree.by_name[mimic.joint].rotates else "transX"
+        mine_unit = 180.0 / math.pi if joint.rotates else 1.0
+        their_unit = 180.0 / math.pi if theirs == "rotX" else 1.0
+        base = f"physxMimicJoint:{axis}"
+        self._extra(prim, f"PhysxMimicJointAPI:{axis}", [
+            (f"{base}:gearing", -mimic.multiplier * mine_unit / their_unit),
+            (f"{base}:offset", -mimic.offset * mine_unit),
+        ])  # fmt: skip
+        token = self.Sdf.ValueTypeNames.Token
+        prim.CreateAttribute(f"{base}:referenceJointAxis", token, False).Set(theirs)
+        prim.CreateRelationship(f"{base}:referenceJoint", False).SetTargets([leader.GetPath()])
+
+
+def x_onto(axis: FloatArray) -> FloatArray:
+    """(3, 3) rotation that turns x onto a unit axis."""
+    helper = np.eye(3)[np.abs(axis).argmin()]
+    side = np.asarray(np.cross(axis, helper), np.float64)
+    side /= np.linalg.norm(side)
+    return np.stack([axis, side, np.cross(axis, side)], axis=1)

@@ -1,0 +1,1 @@
+"""One module a file format: bytes in, :class:`~model.io.formats.loaded.Loaded` out."""

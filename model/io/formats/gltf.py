@@ -1,0 +1,264 @@
+"""glTF 2.0: GLB files, and GLTF files with their buffers and images."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from model.core.errors import InputFileError
+from model.core.textures import left_out
+from model.io.formats.gltf_buffers import MAX_VALUES, Array, GltfBuffers, Json
+from model.io.formats.gltf_materials import GltfMaterials, as_dict
+from model.io.formats.loaded import (
+    DEFAULT_MAX_BYTES,
+    Loaded,
+    check_indices,
+    join,
+    read_bytes,
+    with_plain_colors,
+)
+from model.io.formats.srgb import to_srgb
+
+_UNREADABLE = {
+    "KHR_draco_mesh_compression": "Draco compression",
+    "EXT_meshopt_compression": "meshopt compression",
+}
+_MAX_NODES = 200_000
+
+
+def read_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read the default scene of a GLB or GLTF file, node transforms applied.
+
+    Raises:
+        InputFileError: where it is not glTF 2.0, cut off, or names files outside its folder.
+    """
+    gltf = open_gltf(path, max_bytes)
+    with consistent(path):
+        return gltf.scene()
+
+
+def open_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Gltf:
+    """The tree of a GLB or GLTF file; meshes are read when they are asked for.
+
+    Raises:
+        InputFileError: where it is not glTF 2.0 or cut off.
+    """
+    data = read_bytes(path, max_bytes)
+    tree, binary = _glb(path, data) if data[:4] == b"glTF" else (_json(path, data), None)
+    version = str(as_dict(tree.get("asset")).get("version", ""))
+    if not version.startswith("2"):
+        raise InputFileError(
+            path, f"is glTF version {version or 'unknown'!r}", "glTF 2.0 is read; export it again"
+        )
+    for extension in tree.get("extensionsRequired") or ():
+        if extension in _UNREADABLE:
+            raise InputFileError(
+                path, f"uses {_UNREADABLE[extension]}", "export it without compression"
+            )
+    return Gltf(path, tree, binary, max_bytes)
+
+
+@contextmanager
+def consistent(path: Path) -> Iterator[None]:
+    """Say in words what a tree that may hold anything anywhere makes fail."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputFileError(
+            path, f"the glTF inside is inconsistent ({type(error).__name__}: {error})",
+            "export it again",
+        ) from None  # fmt: skip
+
+
+def _glb(path: Path, data: bytes) -> tuple[Json, bytes]:
+    length = int.from_bytes(data[8:12], "little")
+    if len(data) < 20 or length > len(data):
+        raise InputFileError(
+            path,
+            f"is {len(data)} bytes long instead of {length}",
+            "the file is cut off; download or export it again",
+        )
+    at, tree, binary = 12, None, b""
+    while at + 8 <= length:
+        size = int.from_bytes(data[at : at + 4], "little")
+        kind = data[at + 4 : at + 8]
+        if at + 8 + size > length:
+            raise InputFileError(path, "a chunk is cut off", "download or export it again")
+        chunk = data[at + 8 : at + 8 + size]
+        if kind == b"JSON" and tree is None:
+            tree = _json(path, chunk)
+        elif kind == b"BIN\0" and not binary:
+            binary = chunk
+        at += 8 + size
+    if tree is None:
+        raise InputFileError(path, "has no JSON chunk", "export it again")
+    return tree, binary
+
+
+def _json(path: Path, data: bytes) -> Json:
+    try:
+        tree = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError):
+        raise InputFileError(
+            path, "is damaged or not glTF: what it says of itself can't be read",
+            "export or download it again",
+        ) from None  # fmt: skip
+    if not isinstance(tree, dict):
+        raise InputFileError(path, "is not glTF: no object at its top")
+    return tree
+
+
+class Gltf:
+    """An open file; a call may raise anything that :func:`consistent` puts into words."""
+
+    def __init__(self, path: Path, tree: Json, binary: bytes | None, max_bytes: int) -> None:
+        self.path, self.tree, self.binary = path, tree, binary
+        self._buffers = GltfBuffers(path, tree, binary, max_bytes)
+        self._materials = GltfMaterials(self._buffers)
+        self._meshes: dict[int, list[Loaded]] = {}
+
+    def scene(self) -> Loaded:
+        """All meshes of the scene in the root's frame."""
+        placed = self.placed()
+        pieces = [p for _, primitives in placed for p in primitives]
+        if not pieces:
+            raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
+        counts = ((name, sum(len(p.faces) for p in primitives)) for name, primitives in placed)
+        named = tuple((name, count) for name, count in counts if count)
+        return replace(joined(pieces), warnings=self.warnings, pieces=named)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was left out of the meshes that were read so far."""
+        told = list(dict.fromkeys(self._materials.warnings))
+        if self._materials.left:
+            told.append(left_out(self._materials.left))
+        return tuple(told)
+
+    def placed(self) -> list[tuple[str, list[Loaded]]]:
+        """Each node with a mesh: its name, or its mesh's, and its primitives in the root's
+        frame."""
+        out: list[tuple[str, list[Loaded]]] = []
+        corners = visited = 0
+        stack: list[tuple[int, Array, int]] = [(n, np.eye(4), 0) for n in self.roots()]
+        nodes = self.tree.get("nodes") or []
+        while stack:
+            index, parent, depth = stack.pop()
+            node = nodes[index]
+            visited += 1
+            if depth > len(nodes) or visited > _MAX_NODES:
+                raise InputFileError(self.path, "its nodes form a cycle", "export it again")
+            world = parent @ node_matrix(node)
+            if "mesh" in node:
+                pieces = [piece.moved(world) for piece in self.mesh(node["mesh"])]
+                corners += sum(p.faces.size + len(p.vertices) for p in pieces)
+                name = node.get("name") or self.tree["meshes"][node["mesh"]].get("name")
+                out.append((name if isinstance(name, str) else "", pieces))
+            if corners > MAX_VALUES:
+                raise InputFileError(self.path, "its nodes repeat too many triangles")
+            stack.extend((c, world, depth + 1) for c in reversed(node.get("children") or []))
+        return out
+
+    def roots(self) -> list[int]:
+        """Nodes of the default scene, the last one first."""
+        scenes = self.tree.get("scenes") or []
+        if scenes:
+            return list(reversed(scenes[self.tree.get("scene") or 0].get("nodes") or []))
+        nodes = self.tree.get("nodes") or []
+        children = {c for n in nodes for c in n.get("children") or []}
+        return [i for i in reversed(range(len(nodes))) if i not in children]
+
+    def mesh(self, index: int) -> list[Loaded]:
+        """Its primitives in its own frame."""
+        if index not in self._meshes:
+            found = []
+            for primitive in self.tree["meshes"][index]["primitives"]:
+                compressed = set(primitive.get("extensions") or {}) & set(_UNREADABLE)
+                if compressed:
+                    raise InputFileError(
+                        self.path,
+                        f"uses {_UNREADABLE[compressed.pop()]}",
+                        "export it without compression",
+                    )
+                piece = self._primitive(primitive)
+                if piece is not None:
+                    found.append(piece)
+            self._meshes[index] = found
+        return self._meshes[index]
+
+    def _primitive(self, primitive: Json) -> Loaded | None:
+        mode = primitive.get("mode", 4)
+        attributes = primitive["attributes"]
+        if "POSITION" not in attributes or mode in (1, 2, 3):
+            return None
+        points = self._buffers.accessor(attributes["POSITION"], 3).astype(np.float64)
+        order = np.arange(len(points))
+        if "indices" in primitive:
+            order = self._buffers.accessor(primitive["indices"], 1)[:, 0].astype(np.int64)
+        faces = _faces(order, mode)
+        check_indices(self.path, faces, len(points))
+        colors = uv = None
+        if "COLOR_0" in attributes:
+            linear = self._buffers.accessor(attributes["COLOR_0"])
+            colors = to_srgb(linear)
+        material_index = primitive.get("material")
+        material = self._materials.material(material_index)
+        name = self._materials.uv_set(material_index)
+        if material.pictured and name in attributes:
+            st = self._buffers.accessor(attributes[name], 2).astype(np.float64)
+            st = self._materials.transformed(st, material_index)
+            uv = np.nan_to_num(np.column_stack([st[:, 0], 1.0 - st[:, 1]]))
+        for value in (colors, uv):
+            if value is not None and len(value) != len(points):
+                raise InputFileError(self.path, "an attribute is shorter than its positions")
+        normals = None
+        if not len(faces) and "NORMAL" in attributes:
+            normals = self._buffers.accessor(attributes["NORMAL"], 3)
+            normals = normals if len(normals) == len(points) else None
+        material_of = np.zeros(len(faces), np.int32)
+        out = Loaded(points, faces, normals, colors, uv, material_of, (material,))
+        return with_plain_colors(out)
+
+
+def joined(pieces: list[Loaded]) -> Loaded:
+    """Triangles and points of a scene; points are left out where there are triangles."""
+    solid = [p for p in pieces if len(p.faces)]
+    return join(solid or pieces)
+
+
+def _faces(order: Array, mode: int) -> Array:
+    if mode == 4:
+        return order[: len(order) // 3 * 3].reshape(-1, 3)
+    if mode == 5 and len(order) >= 3:
+        out = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+        out[1::2] = out[1::2, ::-1]
+        return out
+    if mode == 6 and len(order) >= 3:
+        return np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], axis=1)
+    return np.zeros((0, 3), np.int64)
+
+
+def node_matrix(node: Json) -> Array:
+    """(4, 4) parent_from_node, which may scale and shear."""
+    if "matrix" in node:
+        out = np.asarray(node["matrix"], np.float64).reshape(4, 4).T
+    else:
+        x, y, z, w = node.get("rotation") or (0.0, 0.0, 0.0, 1.0)
+        out = np.eye(4)
+        n = x * x + y * y + z * z + w * w
+        s = 2.0 / n if n > 1e-12 else 0.0
+        out[:3, :3] = [
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ]
+        out[:3, :3] *= np.asarray(node.get("scale") or (1.0, 1.0, 1.0), np.float64)
+        out[:3, 3] = node.get("translation") or (0.0, 0.0, 0.0)
+    if not np.isfinite(out).all():
+        raise ValueError("a node's transform is not finite")
+    return out

@@ -1,0 +1,238 @@
+"""PLY: ASCII and binary, clouds and meshes, any order of properties."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.errors import InputFileError
+from model.core.mesh import Material
+from model.core.textures import TextureError, open_texture
+from model.io.formats.loaded import (
+    DEFAULT_MAX_BYTES,
+    WHITE,
+    Loaded,
+    check_indices,
+    colors_from,
+    read_bytes,
+)
+from model.io.formats.ply_rows import Element, Property, Ragged, Table, read_ascii, read_binary
+from model.io.formats.references import ReferenceRefused, resolve
+from model.io.formats.triangulate import triangulate
+
+Array = npt.NDArray[Any]
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_MAX_HEADER = 1 << 16
+_COLORS = (
+    ("red", "green", "blue"),
+    ("r", "g", "b"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+)
+_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+# Gaussian splats store colour as the first spherical-harmonics coefficient (Kerbl et al. 2023).
+_SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SPLAT_SCALE = 0.28209479177387814
+
+
+def read_ply(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read one PLY file.
+
+    Raises:
+        InputFileError: where it is no PLY, truncated, or inconsistent.
+    """
+    return read_ply_columns(path, (), max_bytes)[0]
+
+
+def read_ply_columns(
+    path: Path, extra: tuple[str, ...], max_bytes: int = DEFAULT_MAX_BYTES
+) -> tuple[Loaded, dict[str, Array]]:
+    """As :func:`read_ply`, with further properties of the vertices.
+
+    Args:
+        extra: names in lower case.
+
+    Returns:
+        What was read, and (V,) values by name of those that are there. Where the file's texture
+        coordinates or face colours made new vertices, there are none.
+
+    Raises:
+        InputFileError: where it is no PLY, truncated, or inconsistent.
+    """
+    data = read_bytes(path, max_bytes)
+    style, elements, comments, start = _header(path, data)
+    if style == "ascii":
+        tables = read_ascii(path, data[start:], elements)
+    else:
+        tables = read_binary(
+            path, memoryview(data)[start:], elements, ">" if "big" in style else "<"
+        )
+    if "vertex" not in tables:
+        raise InputFileError(path, "no vertices in it", "a mesh or a point cloud has vertices")
+    loaded = _assemble(path, tables, comments)
+    columns = {k.lower(): v for k, v in tables["vertex"].items() if k.lower() in extra}
+    fits = {
+        k: v for k, v in columns.items()
+        if isinstance(v, np.ndarray) and len(v) == len(loaded.vertices)
+    }  # fmt: skip
+    return loaded, fits
+
+
+def _header(path: Path, data: bytes) -> tuple[str, list[Element], list[str], int]:
+    if not data.startswith(b"ply"):
+        raise InputFileError(path, "is not a PLY file", "a PLY file begins with 'ply'")
+    at = data.find(b"end_header", 0, _MAX_HEADER)
+    end = data.find(b"\n", at) if at >= 0 else -1
+    if at >= 0 and end < 0 and data.find(b"\r", at) >= 0:
+        end = data.find(b"\r", at)
+    if end < 0:
+        raise InputFileError(path, "the PLY header doesn't end", "the file is cut off or damaged")
+    style, elements, comments = "", [], []
+    for line in data[:at].decode("latin-1").replace("\r", "\n").split("\n")[1:]:
+        words = line.split()
+        if not words:
+            continue
+        try:
+            if words[0] == "format":
+                style = words[1]
+            elif words[0] == "comment":
+                comments.append(line.strip()[8:])
+            elif words[0] == "element":
+                elements.append(Element(words[1], int(words[2])))
+            elif words[0] == "property" and words[1] == "list":
+                prop = Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+                elements[-1].properties.append(prop)
+            elif words[0] == "property":
+                elements[-1].properties.append(Property(words[2], _TYPES[words[1]]))
+        except (IndexError, KeyError, ValueError):
+            raise InputFileError(
+                path, f"PLY header line {line.strip()[:60]!r} can't be understood"
+            ) from None
+    if style not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise InputFileError(path, f"PLY format {style!r} is unknown", "use ascii or binary")
+    for e in elements:
+        _check_element(path, e, len(data) - end - 1, style)
+    return style, elements, comments, end + 1
+
+
+def _check_element(path: Path, element: Element, size: int, style: str) -> None:
+    """Refuse counts that the file can't hold before anything is allocated for them."""
+    smallest = 2 * len(element.properties) - 1 if style == "ascii" else element.smallest
+    names = [p.name for p in element.properties]
+    if len(set(names)) < len(names):
+        raise InputFileError(path, f"PLY element {element.name!r} has a property twice")
+    if (
+        element.count < 0
+        or element.count * max(smallest, 0) > size
+        or (element.count and not element.properties)
+    ):
+        raise InputFileError(
+            path,
+            f"the header promises {element.count} rows of {element.name!r}, "
+            f"but only {size} bytes follow",
+            "the file is cut off or damaged",
+        )
+
+
+def _assemble(path: Path, tables: dict[str, Table], comments: list[str]) -> Loaded:
+    vertex = tables["vertex"]
+    xyz = _columns(vertex, (("x", "y", "z"),))
+    if xyz is None:
+        raise InputFileError(
+            path, "the vertices have no x, y and z", "a PLY vertex needs all three"
+        )
+    with np.errstate(over="ignore"):
+        points = xyz.astype(np.float64 if xyz.dtype == np.float64 else np.float32)
+    normals = _columns(vertex, (("nx", "ny", "nz"),))
+    colors = _colors(vertex)
+    uv = _columns(vertex, _UVS)
+    warnings: list[str] = []
+    faces, polygon, corner = _faces(path, tables.get("face", {}), points)
+    if not len(faces):
+        return Loaded(points, normals=normals, colors=colors)
+    face = tables["face"]
+    face_colors = _colors(face)
+    wedge = face.get("texcoord")
+    if wedge is not None and isinstance(wedge, Ragged):
+        sizes = _face_lists(face).sizes
+        if (wedge.sizes == 2 * sizes).all():
+            points, faces = points[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3)
+            colors = (
+                None if colors is None else colors[_face_lists(face).values[corner.reshape(-1)]]
+            )
+            uv = wedge.values.reshape(-1, 2)[corner.reshape(-1)]
+    if colors is None and face_colors is not None and uv is None:
+        colors = np.repeat(face_colors[polygon], 3, axis=0)
+        points, faces = points[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3)
+    material = _material(path, comments, warnings) if uv is not None else None
+    if material is None:
+        uv = None
+    return Loaded(
+        points,
+        faces,
+        None,
+        colors if material is None else None,
+        uv,
+        np.zeros(len(faces), np.int32),
+        (material,) if material is not None else (),
+        tuple(warnings),
+    )
+
+
+def _face_lists(face: Table) -> Ragged:
+    value = face.get("vertex_indices", face.get("vertex_index"))
+    return value if isinstance(value, Ragged) else Ragged(np.zeros(0, np.int64), np.zeros(0, int))
+
+
+def _faces(path: Path, face: Table, points: Array) -> tuple[Array, Array, Array]:
+    """(F, 3) vertices, (F,) row of the face element, (F, 3) corner in its list."""
+    lists = _face_lists(face)
+    with np.errstate(invalid="ignore"):
+        corners = lists.values.astype(np.int64)
+    if not len(corners):
+        none = np.zeros((0, 3), np.int64)
+        return none, np.zeros(0, np.int64), none
+    check_indices(path, corners[:, None], len(points))
+    triangles, polygon = triangulate(corners, lists.sizes, points)
+    return corners[triangles], polygon, triangles
+
+
+def _columns(table: Table, choices: tuple[tuple[str, ...], ...]) -> Array | None:
+    for names in choices:
+        values = [table.get(n) for n in names]
+        found = [v for v in values if isinstance(v, np.ndarray)]
+        if len(found) == len(names):
+            return np.stack(found, axis=1)
+    return None
+
+
+def _colors(table: Table) -> Array | None:
+    rgb = _columns(table, _COLORS)
+    if rgb is None:
+        splat = _columns(table, (_SPLAT,))
+        if splat is None:
+            return None
+        return colors_from(np.clip(0.5 + _SPLAT_SCALE * splat, 0.0, 1.0))
+    return colors_from(rgb)
+
+
+def _material(path: Path, comments: list[str], warnings: list[str]) -> Material | None:
+    """MeshLab and many scanners name the texture in a comment."""
+    named = [c.split(None, 1)[1] for c in comments if c.lower().startswith("texturefile ")]
+    if not named:
+        return None
+    if len(named) > 1:
+        warnings.append(f"only the first of {len(named)} textures is used")
+    try:
+        texture = open_texture(resolve(named[0], path.parent, path.parent))
+    except (ReferenceRefused, TextureError) as error:
+        warnings.append(f"texture not used: {error}")
+        return None
+    return Material("textured", WHITE, texture)

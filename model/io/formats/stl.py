@@ -1,0 +1,55 @@
+"""STL, binary and ASCII."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from model.core.errors import InputFileError
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, numbers, read_bytes
+
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read one STL file; corners at the same place become one vertex.
+
+    Raises:
+        InputFileError: where it is no STL, or cut off.
+    """
+    from model.geometry.topology import same_points
+
+    data = read_bytes(path, max_bytes)
+    promised = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
+    room = (len(data) - 84) // _RECORD.itemsize
+    # Binary files may begin with "solid" too, so the size decides.
+    if promised >= 0 and 84 + promised * _RECORD.itemsize == len(data):
+        corners = np.frombuffer(data, _RECORD, promised, 84)["corners"].reshape(-1, 3)
+    elif data.lstrip()[:5].lower() == b"solid" and (b"vertex" in data or b"endsolid" in data):
+        corners = _ascii(path, data)
+    elif 0 < promised <= room:
+        corners = np.frombuffer(data, _RECORD, promised, 84)["corners"].reshape(-1, 3)
+    else:
+        raise InputFileError(
+            path,
+            f"the header promises {promised} triangles, but there is room for {max(room, 0)}"
+            if promised >= 0
+            else "is too short for an STL file",
+            "the file is cut off or is no STL; export it again",
+        )
+    first, inverse = same_points(corners)
+    return Loaded(corners[first], inverse.reshape(-1, 3))
+
+
+def _ascii(path: Path, data: bytes) -> np.ndarray:
+    lines = (line.strip() for line in data.decode("latin-1").splitlines())
+    kept = [line[6:] for line in lines if line[:6].lower() == "vertex"]
+    values = numbers(path, " ".join(kept), "STL vertex")
+    if len(values) != 3 * len(kept) or len(kept) % 3:
+        raise InputFileError(
+            path,
+            f"{len(kept)} vertices with {len(values)} numbers are not whole triangles",
+            "the file is cut off or damaged",
+        )
+    return values.reshape(-1, 3)

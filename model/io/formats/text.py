@@ -1,0 +1,157 @@
+"""Points as text: XYZ, TXT, CSV, PTS and the like."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.errors import InputFileError
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, numbers, read_bytes
+
+Array = npt.NDArray[Any]
+_SEPARATORS = str.maketrans({",": " ", ";": " ", "\t": " ", "|": " "})
+_NAMES = {
+    "x": ("x", "px", "//x", "x [m]"), "y": ("y", "py", "y [m]"), "z": ("z", "pz", "z [m]"),
+    "r": ("r", "red"), "g": ("g", "green"), "b": ("b", "blue"),
+    "nx": ("nx", "normal_x", "normalx"), "ny": ("ny", "normal_y", "normaly"),
+    "nz": ("nz", "normal_z", "normalz"),
+}  # fmt: skip
+
+
+def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read points from columns of numbers.
+
+    Columns are told by a heading line (``x,y,z,red,green,blue,nx,ny,nz``) where there is one. Else
+    three are xyz; six are xyz and RGB or normals, which their values tell apart; nine are both;
+    what follows is passed over. A PTS file has an intensity after xyz, which is passed over too.
+
+    Raises:
+        InputFileError: where a line is no row of numbers.
+    """
+    data = read_bytes(path, max_bytes)
+    if b"\0" in data[:4096]:
+        raise InputFileError(path, "is not text", "a text cloud has a row x y z for each point")
+    text = data.decode("utf-8-sig", "replace").translate(_SEPARATORS)
+    head, text = _heading(text)
+    values, width = _rows(path, text)
+    table = values.reshape(-1, width)
+    if head is not None and len(head) == width:
+        columns = _named(head)
+        if columns is not None:
+            return _pick(table, *columns)
+    if width < 3:
+        raise InputFileError(
+            path, f"has {width} columns", "a text cloud has a row x y z for each point"
+        )
+    return _guess(table, path.suffix.lower() == ".pts")
+
+
+def _heading(text: str) -> tuple[list[str] | None, str]:
+    """Names of the columns and the rest; comments and a leading count are passed over."""
+    head = None
+    while True:
+        line, newline, rest = text.partition("\n")
+        words = line.split()
+        if not newline:
+            return head, text
+        if words and not words[0].startswith(("#", "//")) and _all_numbers(words):
+            second = rest.partition("\n")[0].split()
+            return head, rest if len(words) == 1 and len(second) >= 3 else text
+        if words and head is not None and not words[0].startswith(("#", "//")):
+            return head, text
+        names = [w.strip('"').lower() for w in line.lstrip("#/ ").split()]
+        if names and (not words[0].startswith(("#", "//")) or "x" in names):
+            head = names
+        text = rest
+
+
+def _all_numbers(words: list[str]) -> bool:
+    try:
+        for w in words:
+            float(w)
+    except ValueError:
+        return False
+    return True
+
+
+def _rows(path: Path, text: str) -> tuple[Array, int]:
+    """All numbers, and how many are in a row."""
+    first = next((line for line in text.split("\n", 50) if line.strip()), "")
+    width = len(first.split())
+    rows = text.count("\n") + (0 if text.endswith("\n") else 1)
+    if width:
+        try:
+            values = numbers(path, text, "points")
+            if len(values) == rows * width:
+                return values, width
+        except InputFileError:
+            pass
+    kept = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        if len(words) != width or not _all_numbers(words):
+            raise InputFileError(
+                path,
+                f"data line {number} is {line.strip()[:60]!r}",
+                f"each row needs {max(width, 3)} numbers, as in x y z or x y z r g b",
+            )
+        kept.append(" ".join(words))
+    if not kept:
+        raise InputFileError(path, "has no row of numbers", "each row needs x y z")
+    return numbers(path, "\n".join(kept), "points"), width
+
+
+def _named(head: list[str]) -> tuple[list[int], list[int] | None, list[int] | None] | None:
+    at = {key: head.index(n) for key, names in _NAMES.items() for n in names if n in head}
+    groups = [
+        [at[k] for k in keys if k in at] for keys in (("x", "y", "z"), "rgb", ("nx", "ny", "nz"))
+    ]
+    xyz, rgb, normals = (g if len(g) == 3 else None for g in groups)
+    return None if xyz is None else (xyz, rgb, normals)
+
+
+def _guess(table: Array, intensity: bool) -> Loaded:
+    width = table.shape[1]
+    starts = {6: (3,), 7: (3,), 8: (3,), 9: (3, 6), 10: (3, 6, 7)}.get(
+        width, (3,) if width > 10 else ()
+    )
+    if intensity and width >= 7:
+        starts = (4, 7) if width >= 10 else (4,)
+    colors = normals = None
+    for s in starts:
+        block = table[:, s : s + 3]
+        if normals is None and _unit(block):
+            normals = [s, s + 1, s + 2]
+        elif colors is None and _color(block):
+            colors = [s, s + 1, s + 2]
+    return _pick(table, [0, 1, 2], colors, normals)
+
+
+def _unit(block: Array) -> bool:
+    sample = block[:: max(1, len(block) // 1000)]
+    length = np.linalg.norm(sample, axis=1)
+    return bool(len(length) and np.mean(np.abs(length - 1.0) < 0.02) > 0.9)
+
+
+def _color(block: Array) -> bool:
+    if not len(block) or not np.isfinite(block).all():
+        return False
+    low, high = block.min(), block.max()
+    whole = (block == np.rint(block)).all()
+    return bool(low >= 0 and (high <= 1 or (high <= 255 and whole)))
+
+
+def _pick(table: Array, xyz: list[int], rgb: list[int] | None, normals: list[int] | None) -> Loaded:
+    colors = None
+    if rgb is not None:
+        block = table[:, rgb]
+        whole = len(block) and (block == np.rint(block)).all() and block.max() > 1
+        colors = colors_from(block.clip(0, 255).astype(np.uint8) if whole else block)
+    return Loaded(
+        table[:, xyz], normals=None if normals is None else table[:, normals], colors=colors
+    )

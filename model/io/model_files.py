@@ -1,0 +1,41 @@
+"""Files that tell an object's parts and joints: URDF and MJCF, read into the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from model.io.formats.loaded import DEFAULT_MAX_BYTES
+from model.io.mjcf.source import MJCF_SUFFIXES, is_mjcf, named_files
+from model.io.urdf.model import URDF_SUFFIX, UrdfModel, is_urdf, named_meshes
+
+MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES)
+
+
+def is_model(path: Path) -> bool:
+    """Whether ``path`` is a URDF, or an XML file that begins as an MJCF does."""
+    return is_urdf(path) or is_mjcf(path)
+
+
+def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
+    """Read a file without loading meshes; see ``read_urdf_model`` and ``read_mjcf_model``.
+
+    Args:
+        path: the file.
+        max_bytes: refuse larger meshes where they are read at once.
+
+    Raises:
+        InputFileError: naming the file and what is wrong in it.
+        ConfigurationError: for an MJCF, where MuJoCo isn't installed.
+    """
+    if path.suffix.lower() in MJCF_SUFFIXES:
+        from model.io.mjcf.reader import read_mjcf_model
+
+        return read_mjcf_model(path, max_bytes=max_bytes)
+    from model.io.urdf.reader import read_urdf_model
+
+    return read_urdf_model(path)
+
+
+def files_named_by(path: Path) -> list[Path]:
+    """Where the files that it is made of may lie, absolute; nothing is read but its own text."""
+    return named_meshes(path) if is_urdf(path) else named_files(path)

@@ -1,0 +1,449 @@
+"""Reading URDF into the object's rest frame; see ``urdf`` for the writer and the conventions."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import InputFileError, KinematicsError
+from model.core.joint import Joint, JointType, Mimic
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree, tree_problems
+from model.io.formats.references import ReferenceRefused
+from model.io.urdf.collision import ToldCollision, repeats
+from model.io.urdf.declared_physics import told_in
+from model.io.urdf.model import UrdfModel, UrdfVisual, package_root, renamed_helpers, resolve_mesh
+from model.io.xml_file import parse
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+_LOG = logging.getLogger(__name__)
+
+MOST_LINKS = 5000
+"""More are no object; checking that they are a tree would take minutes."""
+LARGEST = 1e6
+"""Metres of a size, an offset or a limit; with more, numbers are damaged and sums overflow."""
+_MOVING: dict[str, JointType] = {
+    "revolute": "revolute",
+    "continuous": "continuous",
+    "prismatic": "prismatic",
+}
+_TO_FIXED = ("planar", "floating")
+_REMEDIES = {
+    "at least one link": "of a xacro file, give the URDF that xacro makes of it",
+    " roots instead of one": "join what stands apart by fixed joints",
+    "cycle: ": "each link but one hangs on another one by one joint",
+    "leads outside": "keep the meshes in its folder, or a package.xml in the one that holds both",
+    "is an absolute path": "write it as seen from the URDF",
+}
+
+
+def read_urdf(
+    path: str | Path, *, root: str | Path | None = None, progress: Progress = no_progress
+) -> ArticulatedObject:
+    """Read a URDF and its meshes into the object's rest frame (all joints at 0).
+
+    Args:
+        path: the URDF.
+        root: the folder that mesh paths must not leave; by default that of the ROS package around
+            the URDF (``urdf_model.package_root``), else the URDF's own.
+        progress: told of each link.
+
+    Raises:
+        InputFileError: naming the file and everything that is wrong in it.
+    """
+    model = read_urdf_model(path, root=root)
+    for note in model.notes:
+        _LOG.warning("%s: %s", path, note)
+    return model.load(progress)
+
+
+def read_urdf_model(
+    path: str | Path, *, root: str | Path | None = None, lenient: bool = False
+) -> UrdfModel:
+    """Read a URDF without loading meshes (their paths are checked, not their presence).
+
+    - Axes are normalised; limits stay as they are, as other readers have it.
+    - Planar and floating joints become fixed; ``notes`` says so.
+    - Numbers that are separated by commas are read; ``notes`` says so.
+    - Where no link has a visual, the collision geometry is taken.
+    - A link without geometry is a helper; it is renamed where its name begins with ``link_``.
+
+    Args:
+        path, root: as :func:`read_urdf`.
+        lenient: joints with wrong values become fixed ones and are named in ``faulty``, for
+            scoring what others wrote; numbers with commas are wrong there, as simulators don't
+            take them. Everything else is an error as ever.
+
+    Raises:
+        InputFileError: as :func:`read_urdf`.
+    """
+    path = Path(path)
+    return _Reader(path, Path(root) if root is not None else package_root(path), lenient).read()
+
+
+class _Reader:
+    """Reads one file; collects problems, so that the user sees them all at once."""
+
+    def __init__(self, path: Path, root: Path, lenient: bool = False) -> None:
+        self.path, self.root, self.lenient = path, root, lenient
+        self.faulty: list[str] = []
+        self.swapped: list[str] = []
+        self.rescaled: list[str] = []
+        self.renamed: list[str] = []
+        self.problems: list[str] = []
+        self.notes: list[str] = []
+        self.colors: dict[str, tuple[int, int, int, int]] = {}
+        self.commas = False
+
+    def read(self) -> UrdfModel:
+        robot = parse(self.path, ("robot",), "a URDF")
+        for material in robot.findall("material"):
+            color = self._color(material)
+            if color is not None and material.get("name"):
+                self.colors[material.get("name", "")] = color
+        links = [self._name(e, "link") for e in robot.findall("link")]
+        most = max(len(links), len(robot.findall("joint")))
+        if most > MOST_LINKS:
+            what = f"has {most:,} links or joints"
+            raise InputFileError(self.path, what, f"an object has {MOST_LINKS:,} at most")
+        locals_: dict[str, npt.NDArray[np.float64]] = {}
+        joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
+        geometry = self._geometry(robot)
+        self.problems += tree_problems(tuple(links), tuple(joints))
+        self._raise()
+        object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
+        joints = [_to_object(j, object_from_link[j.child]) for j in joints]
+        renamed = renamed_helpers(links, {v.link for v in geometry}, self.renamed)
+        self.notes += self.renamed
+        try:
+            tree = KinematicTree(
+                tuple(renamed.get(n, n) for n in links),
+                tuple(
+                    replace(
+                        j,
+                        parent=renamed.get(j.parent, j.parent),
+                        child=renamed.get(j.child, j.child),
+                    )
+                    for j in joints
+                ),
+            )
+        except KinematicsError as error:
+            raise InputFileError(self.path, str(error)) from error
+        visuals = tuple(
+            replace(v, object_from_geometry=object_from_link[v.link] @ v.object_from_geometry)
+            for v in geometry
+        )
+        name = robot.get("name") or self.path.stem
+        told = told_in(robot, object_from_link)
+        collision = self._collisions(robot, visuals, object_from_link)
+        named = {renamed.get(link, link): i for link, i in told.inertials.items()}
+        said = (self.notes, self.faulty, self.swapped, self.rescaled, self.renamed)
+        shaped = {renamed.get(link, link): c for link, c in collision.items()}
+        told = replace(told, inertials=named, collision=shaped)
+        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said), told=told)
+
+    def _raise(self) -> None:
+        if self.problems:
+            said = "; ".join(dict.fromkeys(self.problems))
+            remedies = [remedy for word, remedy in _REMEDIES.items() if word in said]
+            raise InputFileError(self.path, said, "; ".join(remedies))
+
+    # -- values ----------------------------------------------------------------------------------
+
+    def _name(self, element: Element, what: str) -> str:
+        name = element.get("name", "")
+        if not name:
+            self.problems.append(f"a <{what}> has no name")
+        return name
+
+    def _numbers(
+        self,
+        element: Element | None,
+        attribute: str,
+        count: int,
+        default: Sequence[float],
+        where: str,
+    ) -> npt.NDArray[np.float64]:
+        text = None if element is None else element.get(attribute)
+        if element is None or text is None:
+            return np.array(default, dtype=np.float64)
+        words, values = self._words(element, attribute, text, count), []
+        for word in words:
+            try:
+                values.append(float(word))
+            except ValueError:
+                self.problems.append(
+                    f"{where}: {word!r} in {attribute}={text!r} of <{element.tag}> is not a "
+                    "number; write numbers with blanks between them"
+                )
+                return np.array(default, dtype=np.float64)
+        if len(values) != count or not np.isfinite(values).all():
+            self.problems.append(
+                f"{where}: {attribute}={text!r} of <{element.tag}> must be {count} finite "
+                f"number{'s' if count > 1 else ''}"
+            )
+            return np.array(default, dtype=np.float64)
+        return np.array(values)
+
+    def _words(self, element: Element, attribute: str, text: str, count: int) -> list[str]:
+        """The numbers' texts. A comma after each but the last is taken for a blank, and noted;
+        one anywhere else may be a decimal comma or a slip, and stays a mistake."""
+        pieces = [piece.strip() for piece in text.split(",")]
+        if (
+            self.lenient
+            or not 1 < count == len(pieces)
+            or any(len(piece.split()) != 1 for piece in pieces)
+        ):
+            return text.split()
+        if not self.commas:
+            self.commas = True
+            self.notes.append(
+                f"numbers are separated by commas, as in {attribute}={text!r} of <{element.tag}>; "
+                "they were read as if by blanks"
+            )
+        return pieces
+
+    def _number(self, element: Element | None, attribute: str, default: float, where: str) -> float:
+        return float(self._numbers(element, attribute, 1, [default], where)[0])
+
+    def _pose(self, element: Element, where: str) -> npt.NDArray[np.float64]:
+        origin = element.find("origin")
+        out = np.eye(4)
+        out[:3, :3] = rotation_from_rpy(self._numbers(origin, "rpy", 3, [0, 0, 0], where))
+        out[:3, 3] = self._numbers(origin, "xyz", 3, [0, 0, 0], where)
+        if np.abs(out[:3, 3]).max() > LARGEST:
+            self.problems.append(f"{where}: an origin can be {LARGEST:g} m away at most")
+            out[:3, 3] = 0.0
+        return out
+
+    # -- joints ----------------------------------------------------------------------------------
+
+    def _joint(self, element: Element, locals_: dict[str, npt.NDArray[np.float64]]) -> Joint | None:
+        """The joint with its axis still in the child's frame; its pose goes into ``locals_``.
+
+        A joint with problems comes back as a fixed one, so that the tree can still be checked.
+        """
+        name = self._name(element, "joint")
+        where = f"joint {name!r}"
+        before = len(self.problems)
+        parent, child = self._end(element, "parent", where), self._end(element, "child", where)
+        if not (parent and child):
+            return None
+        if parent == child:
+            self.problems.append(f"{where}: parent and child are both {child!r}")
+            return None
+        type_ = self._joint_type(element, where)
+        locals_[name] = self._pose(element, where)
+        x, y, z = self._axis(element, type_, where)
+        lower, upper = self._limits(element, type_, where)
+        if type_ == "revolute" and upper is None:
+            type_, lower = "continuous", None
+        mimic = self._mimic(element, type_, where)
+        if len(self.problems) > before:
+            if self.lenient and name:
+                self.notes += self.problems[before:]
+                del self.problems[before:]
+                self.faulty.append(name)
+            return Joint(name or "?", "fixed", parent, child)
+        return Joint(name, type_, parent, child, (x, y, z), (0, 0, 0), lower, upper, mimic)
+
+    def _end(self, element: Element, end: str, where: str) -> str:
+        found = element.find(end)
+        link = "" if found is None else found.get("link", "")
+        if not link:
+            self.problems.append(f'{where}: needs <{end} link="…"/>')
+        return link
+
+    def _axis(self, element: Element, type_: JointType, where: str) -> npt.NDArray[np.float64]:
+        axis = self._numbers(element.find("axis"), "xyz", 3, [1, 0, 0], where)
+        length = float(np.linalg.norm(axis))
+        if type_ == "fixed":
+            return np.array([0.0, 0.0, 1.0])
+        if length < 1e-9:
+            self.problems.append(f"{where}: the axis must not be zero")
+        elif abs(length - 1.0) > 1e-4:
+            self.rescaled.append(f"{where}: axis of length {length:g} was normalised")
+            self.notes += self.rescaled[-1:]
+        return axis
+
+    def _joint_type(self, element: Element, where: str) -> JointType:
+        given = element.get("type", "")
+        if given in _TO_FIXED:
+            self.notes.append(f"{where}: {given} joints are not supported; it became fixed")
+        elif given not in _MOVING and given != "fixed":
+            known = ", ".join([*_MOVING, "fixed"])
+            self.problems.append(f"{where}: type {given!r} is none of {known}")
+        return _MOVING.get(given, "fixed")
+
+    def _limits(
+        self, element: Element, type_: JointType, where: str
+    ) -> tuple[float | None, float | None]:
+        """Lower and upper; no upper one says that a revolute joint is continuous."""
+        if type_ not in ("revolute", "prismatic"):
+            return None, None
+        limit = element.find("limit")
+        if limit is None:
+            self.problems.append(f"{where}: a {type_} joint needs <limit lower=… upper=…/>")
+            return None, None
+        texts = [limit.get(side, "0").strip().lstrip("+-").lower() for side in ("lower", "upper")]
+        if type_ == "revolute" and any(t in ("inf", "infinity") for t in texts):
+            self.notes.append(f"{where}: infinite limits; it became continuous")
+            return None, None
+        lower = self._number(limit, "lower", 0.0, where)
+        upper = self._number(limit, "upper", 0.0, where)
+        if max(abs(lower), abs(upper)) > LARGEST:
+            if type_ == "revolute":  # people write 1e10 for infinite
+                self.notes.append(f"{where}: limits {lower:g}..{upper:g}; it became continuous")
+                return None, None
+            self.problems.append(f"{where}: a limit can be {LARGEST:g} m at most")
+        if lower > upper:
+            self.notes.append(f"{where}: limits {lower:g}..{upper:g} were swapped")
+            lower, upper = upper, lower
+            self.swapped.append(element.get("name", ""))
+        return lower, upper
+
+    def _mimic(self, element: Element, type_: JointType, where: str) -> Mimic | None:
+        mimic = element.find("mimic")
+        if mimic is None or type_ == "fixed":
+            return None
+        leader = mimic.get("joint", "")
+        if not leader:
+            self.problems.append(f"{where}: <mimic> must name a joint")
+        multiplier = self._number(mimic, "multiplier", 1.0, where)
+        return Mimic(leader, multiplier, self._number(mimic, "offset", 0.0, where))
+
+    # -- geometry --------------------------------------------------------------------------------
+
+    def _geometry(self, robot: Element) -> list[UrdfVisual]:
+        """Visuals with their pose still in the link's frame."""
+        tag = "visual"
+        if robot.find("link/visual") is None and robot.find("link/collision") is not None:
+            tag = "collision"
+            self.notes.append("no link has a visual; collision geometry was taken")
+        out: list[UrdfVisual] = []
+        for link in robot.findall("link"):
+            for element in link.findall(tag):
+                visual = self._visual(element, link.get("name", ""))
+                if visual is not None:
+                    out.append(visual)
+        return out
+
+    def _collisions(
+        self,
+        robot: Element,
+        visuals: Sequence[UrdfVisual],
+        object_from_link: Mapping[str, npt.NDArray[np.float64]],
+    ) -> dict[str, ToldCollision]:
+        """By link; what is wrong with one of them is told there and is no problem of the file."""
+        out: dict[str, ToldCollision] = {}
+        seen = [v for v in visuals if robot.find("link/visual") is not None]
+        for link in robot.findall("link"):
+            name, before = link.get("name", ""), len(self.problems)
+            found = [self._visual(e, name) for e in link.findall("collision")]
+            wrong = self.problems[before:]
+            del self.problems[before:]
+            pieces = tuple(
+                replace(v, object_from_geometry=object_from_link[name] @ v.object_from_geometry)
+                for v in found
+                if v is not None
+            )
+            if found:
+                same = not wrong and repeats(pieces, [v for v in seen if v.link == name])
+                out[name] = ToldCollision(pieces, wrong[0] if wrong else "", same)
+        return out
+
+    def _visual(self, element: Element, link: str) -> UrdfVisual | None:
+        where = f"link {link!r}"
+        pose = self._pose(element, where)
+        color = self._color(element.find("material"))
+        geometry = element.find("geometry")
+        shape = None if geometry is None else next(iter(geometry), None)
+        if shape is None:
+            self.problems.append(f"{where}: a <{element.tag}> has no geometry")
+            return None
+        name = element.get("name") or None
+        if shape.tag == "mesh":
+            file = self._resolve(shape.get("filename", ""), where)
+            scale = self._numbers(shape, "scale", 3, [1, 1, 1], where)
+            if np.abs(scale).max() > LARGEST:
+                self.problems.append(f"{where}: a mesh's scale can be {LARGEST:g} at most")
+            if file is None:
+                return None
+            return UrdfVisual(link, name, pose @ np.diag([*scale, 1.0]), file, None, color)
+        sizes: tuple[float, ...]
+        if shape.tag == "box":
+            sizes = tuple(self._numbers(shape, "size", 3, [1, 1, 1], where).tolist())
+        elif shape.tag in ("cylinder", "sphere", "capsule"):
+            wanted = ("radius",) if shape.tag == "sphere" else ("radius", "length")
+            sizes = tuple(self._number(shape, key, 0.0, where) for key in wanted)
+        else:
+            self.problems.append(
+                f"{where}: geometry <{shape.tag}> is none of mesh, box, cylinder, sphere, capsule"
+            )
+            return None
+        if min(sizes) <= 0:
+            self.problems.append(f"{where}: <{shape.tag}> needs sizes above 0, got {sizes}")
+            return None
+        if max(sizes) > LARGEST:
+            self.problems.append(
+                f"{where}: <{shape.tag}> needs sizes of {LARGEST:g} m at most, got {sizes}"
+            )
+            return None
+        return UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+
+    def _resolve(self, filename: str, where: str) -> Path | None:
+        """``filename`` inside the allowed folder, or None with a problem noted."""
+        try:
+            return resolve_mesh(filename, self.path.parent, self.root)
+        except ReferenceRefused as error:
+            self.problems.append(f"{where}: mesh {error}")
+            return None
+
+    def _color(self, material: Element | None) -> tuple[int, int, int, int] | None:
+        if material is None:
+            return None
+        color = material.find("color")
+        if color is None:
+            return self.colors.get(material.get("name", ""))
+        where = f"material {material.get('name', '')!r}"
+        r, g, b, a = np.clip(self._numbers(color, "rgba", 4, [0.8, 0.8, 0.8, 1], where), 0, 1)
+        return round(255 * r), round(255 * g), round(255 * b), round(255 * a)
+
+
+def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """(3, 3) from URDF's roll, pitch, yaw: fixed axes x, then y, then z, radians."""
+    roll, pitch, yaw = (float(v) for v in np.asarray(rpy))
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def _compose(
+    tree: KinematicTree, locals_: Mapping[str, npt.NDArray[np.float64]]
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Link → (4, 4) ``object_from_link`` at rest."""
+    out = {tree.root: np.eye(4)}
+    for link in tree.order[1:]:
+        joint = tree.joint_of[link]
+        out[link] = out[joint.parent] @ locals_[joint.name]
+    return out
+
+
+def _to_object(joint: Joint, object_from_link: npt.NDArray[np.float64]) -> Joint:
+    axis = object_from_link[:3, :3] @ np.asarray(joint.axis)
+    axis[np.abs(axis) < 1e-15] = 0.0
+    ox, oy, oz = object_from_link[:3, 3]
+    return replace(joint, axis=tuple(axis.tolist()), origin=(ox, oy, oz))
