@@ -33,7 +33,7 @@ from model.geometry.sampling import sample_surface
 from model.predictors import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import load_segmenter
-from model.segmentation.simulate import deepest, next_part_click
+from model.segmentation.simulated_clicks import deepest, next_part_click
 from sessions.commands import (
     AddClick,
     NamePart,

@@ -30,7 +30,7 @@ from model.segmentation.proposal import propose
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
 from model.segmentation.seen_clicks import clicked_as_seen, picture_of
-from model.segmentation.simulate import deepest, next_click, next_part_click
+from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
 
 DataSet = Literal["partnet", "partnet-one-sided", "partnet-scan", "partnet-mesh",
                   "procedural", "procedural-noisy", "procedural-one-sided", "room",

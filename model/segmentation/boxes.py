@@ -14,7 +14,6 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
 from model.segmentation.box_scores import Believed, BoxBeliefs, shipped_box_model
-from model.segmentation.cells import Cells
 from model.segmentation.depths import Depths
 from model.segmentation.front_features import FRONT_FEATURES, front_features, trimmed
 from model.segmentation.fronts import Front, Fronts
@@ -39,6 +38,7 @@ from model.segmentation.solver import (
     PartSolver,
     PartState,
 )
+from model.segmentation.superpoints import Cells
 from model.segmentation.trees import Scorer, Trees
 from model.segmentation.walk import Walk
 

@@ -8,8 +8,8 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
-from model.segmentation.cells import groups
 from model.segmentation.nodes import ROOM_METRES
+from model.segmentation.superpoints import groups
 
 Bool = npt.NDArray[np.bool_]
 

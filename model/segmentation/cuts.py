@@ -11,9 +11,9 @@ import numpy.typing as npt
 from model.core.asset import Asset
 from model.core.errors import PromptError
 from model.geometry.splitting import ON_THE_PLANE, Plane, crossing_share
-from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import checked, to_elements, to_nodes
+from model.segmentation.superpoints import groups
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.float64]

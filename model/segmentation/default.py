@@ -24,14 +24,13 @@ from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
 from model.geometry.topology import coincident_faces
 from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
+from model.segmentation.attached_shells import Fittings, fittings_of
 from model.segmentation.boxes import ObjectSolver
-from model.segmentation.cells import groups
-from model.segmentation.closeup import ClosePart, Closeups
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import Encoding, encode
-from model.segmentation.fittings import Fittings, fittings_of
+from model.segmentation.facets import Plates, plates_of
 from model.segmentation.fronts import BAR_LENGTH
-from model.segmentation.plates import Plates, plates_of
+from model.segmentation.local_refinement import ClosePart, Closeups
 from model.segmentation.prompt_steps import (
     ClickStep,
     RegionStep,
@@ -50,6 +49,7 @@ from model.segmentation.solver import (
     Ranked,
     agreeing,
 )
+from model.segmentation.superpoints import groups
 
 _STATES = 256
 _CLICKS = 10_000

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
-from model.segmentation.cells import Cells, build_cells
 from model.segmentation.edge_strength import edge_strength, edge_weight
 from model.segmentation.graph import Graph, build_graph
 from model.segmentation.hierarchy import Hierarchy, build_hierarchy
@@ -17,6 +16,7 @@ from model.segmentation.mlp import Mlp
 from model.segmentation.nodes import Nodes, nodes_of_asset
 from model.segmentation.parallel import together
 from model.segmentation.rooms import Room, fenced, room_of
+from model.segmentation.superpoints import Cells, build_cells
 from model.segmentation.walk import Walk
 
 

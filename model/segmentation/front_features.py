@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
-from model.segmentation.cells import Cells
 from model.segmentation.fronts import CHANNELS, NODES_A_SQUARE, PIECES, Front, Rects, support
+from model.segmentation.superpoints import Cells
 
 FRONT_FEATURES = (
     "front", "front_share", "front_filled", "side_1", "side_2", "side_3", "side_4",

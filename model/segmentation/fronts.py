@@ -29,10 +29,10 @@ from scipy.ndimage import (
     uniform_filter1d,
 )
 
-from model.segmentation.cells import Cells
 from model.segmentation.features import lab_colors
 from model.segmentation.graph import Graph
 from model.segmentation.nodes import Nodes
+from model.segmentation.superpoints import Cells
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import Cells, Links, groups, totals
 from model.segmentation.nodes import distinct
+from model.segmentation.superpoints import Cells, Links, groups, totals
 
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")

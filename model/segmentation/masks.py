@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import get_blas_funcs
 
-from model.segmentation.cells import Cells
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.repeats import Repeats
+from model.segmentation.superpoints import Cells
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]

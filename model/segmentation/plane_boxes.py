@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import Cells, totals
+from model.segmentation.superpoints import Cells, totals
 
 Float = npt.NDArray[np.floating]
 Int = npt.NDArray[np.int16]

@@ -8,7 +8,6 @@ import numpy.typing as npt
 from model.core.progress import Progress, no_progress
 from model.segmentation.alternatives import overlaps
 from model.segmentation.boxes import ObjectSolver
-from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import first_elements
 from model.segmentation.part_masks import (
@@ -20,6 +19,7 @@ from model.segmentation.part_masks import (
 )
 from model.segmentation.prompts import BASE, PartSegmentation
 from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.superpoints import groups
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.segmentation.cells import Cells
 from model.segmentation.hierarchy import Hierarchy
+from model.segmentation.superpoints import Cells
 
 _LEAST_CELLS = 3
 _MOST_SHARE = 0.35

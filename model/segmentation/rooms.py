@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
-from model.segmentation.cells import Cells
 from model.segmentation.crop import floor_and_walls, largest_piece
 from model.segmentation.hierarchy import Hierarchy
 from model.segmentation.masks import FEATURE_NAMES, Candidates, Clicked, MaskDescriber, joined
 from model.segmentation.nodes import ROOM_METRES, Nodes
 from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.superpoints import Cells
 from model.segmentation.trees import Scorer
 from model.segmentation.walk import Walk
 

@@ -10,7 +10,6 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import Cells, groups
 from model.segmentation.hierarchy import TREES, Hierarchy
 from model.segmentation.masks import (
     FEATURE_NAMES,
@@ -21,6 +20,7 @@ from model.segmentation.masks import (
     concatenated,
     joined,
 )
+from model.segmentation.superpoints import Cells, groups
 from model.segmentation.trees import Scorer
 from model.segmentation.walk import Walk
 

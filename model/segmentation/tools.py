@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.cells import groups
 from model.segmentation.default import DefaultSession
 from model.segmentation.element_masks import to_elements, to_nodes
 from model.segmentation.prompt_steps import locate
 from model.segmentation.prompts import Click, Prompts
+from model.segmentation.superpoints import groups
 
 Bool = npt.NDArray[np.bool_]
 Position = Sequence[float] | npt.NDArray[np.floating]

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy.sparse import diags
 from scipy.sparse.linalg import splu
 
-from model.segmentation.cells import Cells
 from model.segmentation.graph import adjacency
+from model.segmentation.superpoints import Cells
 
 LEAKS = (1e-4, 2e-2, 2e-1)
 _COLUMNS = 512

@@ -18,7 +18,7 @@ from app.viewer.gate_view import MENDS
 from model.geometry.picking import Picker
 from model.io.readers import read_asset
 from model.segmentation.crop import largest_piece
-from model.segmentation.simulate import iou, next_click
+from model.segmentation.simulated_clicks import iou, next_click
 from tests.model.scenes.saved import points_in_place
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.

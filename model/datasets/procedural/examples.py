@@ -40,7 +40,7 @@ from model.io.write.glb import mesh_to_glb
 from model.io.write.meshes import write_cloud
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter
-from model.segmentation.simulate import next_part_click
+from model.segmentation.simulated_clicks import next_part_click
 
 FORMAT = 1
 

@@ -16,7 +16,7 @@ from model.segmentation.boxes import Boxes
 from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode_cells
 from model.segmentation.mlp import Mlp, save_mlp
-from model.segmentation.simulate import central, deepest
+from model.segmentation.simulated_clicks import central, deepest
 from model.segmentation.training.clicks import asked_by_size
 from model.segmentation.training.fit import averaged, fit_ranker
 from model.segmentation.training.scans import SQUARE, build, random_scan

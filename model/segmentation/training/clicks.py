@@ -24,7 +24,7 @@ from model.segmentation.scorers import (
     shipped_scorers,
     solver_of,
 )
-from model.segmentation.simulate import central, deepest, next_click
+from model.segmentation.simulated_clicks import central, deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.fit import Boosting, averaged, fit_ranker, fit_trees
 from model.segmentation.training.rooms import NOTHING, bared, scanned_room

@@ -21,7 +21,7 @@ from model.segmentation.masks import FEATURE_NAMES
 from model.segmentation.mlp import Mlp
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.repeats import Repeats
-from model.segmentation.simulate import central, deepest, iou, next_click, next_part_click
+from model.segmentation.simulated_clicks import central, deepest, iou, next_click, next_part_click
 from model.segmentation.solver import PartSolver, PartState
 from model.segmentation.training.primitives import block
 

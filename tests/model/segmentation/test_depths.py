@@ -7,7 +7,7 @@ import pytest
 
 from model.segmentation.depths import Depths
 from model.segmentation.masks import bits_of
-from model.segmentation.simulate import central, deepest
+from model.segmentation.simulated_clicks import central, deepest
 
 
 @pytest.fixture(scope="module")

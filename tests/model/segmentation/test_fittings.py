@@ -12,9 +12,9 @@ from model.core.mesh import Mesh
 from model.core.resources import static_assets
 from model.geometry.topology import connected_shells
 from model.io.readers import read_asset
+from model.segmentation.attached_shells import fittings_of
 from model.segmentation.contacts import contacts_of
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.fittings import fittings_of
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.proposal import propose
 from model.segmentation.tools import hover

@@ -19,7 +19,7 @@ from model.segmentation.front_features import FRONT_FEATURES, front_features
 from model.segmentation.fronts import Fronts, support
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
-from model.segmentation.simulate import iou
+from model.segmentation.simulated_clicks import iou
 from model.segmentation.solver import PartState
 
 WIDE, HIGH, DEEP = 1.2, 0.8, 0.4

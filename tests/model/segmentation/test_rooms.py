@@ -10,7 +10,7 @@ from model.core.point_cloud import PointCloud
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.scorers import read_scorers
-from model.segmentation.simulate import deepest, iou, next_click
+from model.segmentation.simulated_clicks import deepest, iou, next_click
 from model.segmentation.training.clicks import ClickTraining, train_room_scorers
 from model.segmentation.training.rooms import NOTHING, scanned_room
 from model.segmentation.training.scans import LabelledCloud, family_shape, scan

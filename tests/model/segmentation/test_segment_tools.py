@@ -16,7 +16,7 @@ from model.segmentation.default import DefaultSegmenter
 from model.segmentation.proposal import propose, without_leftovers
 from model.segmentation.rectangles import rectangle_cut
 from model.segmentation.similar import mirrored, same_shape
-from model.segmentation.simulate import iou
+from model.segmentation.simulated_clicks import iou
 from model.segmentation.tools import connected, grow, hover
 from model.segmentation.training.primitives import block
 

@@ -24,7 +24,7 @@ from model.segmentation.bench_data import BenchObject, dataset_objects
 from model.segmentation.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.prompts import PartSegmentation, Prompts
 from model.segmentation.scorers import read_scorers
-from model.segmentation.simulate import deepest, next_click, next_part_click
+from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
 from model.segmentation.training.clicks import ClickTraining, train_scorers
 from model.segmentation.training.fit import area_under_curve, averaged, fit_ranker
 from model.segmentation.training.scans import SMALL_PARTED, build, random_scan, scan

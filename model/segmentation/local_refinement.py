@@ -19,7 +19,6 @@ from scipy.spatial import KDTree
 
 from model.segmentation.alternatives import offered
 from model.segmentation.boxes import ObjectSolver
-from model.segmentation.cells import build_cells
 from model.segmentation.edge_strength import edge_weight
 from model.segmentation.encoding import Encoding
 from model.segmentation.graph import Graph
@@ -30,6 +29,7 @@ from model.segmentation.prompt_steps import ClickStep, Step
 from model.segmentation.prompts import BASE
 from model.segmentation.scorers import shipped_scorers
 from model.segmentation.solver import PartState, Ranked, with_click
+from model.segmentation.superpoints import build_cells
 from model.segmentation.walk import Walk
 
 SMALL = 0.012

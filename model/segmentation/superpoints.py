@@ -13,10 +13,10 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from model.segmentation.cell_colors import has_plain_colors, parted_by_color
 from model.segmentation.features import lab_colors
 from model.segmentation.graph import Graph
 from model.segmentation.nodes import Nodes
+from model.segmentation.superpoint_colors import has_plain_colors, parted_by_color
 
 TARGET_CELLS = 12_000
 _MAX_NODES = 40

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.mesh import Mesh
-from model.segmentation.cells import groups
 from model.segmentation.contacts import contacts_of
-from model.segmentation.plates import Plates, small_shells_of
+from model.segmentation.facets import Plates, small_shells_of
 from model.segmentation.prompt_steps import Step
 from model.segmentation.prompts import BASE
+from model.segmentation.superpoints import groups
 
 _LEAST_TOUCHES = 3
 _ALONE = 0.8
