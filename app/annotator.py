@@ -30,7 +30,7 @@ from model.evaluation.joint_metrics import UsableLimits, score_object
 from model.evaluation.pool import time_limit
 from model.geometry.parts import split
 from model.geometry.sampling import sample_surface
-from model.predictors import DEFAULT, load_predictor
+from model.prediction.registry import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import load_segmenter
 from model.segmentation.simulated_clicks import deepest, next_part_click

@@ -11,7 +11,7 @@ from app.login import Login
 from app.network import check_address, is_loopback, url
 from model.core.errors import ConfigurationError
 from model.core.installing import install_command
-from model.remote import TOKEN_VARIABLE, is_backend
+from model.prediction.remote import TOKEN_VARIABLE, is_backend
 
 DEFAULT_PORT = 8090
 
@@ -96,7 +96,7 @@ def _token(args: argparse.Namespace) -> str | None:
 
 
 def _checked(args: argparse.Namespace) -> str:
-    from model.predictors import DEFAULT, check_predictor
+    from model.prediction.registry import DEFAULT, check_predictor
 
     for option, value in (
         ("--workers", args.workers),
@@ -161,7 +161,7 @@ def chosen_predictor(args: argparse.Namespace) -> str:
         raise ConfigurationError(
             f"--backend and --predictor {given} exclude each other: the backend has its own"
         )
-    from model.remote.http_predictor import HttpPredictor
+    from model.prediction.remote.http_predictor import HttpPredictor
 
     if args.backend_token:
         os.environ[TOKEN_VARIABLE] = args.backend_token
@@ -174,7 +174,7 @@ def greet(url: str) -> None:
     Raises:
         BackendRefused: where it is there and doesn't take the token.
     """
-    from model.remote.http_predictor import BackendError, BackendRefused, HttpPredictor
+    from model.prediction.remote.http_predictor import BackendError, BackendRefused, HttpPredictor
 
     try:
         HttpPredictor(url, connect_seconds=3.0, silence_seconds=3.0).check()

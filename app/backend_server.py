@@ -1,7 +1,7 @@
 """The HTTP side of ``artiworld backend``: one machine predicts for many annotators.
 
 ``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes what
-:mod:`model.remote.wire` describes. Refusals have a status of their own (400 no request, 401 wrong
+:mod:`model.prediction.remote.wire` describes. Refusals have a status of their own (400 no request, 401 wrong
 token, 413 too large, 415 another type, 429 too many wrong tokens, 503 too many wait) and a JSON
 body ``{"error": text}``; what goes wrong later is told in the stream.
 """
@@ -25,7 +25,13 @@ from app import backend_tasks
 from app.jobs import Job, JobFailed, WorkerProcess
 from app.login import Login
 from model.core.errors import ArtiworldError
-from model.remote.wire import CONTENT_TYPE, HEALTH_PATH, PREDICT_PATH, RequestError, read_header
+from model.prediction.remote.wire import (
+    CONTENT_TYPE,
+    HEALTH_PATH,
+    PREDICT_PATH,
+    RequestError,
+    read_header,
+)
 
 HEARTBEAT_SECONDS = 1.0
 """A waiting client hears something this often, and one that left is noticed."""

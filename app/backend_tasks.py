@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.progress import Progress, no_progress
-from model.predictor import Predictor
+from model.prediction.protocol import Predictor
 
 _loaded: list[Predictor] = []
 
 
 def load(name: str) -> None:
     """Load the predictor once; the first thing that a worker does."""
-    from model.predictors import load_predictor
+    from model.prediction.registry import load_predictor
 
     _loaded[:] = [load_predictor(name)]
 
@@ -31,7 +31,7 @@ def predict(body: npt.NDArray[np.uint8], progress: Progress = no_progress) -> di
     Raises:
         ArtiworldError: where they are none.
     """
-    from model.remote.wire import decode_request, encode_answer
+    from model.prediction.remote.wire import decode_request, encode_answer
 
     progress(0.0, "Reading the parts")
     segmented, locked, seed = decode_request(body.tobytes())

@@ -146,7 +146,7 @@ def bench_networks(
 
     require_extras(FullConfig(lora_rank=LORA_RANK))
     from app.bench_networks import NetworksConfig, measure, tables
-    from model.arti4urdf.language_model import QWEN3
+    from model.prediction.arti4urdf.language_model import QWEN3
 
     for name in sizes or ():
         if name not in QWEN3:

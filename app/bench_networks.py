@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.bench_predict import chest
-from model.arti4urdf.language_model import QWEN3, DecoderConfig
-from model.arti4urdf.point_bert import ULIP2, PointBertConfig
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
+from model.prediction.arti4urdf.language_model import QWEN3, DecoderConfig
+from model.prediction.arti4urdf.point_bert import ULIP2, PointBertConfig
 from model.training.full_config import LORA_RANK, FullConfig
 
 if TYPE_CHECKING:
-    from model.arti4urdf.full_model import Example, FullModel
+    from model.prediction.arti4urdf.full_model import Example, FullModel
     from model.segmentation.adapters.point_sam_network import PointSamConfig
 
 TOO_LARGE = "does not fit"
@@ -134,7 +134,7 @@ def _language_model(
     train: bool,
     progress: Progress,
 ) -> dict[str, Any]:
-    from model.arti4urdf.random_weights import write_random_qwen3, write_random_ulip2
+    from model.prediction.arti4urdf.random_weights import write_random_qwen3, write_random_ulip2
 
     progress(0.0, f"Qwen3-{called}: writing random weights")
     texts = [text for e in examples for text in (e.prompt, e.answer)]
@@ -168,7 +168,7 @@ def _too_large(size: DecoderConfig) -> bool:
 
     if not torch.cuda.is_available():
         return False
-    from model.arti4urdf.language_model import Decoder
+    from model.prediction.arti4urdf.language_model import Decoder
 
     with torch.device("meta"):
         weights = sum(p.numel() for p in Decoder(size).parameters())
@@ -239,9 +239,9 @@ def _predicting(
     """Joints of a chest of drawers; beside it as many tokens one by one, as plain writing has."""
     import torch
 
-    from model.arti4urdf.full_model import make_full_model
-    from model.arti4urdf.full_predictor import load_full_predictor
-    from model.arti4urdf.text_prompt import make_example
+    from model.prediction.arti4urdf.full_model import make_full_model
+    from model.prediction.arti4urdf.full_predictor import load_full_predictor
+    from model.prediction.arti4urdf.text_prompt import make_example
 
     dtype = torch.bfloat16 if device == "cuda" else torch.float32
     made = make_full_model(ulip2, qwen3, dtype=dtype)

@@ -23,11 +23,11 @@ import numpy as np
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
-from model.predictor import Predictor
-from model.predictors import load_predictor
+from model.prediction.protocol import Predictor
+from model.prediction.registry import load_predictor
 
 if TYPE_CHECKING:
-    from model.arti4urdf.predictor import Arti4UrdfPredictor
+    from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor
 
 PART_COUNTS = (2, 4, 9, 16, 32)
 REPEATS = 3
@@ -69,9 +69,9 @@ def _row(segmented: SegmentedObject, geometric: Predictor, network: Predictor) -
 
 def _decoding(segmented: SegmentedObject, network: Predictor) -> dict[str, Any]:
     """The network's own share, with forced spans and without."""
-    from model.arti4urdf.decoding import decode
-    from model.arti4urdf.predictor import make_prompt
-    from model.arti4urdf.structure import read_structure
+    from model.prediction.arti4urdf.decoding import decode
+    from model.prediction.arti4urdf.predictor import make_prompt
+    from model.prediction.arti4urdf.structure import read_structure
 
     predictor: Arti4UrdfPredictor = network  # type: ignore[assignment]
     prompt = make_prompt(read_structure(segmented), segmented, 0)

@@ -150,7 +150,7 @@ def _torch() -> Check:
 
 
 def _plugins() -> Iterator[Check]:
-    from model.predictors import load_predictor, predictor_names
+    from model.prediction.registry import load_predictor, predictor_names
     from model.scenes.registry import load_reader, reader_names
     from model.segmentation.registry import load_segmenter, segmenter_names
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.options import add_json, count
 from model.core.errors import ConfigurationError
-from model.predictors import DEFAULT
+from model.prediction.registry import DEFAULT
 
 if TYPE_CHECKING:
     from app.printing import Show

@@ -24,7 +24,7 @@ from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.predictors import DEFAULT
+from model.prediction.registry import DEFAULT
 
 FORMAT = 1
 OBJECT_JSON = "object.json"
@@ -144,12 +144,12 @@ def predict(
         ArtiworldError: where the input can't be used.
         NothingPredicted: where the predictor found no tree.
     """
-    from model.geometric.vocabulary import category_remark
     from model.io.assets.asset_folder import write_asset
     from model.io.readers import read_part_files
     from model.physics.collision.store import default_store
     from model.physics.simulation_values import physics_of, plain_physics
-    from model.predictors import load_predictor
+    from model.prediction.geometric.vocabulary import category_remark
+    from model.prediction.registry import load_predictor
 
     reading = reading or ReadOptions()
     check_output(out, folder)

@@ -17,7 +17,7 @@ from model.evaluation.joint_metrics import (
     point_to_line,
 )
 from model.evaluation.tree_metrics import chain, path
-from model.geometric.retyping import retyped
+from model.prediction.geometric.type_change import retyped
 from sessions.commands import SetJoint, SetRoot
 from sessions.live import LiveSession
 

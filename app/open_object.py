@@ -27,8 +27,8 @@ from app.watched import Watched
 from model.core.errors import ArtiworldError, CommandError
 from model.core.tree import KinematicTree
 from model.gate.report import GateReport
-from model.predictors import DEFAULT as DEFAULT_PREDICTOR
-from model.remote.http_predictor import BackendError
+from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
+from model.prediction.remote.http_predictor import BackendError
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.live import LiveSession

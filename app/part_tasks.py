@@ -102,7 +102,7 @@ def predict(
     progress: Progress = no_progress,
 ) -> Prediction:
     """Predict the kinematic tree of the parts."""
-    from model.predictors import load_predictor
+    from model.prediction.registry import load_predictor
 
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from app.backend_command import add_client_options, chosen_predictor
 from app.options import add_json, add_reading, count
-from model.predictors import DEFAULT
+from model.prediction.registry import DEFAULT
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

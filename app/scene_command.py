@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.options import add_json, count
-from model.predictors import DEFAULT
+from model.prediction.registry import DEFAULT
 
 if TYPE_CHECKING:
     from model.scenes.assets import AssetIndex
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
 def _convert(args: argparse.Namespace, show: Any) -> dict[str, Any]:
     from app.headless import check_output
     from model.core.errors import ConfigurationError
-    from model.predictors import check_predictor
+    from model.prediction.registry import check_predictor
     from model.scenes.convert import ConvertSettings, convert_scene
     from model.scenes.registry import read_scene
     from model.segmentation.registry import check_segmenter

@@ -341,7 +341,7 @@ def _predicted(
     progress: Progress,
 ) -> Prediction:
     from model.geometry.parts import split
-    from model.predictors import load_predictor
+    from model.prediction.registry import load_predictor
 
     labels = tasks.arrays_of(workspace).get(cut.labels)
     parts = split(asset, labels, {p: n for p, n in cut.names if n})

@@ -12,8 +12,8 @@ from app.login import Login, new_token
 from app.network import check_address, free_port, is_loopback
 from app.options import add_point_sam, add_reading
 from model.core.errors import ConfigurationError, InputFileError
-from model.predictors import DEFAULT
-from model.remote import is_backend
+from model.prediction.registry import DEFAULT
+from model.prediction.remote import is_backend
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -143,7 +143,7 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
 
 
 def _check_names(args: argparse.Namespace) -> None:
-    from model.predictors import check_predictor
+    from model.prediction.registry import check_predictor
     from model.segmentation.registry import check_segmenter
 
     check_segmenter(args.segmenter)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.viewer.palette import CATEGORIES
 from app.viewer.widgets import put
-from model.geometric.motion_words import CATEGORY_ALIASES
+from model.prediction.geometric.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.finders import read_lexicon
 from sessions.records import ObjectRecord
 

@@ -26,8 +26,8 @@ from model.evaluation.joint_metrics import ObjectScore, UsableLimits, score_obje
 from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
-from model.predictor import Predictor
-from model.predictors import DEFAULT, load_predictor, predictor_names
+from model.prediction.protocol import Predictor
+from model.prediction.registry import DEFAULT, load_predictor, predictor_names
 
 FRAME_SAMPLE = 24
 """Objects that decide a method's frame."""

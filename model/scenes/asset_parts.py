@@ -18,7 +18,6 @@ from model.core.tree import KinematicTree
 from model.datasets.partnet_mobility import read_partnet_mobility
 from model.datasets.protocol import GroundTruth
 from model.datasets.urdf_folders import UrdfFolders
-from model.geometric.vocabulary import MOST_NAMED
 from model.geometry.outliers import stray_points
 from model.geometry.parts import split
 from model.geometry.topology import connected_shells
@@ -29,6 +28,7 @@ from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
 from model.io.urdf.model import MOBILITY
 from model.io.urdf.reader import read_urdf_model
 from model.physics.collision.shapes import Shape, moved_shape
+from model.prediction.geometric.vocabulary import MOST_NAMED
 from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = MOST_NAMED

@@ -34,7 +34,7 @@ from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
 from model.io.urdf.model import MOBILITY
 from model.io.urdf.reader import read_urdf_model
-from model.predictors import DEFAULT
+from model.prediction.registry import DEFAULT
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
 from model.scenes.clicked import ClickedObject, ObjectClicks

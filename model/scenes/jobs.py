@@ -21,7 +21,7 @@ from model.io.export.mjcf import MjcfExporter
 from model.io.export.sdf import SdfExporter
 from model.io.export.usd import UsdExporter
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, plain_physics
-from model.predictors import load_predictor
+from model.prediction.registry import load_predictor
 from model.scenes.asset_parts import (
     AssetParts,
     LeftForAnnotator,
@@ -59,7 +59,7 @@ class AssetJob:
         scale, fit: as in :class:`~model.scenes.scene.SceneObject`.
         articulate: whether joints are wanted.
         category: hint for the predictor.
-        predictor, seed: as :func:`model.predictors.load_predictor` and ``predict`` take them.
+        predictor, seed: as :func:`model.prediction.registry.load_predictor` and ``predict`` take them.
         collision: whether collision shapes are made, which takes most of the time.
         seconds: time limit.
         formats: further ones that the asset is written in: "sdf", "usd".

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.arti4urdf import vocabulary as v
-from model.arti4urdf.answer import LINE_REACH
-from model.arti4urdf.grammar import FREE, Choice, Feed, Grammar
-from model.arti4urdf.network import Prompt
-from model.arti4urdf.structure import FIRST_LOOK, NAME_SAYS, StructureArrays
+from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.answer import LINE_REACH
+from model.prediction.arti4urdf.grammar import FREE, Choice, Feed, Grammar
+from model.prediction.arti4urdf.network import Prompt
+from model.prediction.arti4urdf.structure import FIRST_LOOK, NAME_SAYS, StructureArrays
 from model.training.labels import Labels
 from model.training.samples import Sample
 
@@ -124,7 +124,7 @@ def _jittered(arrays: StructureArrays, amount: float, rng: np.random.Generator) 
 
 
 def _turned(labels: Labels, quarter: int, mirrored: bool) -> Labels:
-    from model.geometric.shape import rotation
+    from model.prediction.geometric.shape import rotation
 
     m = rotation(np.array([0.0, 0.0, 1.0]), quarter * np.pi / 2)
     if mirrored:

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from model.arti4urdf.structure import read_structure
-from model.confidence import FORMAT, SHIPPED, Weighing, fit
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
@@ -24,6 +22,8 @@ from model.datasets.protocol import GroundTruth
 from model.evaluation.calibration import compared
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import robust_map
+from model.prediction.arti4urdf.structure import read_structure
+from model.prediction.confidence import FORMAT, SHIPPED, Weighing, fit
 
 PREDICTORS = ("hybrid", "arti4urdf", "geometric")
 TABLE = "joints.jsonl"
@@ -191,6 +191,6 @@ def joint_rows(predictors: Sequence[str], object_id: str) -> list[JointRow]:
 
 @lru_cache
 def _loaded(name: str) -> Any:
-    from model.predictors import load_predictor
+    from model.prediction.registry import load_predictor
 
     return load_predictor(name)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from model.arti4urdf import vocabulary as v
-from model.arti4urdf.language_model import DecoderConfig
-from model.arti4urdf.network import ModelConfig
 from model.core.errors import ConfigurationError
+from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.language_model import DecoderConfig
+from model.prediction.arti4urdf.network import ModelConfig
 from model.training.batches import Augmentation
 from model.training.full_config import full_presets
 

@@ -137,8 +137,8 @@ def check_size(config: FullConfig, folder: Path) -> None:
     Raises:
         InputFileError: naming both sizes, or where the folder is none of Qwen3.
     """
-    from model.arti4urdf.language_model import QWEN3
-    from model.arti4urdf.published_weights import read_qwen3_config
+    from model.prediction.arti4urdf.language_model import QWEN3
+    from model.prediction.arti4urdf.published_weights import read_qwen3_config
 
     def shape(size: Any) -> tuple[int, ...]:
         return size.hidden_size, size.intermediate_size, size.layers, size.heads, size.kv_heads

@@ -17,15 +17,15 @@ import numpy as np
 import numpy.typing as npt
 from torch.utils.data import Dataset as TorchDataset
 
-from model.arti4urdf.answer import rounded, write_answer
-from model.arti4urdf.full_model import Example
-from model.arti4urdf.text_prompt import make_example
-from model.arti4urdf.text_script import as_written
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
 from model.core.errors import ArtiworldError
 from model.core.tree import KinematicTree
 from model.datasets.protocol import Dataset, GroundTruth
-from model.remote.wire import decode_request, encode_request
+from model.prediction.arti4urdf.answer import rounded, write_answer
+from model.prediction.arti4urdf.full_model import Example
+from model.prediction.arti4urdf.text_prompt import make_example
+from model.prediction.arti4urdf.text_script import as_written
+from model.prediction.remote.wire import decode_request, encode_request
 from model.training.full_config import FullConfig
 from model.training.samples import MOST_PARTS, draw_truth, family_of
 
@@ -203,7 +203,7 @@ def varied(
 ) -> tuple[SegmentedObject, KinematicTree]:
     """The parts in a random order, numbered anew, some without their names; and their true tree.
 
-    The motions are said as :func:`model.arti4urdf.text_script.as_written` says them, and children
+    The motions are said as :func:`model.prediction.arti4urdf.text_script.as_written` says them, and children
     stand in the order of their numbers: no name and no order is left to be guessed.
     """
     order = [int(k) for k in rng.permutation(len(obj.parts))]

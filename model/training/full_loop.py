@@ -22,9 +22,9 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader
 
-from model.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
+from model.prediction.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
 from model.training.full_config import FullConfig, check_size, require_extras
 from model.training.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
 from model.training.loop import CONFIG, LOG, rate, same_config, to_board

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.arti4urdf.structure import SLOTS, Structure
-from model.arti4urdf.vocabulary import TYPES
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
-from model.geometric.hypothesis import Hypothesis
+from model.prediction.arti4urdf.structure import SLOTS, Structure
+from model.prediction.arti4urdf.vocabulary import TYPES
+from model.prediction.geometric.hypothesis import Hypothesis
 
 Array = npt.NDArray[np.float64]
 

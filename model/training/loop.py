@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from model.arti4urdf.network import ArtiModel
-from model.arti4urdf.weights import save_weights
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
+from model.prediction.arti4urdf.network import ArtiModel
+from model.prediction.arti4urdf.weights import save_weights
 from model.training.batches import PLAIN, Batch, augmented, collate, teach
 from model.training.config import TrainingConfig
 from model.training.loss import batch_loss, by_kind

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from model.arti4urdf.network import ArtiModel
+from model.prediction.arti4urdf.network import ArtiModel
 from model.training.batches import Batch
 
 TYPE_WEIGHT = 0.1

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from model.arti4urdf.network import ArtiModel, Prompt, whole_cloud
-from model.arti4urdf.structure import POINTS
+from model.prediction.arti4urdf.network import ArtiModel, Prompt, whole_cloud
+from model.prediction.arti4urdf.structure import POINTS
 from model.training.batches import PLAIN, augmented, collate, teach, without_judgements
 from model.training.loss import batch_loss, by_kind
 from model.training.samples import Sample

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.arti4urdf.structure import StructureArrays, read_structure, structure_arrays
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
@@ -22,6 +21,7 @@ from model.datasets.protocol import GroundTruth
 from model.datasets.registry import recognised
 from model.datasets.splits import training_ids
 from model.evaluation.pool import in_processes
+from model.prediction.arti4urdf.structure import StructureArrays, read_structure, structure_arrays
 from model.training.labels import Labels, label
 
 HELD_OUT = ("Display", "Suitcase", "Pliers", "Kettle", "Oven")

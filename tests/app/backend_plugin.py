@@ -9,7 +9,7 @@ MODULE = """
 import os, time
 from pathlib import Path
 from model.core.errors import GeometryError
-from model.geometric.predictor import GeometricPredictor
+from model.prediction.geometric.predictor import GeometricPredictor
 from model.core.progress import Cancelled, no_progress
 
 LOG = Path(os.environ["MOODY_LOG"])

@@ -9,7 +9,7 @@ import pytest
 
 from app import bench_predict
 from app.cli import main
-from model.predictors import load_predictor
+from model.prediction.registry import load_predictor
 from tests.app.run_cli import artiworld, assert_users_mistake
 
 

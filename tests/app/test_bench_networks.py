@@ -13,8 +13,8 @@ for _name in ("transformers", "accelerate", "peft"):
 from app import bench_networks  # noqa: E402
 from app.bench_networks import NetworksConfig, measure, tables  # noqa: E402
 from app.cli import main  # noqa: E402
-from model.arti4urdf.language_model import DecoderConfig  # noqa: E402
-from model.arti4urdf.point_bert import PointBertConfig  # noqa: E402
+from model.prediction.arti4urdf.language_model import DecoderConfig  # noqa: E402
+from model.prediction.arti4urdf.point_bert import PointBertConfig  # noqa: E402
 from model.segmentation.adapters.point_sam_network import PointSamConfig  # noqa: E402
 from model.training.full_config import FullConfig  # noqa: E402
 

@@ -636,7 +636,7 @@ def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, ca
         def predict(self, segmented, **_):
             return Prediction(None, ("the model said nothing",), backend="silent 1")
 
-    monkeypatch.setattr("model.predictors.load_predictor", lambda name: Silent())
+    monkeypatch.setattr("model.prediction.registry.load_predictor", lambda name: Silent())
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     out = tmp_path / "out"
     for _ in range(2):

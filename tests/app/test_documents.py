@@ -18,7 +18,7 @@ from model.core.articulated_object import Part, SegmentedObject
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.io.assets.reader import load_object
-from model.predictor import Predictor
+from model.prediction.protocol import Predictor
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "static_assets" / "examples"

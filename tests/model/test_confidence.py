@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.confidence import SUREST, doubt, fit, log_odds, weighing_of
 from model.core.errors import InputFileError
-from model.predictors import BUILT_IN
+from model.prediction.confidence import SUREST, doubt, fit, log_odds, weighing_of
+from model.prediction.registry import BUILT_IN
 
 
 def test_the_fit_finds_how_often_it_is_right() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from app.cli import main
-from model import predictors
 from model.core.errors import ConfigurationError
-from model.geometric.predictor import GeometricPredictor
-from model.predictor import Predictor
+from model.prediction import registry as predictors
+from model.prediction.geometric.predictor import GeometricPredictor
+from model.prediction.protocol import Predictor
 
 
 def test_every_name_loads_and_fits_the_port() -> None:

@@ -90,7 +90,7 @@ def load_network(checkpoint: Path, device: str | None = None) -> Any:
         raise ConfigurationError(
             "Point-SAM needs PyTorch and safetensors: pip install torch safetensors"
         ) from error
-    from model.arti4urdf.checkpoints import strict_load
+    from model.prediction.arti4urdf.checkpoints import strict_load
     from model.segmentation.adapters.point_sam_network import PointSamNetwork
 
     state = _read_state(checkpoint)
@@ -104,7 +104,7 @@ def load_network(checkpoint: Path, device: str | None = None) -> Any:
 def _read_state(path: Path) -> dict[str, Any]:
     import torch
 
-    from model.arti4urdf.checkpoints import read_safetensors
+    from model.prediction.arti4urdf.checkpoints import read_safetensors
 
     if path.suffix == ".safetensors":
         return read_safetensors(path)

@@ -6,10 +6,10 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 import torch
 
-from model.arti4urdf.language_model import DecoderConfig
-from model.arti4urdf.network import ArtiModel, ModelConfig
-from model.arti4urdf.point_bert import PointBertConfig
-from model.arti4urdf.vocabulary import SIZE
+from model.prediction.arti4urdf.language_model import DecoderConfig
+from model.prediction.arti4urdf.network import ArtiModel, ModelConfig
+from model.prediction.arti4urdf.point_bert import PointBertConfig
+from model.prediction.arti4urdf.vocabulary import SIZE
 
 
 @pytest.fixture(scope="session")

@@ -7,22 +7,18 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 import torch
 
-from model.arti4urdf import decoding
-from model.arti4urdf.answer import parse_answer
-from model.arti4urdf.decoding import decode
-from model.arti4urdf.network import ArtiModel, feeds_to_tensors
-from model.arti4urdf.predictor import (
-    Arti4UrdfPredictor,
-    HybridSettings,
-    make_prompt,
-)
-from model.arti4urdf.structure import read_structure
-from model.confidence import weighing_of
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.threads import BY_DEFAULT, NAMES, with_threads
 from model.datasets.procedural.generate import make
+from model.prediction.arti4urdf import decoding
+from model.prediction.arti4urdf.answer import parse_answer
+from model.prediction.arti4urdf.decoding import decode
+from model.prediction.arti4urdf.network import ArtiModel, feeds_to_tensors
+from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
+from model.prediction.arti4urdf.structure import read_structure
+from model.prediction.confidence import weighing_of
 
 
 def _parts(family: str, index: int = 0) -> SegmentedObject:

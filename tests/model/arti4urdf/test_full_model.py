@@ -11,7 +11,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra network")
 pytest.importorskip("transformers", reason="needs the extra network")
 
-from model.arti4urdf.full_model import (  # noqa: E402
+from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
+from model.prediction.arti4urdf.full_model import (
     SPECIAL_TOKENS,
     Example,
     FullModel,
@@ -19,9 +20,8 @@ from model.arti4urdf.full_model import (  # noqa: E402
     load_full_model,
     make_full_model,
 )
-from model.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
-from model.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
-from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
+from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
+from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 ANSWER = '<json_start>{"part": "link_0"}<json_end><urdf_start><robot/><urdf_end>'

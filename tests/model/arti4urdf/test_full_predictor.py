@@ -13,14 +13,6 @@ import trimesh
 torch = pytest.importorskip("torch", reason="needs the extra network")
 pytest.importorskip("transformers", reason="needs the extra network")
 
-from model.arti4urdf.answer import write_answer  # noqa: E402
-from model.arti4urdf.full_model import load_full_model, make_full_model  # noqa: E402
-from model.arti4urdf.full_predictor import FullPredictor  # noqa: E402
-from model.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
-from model.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
-from model.arti4urdf.text_engine import Generated, LocalEngine, VllmEngine  # noqa: E402
-from model.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
-from model.arti4urdf.text_script import Author  # noqa: E402
 from model.core.articulated_object import Part, SegmentedObject  # noqa: E402
 from model.core.errors import ArtiworldError, ConfigurationError  # noqa: E402
 from model.core.joint import Joint  # noqa: E402
@@ -28,7 +20,15 @@ from model.core.mesh import Mesh  # noqa: E402
 from model.core.point_cloud import PointCloud  # noqa: E402
 from model.core.progress import Cancelled  # noqa: E402
 from model.core.tree import KinematicTree  # noqa: E402
-from model.predictors import load_predictor  # noqa: E402
+from model.prediction.arti4urdf.answer import write_answer  # noqa: E402
+from model.prediction.arti4urdf.full_model import load_full_model, make_full_model  # noqa: E402
+from model.prediction.arti4urdf.full_predictor import FullPredictor  # noqa: E402
+from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
+from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
+from model.prediction.arti4urdf.text_engine import Generated, LocalEngine, VllmEngine  # noqa: E402
+from model.prediction.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
+from model.prediction.arti4urdf.text_script import Author  # noqa: E402
+from model.prediction.registry import load_predictor  # noqa: E402
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 

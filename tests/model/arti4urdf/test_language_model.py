@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra network")
 
-from model.arti4urdf.language_model import QWEN3, Decoder, DecoderConfig  # noqa: E402
+from model.prediction.arti4urdf.language_model import QWEN3, Decoder, DecoderConfig  # noqa: E402
 
 SMALL = DecoderConfig(97, 64, 160, 3, 4, 2, head_dim=32)
 

@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra network")
 
-from model.arti4urdf.point_bert import (  # noqa: E402
+from model.prediction.arti4urdf.point_bert import (
     NANO,
     POINT_LLM,
     ULIP2,
@@ -18,7 +18,7 @@ from model.arti4urdf.point_bert import (  # noqa: E402
     farthest_points,
     group_points,
 )
-from model.arti4urdf.projector import Projector  # noqa: E402
+from model.prediction.arti4urdf.projector import Projector  # noqa: E402
 
 TINY = PointBertConfig(
     width=24, depth=2, heads=3, groups=12, neighbours=8, encoder_width=20, point_width=8

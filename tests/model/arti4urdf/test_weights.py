@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("torch", reason="torch is not installed")
 
-from model.arti4urdf.vocabulary import SIZE, TOKENS
-from model.arti4urdf.weights import SHIPPED, load_weights, vocabulary_hash
 from model.core.errors import InputFileError
+from model.prediction.arti4urdf.vocabulary import SIZE, TOKENS
+from model.prediction.arti4urdf.weights import SHIPPED, load_weights, vocabulary_hash
 from model.training.probes import (
     both,
     foreign_wholes,

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from model import predictors
 from model.core.articulated_object import Prediction
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.joint import motion
@@ -27,6 +26,7 @@ from model.evaluation.report import (
     score_to_json,
 )
 from model.evaluation.run import EvaluationConfig, evaluate
+from model.prediction import registry as predictors
 
 URDF = """<robot name="made"><link name="base"/>
 <link name="link_0"><visual><geometry><mesh filename="door.obj"/></geometry></visual></link>

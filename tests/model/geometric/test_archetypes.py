@@ -11,7 +11,7 @@ from archetypes import THINGS, Thing
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.joint import Joint
 from model.evaluation.joint_metrics import axis_angle, point_to_line
-from model.geometric.predictor import GeometricPredictor
+from model.prediction.geometric.predictor import GeometricPredictor
 
 PREDICTOR = GeometricPredictor()
 

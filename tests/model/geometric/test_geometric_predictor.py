@@ -15,10 +15,10 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.datasets.procedural.generate import make
-from model.geometric.mechanisms import BUILDERS
-from model.geometric.predictor import GeometricPredictor
-from model.predictor import Predictor
-from model.predictors import load_predictor
+from model.prediction.geometric.mechanisms import BUILDERS
+from model.prediction.geometric.predictor import GeometricPredictor
+from model.prediction.protocol import Predictor
+from model.prediction.registry import load_predictor
 
 PREDICTOR = GeometricPredictor()
 

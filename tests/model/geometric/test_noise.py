@@ -9,9 +9,9 @@ from scipy.spatial import KDTree
 from model.core.articulated_object import Part
 from model.core.point_cloud import PointCloud
 from model.datasets.procedural_set import ProceduralSet
-from model.geometric.denoising import denoised
-from model.geometric.predictor import GeometricPredictor
-from model.geometric.surface import Noise, cloud_normals, part_surface, strays
+from model.prediction.geometric.denoising import denoised
+from model.prediction.geometric.predictor import GeometricPredictor
+from model.prediction.geometric.surface import Noise, cloud_normals, part_surface, strays
 
 
 def _box(size, count: int = 1024) -> np.ndarray:

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.mesh import Mesh
-from model.geometric.outline import roundness
-from model.geometric.scene import make_scene
-from model.geometric.shape import fit_box, rotation
-from model.geometric.sweep import free_range
+from model.prediction.geometric.assembly import make_scene
+from model.prediction.geometric.outline import roundness
+from model.prediction.geometric.shape import fit_box, rotation
+from model.prediction.geometric.sweep import free_range
 
 
 def part(link: str, mesh) -> Part:

@@ -7,7 +7,7 @@ import pytest
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint
 from model.datasets.procedural.generate import make
-from model.geometric.predictor import GeometricPredictor
+from model.prediction.geometric.predictor import GeometricPredictor
 
 PREDICTOR = GeometricPredictor()
 

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from model.geometric.mechanisms import BUILDERS
-from model.geometric.motion_words import CATEGORY_WORDS, MECHANISMS, SLIDING, TURNING, WORDS
-from model.geometric.vocabulary import (
+from model.prediction.geometric.mechanisms import BUILDERS
+from model.prediction.geometric.motion_lexicon import (
+    CATEGORY_WORDS,
+    MECHANISMS,
+    SLIDING,
+    TURNING,
+    WORDS,
+)
+from model.prediction.geometric.vocabulary import (
     base_score,
     category_key,
     category_remark,

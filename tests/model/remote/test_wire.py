@@ -20,7 +20,7 @@ from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.remote.wire import (
+from model.prediction.remote.wire import (
     RequestError,
     decode_answer,
     decode_request,

@@ -243,7 +243,7 @@ def test_counting_the_questions_needs_no_key(
 def test_a_local_qwen3_always_writes_valid_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from model.arti4urdf.json_writer import JsonWriter, load_json_writer
+    from model.prediction.arti4urdf.json_writer import JsonWriter, load_json_writer
     from model.scenes.language_finder import SYSTEM
 
     choose = JsonWriter._choose

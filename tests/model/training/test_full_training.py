@@ -15,16 +15,16 @@ for _name in ("transformers", "accelerate"):
     pytest.importorskip(_name, reason="needs the extra train")
 
 from app.cli import main  # noqa: E402
-from model.arti4urdf.answer import JSON_END, parse_answer, write_answer  # noqa: E402
-from model.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
-from model.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
-from model.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
-from model.arti4urdf.text_script import Author  # noqa: E402
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
 from model.datasets.procedural.generate import GenerateSettings, generate  # noqa: E402
 from model.datasets.registry import recognised  # noqa: E402
 from model.datasets.splits import training_ids  # noqa: E402
-from model.predictors import load_predictor  # noqa: E402
+from model.prediction.arti4urdf.answer import JSON_END, parse_answer, write_answer  # noqa: E402
+from model.prediction.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
+from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
+from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
+from model.prediction.arti4urdf.text_script import Author  # noqa: E402
+from model.prediction.registry import load_predictor  # noqa: E402
 from model.training.full_config import (  # noqa: E402
     FullConfig,
     check_size,

@@ -11,18 +11,18 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 import torch
 
-from model.arti4urdf.answer import joints_of_decision
-from model.arti4urdf.grammar import Grammar
-from model.arti4urdf.language_model import DecoderConfig
-from model.arti4urdf.network import ModelConfig
-from model.arti4urdf.point_bert import PointBertConfig
-from model.arti4urdf.predictor import make_prompt
-from model.arti4urdf.structure import read_structure, structure_arrays
-from model.arti4urdf.vocabulary import SIZE, TYPES
-from model.arti4urdf.weights import load_weights
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.evaluation.joint_metrics import score_object
-from model.geometric.predictor import assemble
+from model.prediction.arti4urdf.answer import joints_of_decision
+from model.prediction.arti4urdf.grammar import Grammar
+from model.prediction.arti4urdf.language_model import DecoderConfig
+from model.prediction.arti4urdf.network import ModelConfig
+from model.prediction.arti4urdf.point_bert import PointBertConfig
+from model.prediction.arti4urdf.predictor import make_prompt
+from model.prediction.arti4urdf.structure import read_structure, structure_arrays
+from model.prediction.arti4urdf.vocabulary import SIZE, TYPES
+from model.prediction.arti4urdf.weights import load_weights
+from model.prediction.geometric.predictor import assemble
 from model.training import batches
 from model.training.batches import Augmentation, augmented, collate, teach
 from model.training.config import TrainingConfig
@@ -132,7 +132,7 @@ def test_turning_back_and_reflecting_twice_change_nothing() -> None:
 
 
 def test_learning_lowers_the_loss(samples: list[Sample]) -> None:
-    from model.arti4urdf.network import ArtiModel
+    from model.prediction.arti4urdf.network import ArtiModel
 
     torch.manual_seed(0)
     model = ArtiModel(TINY.model)
@@ -205,8 +205,8 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run that was stopped goes on; what is written can be read."""
-    from model.confidence import weighing_of
     from model.datasets.procedural.generate import family_names
+    from model.prediction.confidence import weighing_of
     from model.training import confidence
 
     def made(predictors: tuple[str, ...], object_id: str) -> list[confidence.JointRow]:

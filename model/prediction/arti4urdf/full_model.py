@@ -1,0 +1,361 @@
+"""The paper-size Arti4URDF: ULIP-2's Point-BERT, two adapters and Qwen3 by transformers.
+
+Source: ArtiWorld (CVPR 2026), Arti4URDF: the global feature and the parts' features stand among the
+words of the prompt, and the language model is trained on the answer's tokens. Clouds take the place
+of the placeholder words ``<g>`` and ``<p>``, in the order in which they stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from tokenizers import AddedToken, Tokenizer
+from torch import Tensor, nn
+from torch.nn import functional
+
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.installing import install_command
+from model.prediction.arti4urdf.checkpoints import (
+    from_config,
+    load_checkpoint,
+    save_checkpoint,
+    strict_load,
+)
+from model.prediction.arti4urdf.language_model import grown_rows
+from model.prediction.arti4urdf.point_bert import Groups, PointBert, PointBertConfig, group_points
+from model.prediction.arti4urdf.projector import Projector
+from model.prediction.arti4urdf.published_weights import (
+    TOKENIZER_FILE,
+    load_point_bert,
+    load_tokenizer,
+    read_qwen3_config,
+)
+
+GLOBAL, PART = "<g>", "<p>"
+SPECIAL_TOKENS = (
+    "<g_start>", "<g_end>", "<p_start>", "<p_end>", "<json_start>", "<json_end>", "<urdf_start>",
+    "<urdf_end>", GLOBAL, PART,
+)  # fmt: skip
+END_OF_TURN = "<|im_end|>"
+IGNORED = -100
+_ATTENTION_AND_MLP = [
+    "q_proj", "k_proj", "v_proj", "o_proj", "gate_proj", "up_proj", "down_proj",
+]  # fmt: skip
+LANGUAGE, GEOMETRY = "language_model", "geometry"
+"""Folders inside of a saved model."""
+
+
+@dataclass(frozen=True)
+class LoraSettings:
+    """Low-rank adapters instead of training every weight of the language model.
+
+    Attributes:
+        rank: of the update.
+        alpha: its scale is ``alpha / rank``.
+        dropout: before the update, in training.
+    """
+
+    rank: int = 16
+    alpha: int = 32
+    dropout: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """One object as the model reads it.
+
+    Attributes:
+        prompt: with one ``<g>`` and a ``<p>`` for each part.
+        cloud: (N, 6) of the whole object, normalised, see PAPER: Preprocessing.
+        parts: (P, N, 6) of each part, normalised on its own, in the prompt's order.
+        answer: what is to be said; "" where it is to be found.
+    """
+
+    prompt: str
+    cloud: Tensor
+    parts: Tensor
+    answer: str = ""
+
+
+class FullModel(nn.Module):
+    """Clouds and words in, words out.
+
+    Args:
+        encoder: Point-BERT; stays as it is unless ``train_encoder``.
+        language_model: a causal language model of transformers, or peft's wrapper of one.
+        tokenizer: knows :data:`SPECIAL_TOKENS`.
+    """
+
+    def __init__(
+        self,
+        encoder: PointBert,
+        language_model: Any,
+        tokenizer: Tokenizer,
+        *,
+        train_encoder: bool = False,
+    ) -> None:
+        super().__init__()
+        self.tokenizer = tokenizer
+        self.encoder = encoder
+        self.language_model = language_model
+        width = language_model.config.hidden_size
+        self.global_adapter = Projector(encoder.config.output_width, width)
+        self.part_adapter = Projector(encoder.config.output_width, width)
+        self.train_encoder = train_encoder
+        encoder.requires_grad_(train_encoder)
+        self._slots = {name: self._id(name) for name in (GLOBAL, PART)}
+        self.end = self._id(END_OF_TURN)
+
+    def _id(self, token: str) -> int:
+        found = self.tokenizer.token_to_id(token)
+        if found is None:
+            raise ConfigurationError(f"the tokenizer doesn't know {token}; add it first")
+        return found
+
+    @property
+    def device(self) -> torch.device:
+        """Where the model computes."""
+        return self.global_adapter.fc1.weight.device
+
+    def train(self, mode: bool = True) -> FullModel:
+        """As ever, but a frozen encoder keeps its running statistics and drops no path."""
+        super().train(mode)
+        self.encoder.train(mode and self.train_encoder)
+        return self
+
+    def geometry(self, clouds: Tensor) -> Tensor:
+        """(B, N, 6) clouds → (B, output_width) features in the adapters' type."""
+        clouds = clouds.to(self.device, torch.float32)
+        gradients = self.train_encoder and torch.is_grad_enabled()
+        # As precise in training as in use.
+        with torch.autocast(self.device.type, enabled=False), torch.set_grad_enabled(gradients):
+            groups = group_points(clouds, self.encoder.config)
+            weight = self.encoder.norm.weight
+            features = self.encoder(Groups(*(part.to(weight.dtype) for part in groups)))
+        return features.to(self.global_adapter.fc1.weight.dtype)
+
+    def embed(self, examples: Sequence[Example]) -> tuple[Tensor, Tensor, Tensor]:
+        """Prompts and answers as embeddings, padded at the right.
+
+        Returns:
+            (B, T, D) embeddings, (B, T) int64 mask, (B, T) labels: the answers' tokens, elsewhere
+            :data:`IGNORED`.
+
+        Raises:
+            ConfigurationError: where a prompt's placeholders don't agree with its clouds.
+        """
+        rows = [self._tokens(example) for example in examples]
+        longest = max(len(ids) for ids, _ in rows)
+        ids = torch.full((len(rows), longest), self.end)
+        mask, labels = torch.zeros_like(ids), torch.full_like(ids, IGNORED)
+        for row, (tokens, prompt) in enumerate(rows):
+            ids[row, : len(tokens)] = torch.tensor(tokens)
+            mask[row, : len(tokens)] = 1
+            labels[row, prompt : len(tokens)] = ids[row, prompt : len(tokens)]
+        ids, mask, labels = (t.to(self.device) for t in (ids, mask, labels))
+        embeds = self.language_model.get_input_embeddings()(ids)
+        wholes = torch.stack([e.cloud for e in examples])
+        parts = torch.cat([e.parts for e in examples])
+        # Farthest points come one after the other: all clouds together take as long as one.
+        features = self.geometry(torch.cat([wholes, parts])).split([len(wholes), len(parts)])
+        for slot, adapter, feature in (
+            (GLOBAL, self.global_adapter, features[0]),
+            (PART, self.part_adapter, features[1]),
+        ):
+            tokens = adapter(feature).to(embeds.dtype)
+            where = ((ids == self._slots[slot]) & (mask == 1))[..., None]
+            # Boolean order is row by row, the order in which clouds were joined.
+            embeds = embeds.masked_scatter(where, tokens)
+        return embeds, mask, labels
+
+    def _tokens(self, example: Example) -> tuple[list[int], int]:
+        """Ids of prompt and answer, and how many belong to the prompt."""
+        prompt = self.tokenizer.encode(example.prompt, add_special_tokens=False).ids
+        for slot, clouds in ((GLOBAL, 1), (PART, len(example.parts))):
+            found = prompt.count(self._slots[slot])
+            if found != clouds:
+                raise ConfigurationError(f"the prompt has {found} {slot} for {clouds} clouds")
+        if not example.answer:
+            return prompt, len(prompt)
+        answer = self.tokenizer.encode(example.answer, add_special_tokens=False).ids
+        if set(answer) & set(self._slots.values()):
+            raise ConfigurationError(f"an answer must not hold {GLOBAL} or {PART}")
+        return [*prompt, *answer, self.end], len(prompt)
+
+    def forward(self, examples: Sequence[Example]) -> Tensor:
+        """Mean cross-entropy of the answers' tokens (the paper's loss)."""
+        embeds, mask, labels = self.embed(examples)
+        # Of the prompt no word is to be predicted, and a row of logits has 151,936 numbers.
+        first = int((labels != IGNORED).any(0).nonzero()[0])
+        answer = self.language_model(
+            inputs_embeds=embeds,
+            attention_mask=mask,
+            use_cache=False,
+            logits_to_keep=labels.shape[1] - first + 1,
+        )
+        logits = answer.logits[:, :-1].float()
+        return functional.cross_entropy(
+            logits.flatten(0, 1), labels[:, first:].flatten(), ignore_index=IGNORED
+        )
+
+    @torch.no_grad()
+    def prompt_embeddings(self, example: Example) -> Tensor:
+        """(T, D) embeddings of a prompt, for an engine that generates."""
+        embeds, _, _ = self.embed([Example(example.prompt, example.cloud, example.parts)])
+        return embeds[0]
+
+    def use_gradient_checkpointing(self) -> None:
+        """Trade time for memory in training."""
+        self.language_model.gradient_checkpointing_enable({"use_reentrant": False})
+
+    def trained_parameters(self) -> Iterator[nn.Parameter]:
+        """What an optimiser should hold."""
+        return (parameter for parameter in self.parameters() if parameter.requires_grad)
+
+    def save(self, folder: Path) -> None:
+        """Write a folder that :func:`load_full_model` reads; LoRA is merged into a copy first.
+
+        ``language_model`` inside is a Qwen3 folder that any other program can load.
+        """
+        language, head = folder / LANGUAGE, self.language_model
+        if hasattr(head, "merge_and_unload"):
+            from copy import deepcopy
+
+            head = deepcopy(head).merge_and_unload()
+        head.save_pretrained(language)
+        self.tokenizer.save(str(language / TOKENIZER_FILE))
+        state = {
+            f"{name}.{key}": value
+            for name in ("encoder", "global_adapter", "part_adapter")
+            for key, value in getattr(self, name).state_dict().items()
+        }
+        # Written last: with it the folder is whole.
+        config = {"kind": "full", "point_bert": asdict(self.encoder.config)}
+        save_checkpoint(folder / GEOMETRY, config, state, dtype=torch.float32)
+
+
+def make_full_model(
+    ulip2: Path,
+    qwen3: Path,
+    *,
+    dtype: torch.dtype = torch.bfloat16,
+    lora: LoraSettings | None = None,
+    train_encoder: bool = False,
+) -> FullModel:
+    """A model to be trained, from published weights on disk; nothing is downloaded.
+
+    Raises:
+        InputFileError: where weights are absent or don't fit.
+        ConfigurationError: where LoRA is asked for and peft isn't installed.
+    """
+    read_qwen3_config(qwen3)
+    encoder = load_point_bert(ulip2)
+    tokenizer = load_tokenizer(qwen3)
+    language_model = _load_language_model(qwen3, dtype)
+    known = min(tokenizer.get_vocab_size(), language_model.config.vocab_size)
+    tokenizer.add_special_tokens([AddedToken(t, special=True) for t in SPECIAL_TOKENS])
+    _grow_vocabulary(language_model, known, tokenizer.get_vocab_size())
+    if lora is not None:
+        language_model = _with_lora(language_model, lora, tokenizer)
+    model = FullModel(encoder, language_model, tokenizer, train_encoder=train_encoder)
+    model.global_adapter.to(dtype)
+    model.part_adapter.to(dtype)
+    return model
+
+
+class _Words(nn.Module):
+    """The embedding table alone, where an engine of its own holds the language model."""
+
+    def __init__(self, table: nn.Embedding) -> None:
+        super().__init__()
+        self.table = table
+        self.config = SimpleNamespace(hidden_size=table.embedding_dim)
+
+    def get_input_embeddings(self) -> nn.Embedding:
+        return self.table
+
+
+def load_full_model(
+    folder: Path, *, dtype: torch.dtype = torch.bfloat16, words: nn.Embedding | None = None
+) -> FullModel:
+    """Read what :meth:`FullModel.save` wrote, in evaluation mode.
+
+    Args:
+        folder: of the model.
+        dtype: of all but the encoder.
+        words: the embedding table, where prompts are all that is wanted: the language model is
+            then not loaded.
+
+    Raises:
+        InputFileError: where something is absent, damaged or doesn't fit.
+    """
+    geometry = load_checkpoint(folder / GEOMETRY)
+    if geometry.config.get("kind") != "full":
+        raise InputFileError(geometry.folder, "is no checkpoint of the full model")
+    bert = from_config(PointBertConfig, geometry.config.get("point_bert"), geometry.folder)
+    language = folder / LANGUAGE
+    language_model = _load_language_model(language, dtype) if words is None else _Words(words)
+    model = FullModel(PointBert(bert), language_model, load_tokenizer(language))
+    pieces = nn.ModuleDict(
+        {name: getattr(model, name) for name in ("encoder", "global_adapter", "part_adapter")}
+    )
+    strict_load(pieces, geometry.state, geometry.folder)
+    model.global_adapter.to(dtype)
+    model.part_adapter.to(dtype)
+    return model.eval()
+
+
+def _load_language_model(folder: Path, dtype: torch.dtype) -> Any:
+    """Qwen3 by transformers; unlike there, a missing weight is an error."""
+    from transformers import Qwen3ForCausalLM
+
+    read_qwen3_config(folder)
+    try:
+        loaded: Any = Qwen3ForCausalLM.from_pretrained(
+            folder, local_files_only=True, dtype=dtype, output_loading_info=True
+        )
+    except (OSError, ValueError, RuntimeError, TypeError, KeyError) as error:
+        first = str(error).strip().splitlines()[:1] or [type(error).__name__]
+        raise InputFileError(folder, f"can't be loaded ({first[0][:200]})") from error
+    model, report = loaded
+    for kind in ("missing_keys", "unexpected_keys", "mismatched_keys", "error_msgs"):
+        found = sorted(str(key) for key in report.get(kind) or ())
+        if found:
+            raise InputFileError(folder, f"{kind.replace('_', ' ')}: {', '.join(found[:4])}")
+    return model
+
+
+def _grow_vocabulary(language_model: Any, known: int, size: int) -> None:
+    """Rows for ``size`` tokens at least; those from ``known`` on become the mean embedding."""
+    if size > language_model.config.vocab_size:
+        language_model.resize_token_embeddings(size, mean_resizing=False)
+    tables = {id(t.weight): t.weight for t in (
+        language_model.get_input_embeddings(), language_model.get_output_embeddings()
+    )}  # fmt: skip
+    with torch.no_grad():
+        for table in tables.values():
+            table.copy_(grown_rows(table, len(table), known))
+
+
+def _with_lora(language_model: Any, settings: LoraSettings, tokenizer: Tokenizer) -> Any:
+    try:
+        from peft import LoraConfig, get_peft_model
+    except ImportError as error:
+        how = install_command("artiworld[train]")
+        raise ConfigurationError(f"LoRA needs peft: {how}") from error
+    new_words = [i for t in SPECIAL_TOKENS if (i := tokenizer.token_to_id(t)) is not None]
+    config = LoraConfig(
+        r=settings.rank,
+        lora_alpha=settings.alpha,
+        lora_dropout=settings.dropout,
+        target_modules=_ATTENTION_AND_MLP,
+        # The new words mean nothing yet, so their embeddings are trained as a whole.
+        trainable_token_indices=new_words,
+        task_type="CAUSAL_LM",
+    )
+    return get_peft_model(language_model, config)

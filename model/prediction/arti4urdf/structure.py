@@ -1,0 +1,384 @@
+"""The structure prompt: what geometry offers to the language model about each part.
+
+For every part the geometric builders propose the joints that each mechanism could have there. The
+language model reads where these candidates lie, how parts touch and what they look like, and
+chooses; the numbers of the URDF follow from the choice (the paper's "potential motion axes").
+All lengths are in the working frame of :mod:`model.prediction.geometric.assembly` (diagonal 1, +z up).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.articulated_object import SegmentedObject
+from model.core.progress import Progress, no_progress
+from model.prediction.geometric.assembly import SAMPLE_BUDGET, Scene, make_scene
+from model.prediction.geometric.context import Assembly, PartContext
+from model.prediction.geometric.hypothesis import Hypothesis
+from model.prediction.geometric.mechanisms import BUILDERS, SWEPT, find_front
+from model.prediction.geometric.motion_lexicon import MECHANISMS as ALL_MECHANISMS
+from model.prediction.geometric.motion_lexicon import Mechanism
+from model.prediction.geometric.motion_scores import motion_scores
+from model.prediction.geometric.part_features import Looks, look
+from model.prediction.geometric.roles import guess_mechanisms
+from model.prediction.geometric.shape import rotation
+from model.prediction.geometric.tree import root_scores, spanning_parents
+from model.prediction.geometric.vocabulary import mechanism_of
+
+Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+
+MECHANISMS: tuple[Mechanism, ...] = tuple(m for m in ALL_MECHANISMS if m != "fixed")
+RANKS = 2
+SLOTS = len(MECHANISMS) * RANKS
+"""Candidates a part: the best ``RANKS`` of each mechanism; slot = mechanism * RANKS + rank."""
+POINTS = 512
+"""Points of each part (and of the whole object) for Point-BERT."""
+
+CANDIDATE_SCALARS = 7
+CANDIDATE_VECTORS = 2
+VECTORS = 5
+SIZES, LOOKS = 17, 35
+SCALARS = SIZES + LOOKS + 2 * len(MECHANISMS) + 2
+"""Numbers of a part: sizes and place, looks, a score a mechanism, what the name says."""
+FIRST_LOOK = 15
+"""Numbers from here on are judgements of the geometric rules."""
+NAME_SAYS = SCALARS - len(MECHANISMS) - 2
+"""Numbers from here on are what the name says; the last, that it says nothing."""
+AREA_ROOT = 12
+"""Which of them is the square root of the area."""
+RELATIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class StructureArrays:
+    """The structure prompt as numbers, working frame.
+
+    Attributes:
+        points: (P, POINTS, 3) of each part.
+        scalars: (P, S) sizes, looks, scores of the mechanisms, what the name says.
+        box: (P, 6) centre and half extents along the working axes.
+        vectors: (P, VECTORS, 3) free direction, way out, contact, handle, panel normal.
+        candidate_scalars: (P, SLOTS, CANDIDATE_SCALARS); the first says whether it is there.
+        candidate_vectors: (P, SLOTS, CANDIDATE_VECTORS, 3): axis; nearest point of its line to the
+            part's centre, less the centre.
+        relations: (P, P, RELATIONS) of part i (row) to part j: gap, sizes, who is above.
+        parents: (P,) parent by geometry, -1 for the root.
+    """
+
+    points: Floats
+    scalars: Floats
+    box: Floats
+    vectors: Floats
+    candidate_scalars: Floats
+    candidate_vectors: Floats
+    relations: Floats
+    parents: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def turned(self, quarter: int, mirrored: bool) -> StructureArrays:
+        """The same object after quarter turns about +z and a reflection of x.
+
+        Rotation axes are pseudo-vectors: a reflection turns them the other way.
+        """
+        m = rotation(np.array([0.0, 0.0, 1.0]), quarter * np.pi / 2)
+        if mirrored:
+            m = m @ np.diag([-1.0, 1.0, 1.0])
+        m = m.astype(np.float32)
+        vectors = self.candidate_vectors @ m.T
+        if mirrored:
+            rotates = self.candidate_scalars[..., 6] > 0
+            vectors = vectors.copy()
+            vectors[..., 0, :] *= np.where(rotates, -1.0, 1.0)[..., None]
+        box = np.concatenate([self.box[:, :3] @ m.T, self.box[:, 3:] @ np.abs(m).T], 1)
+        return StructureArrays(
+            self.points @ m.T,
+            self.scalars,
+            box.astype(np.float32),
+            self.vectors @ m.T,
+            self.candidate_scalars,
+            vectors.astype(np.float32),
+            self.relations,
+            self.parents,
+        )
+
+    def ordered(self, order: npt.NDArray[np.int64]) -> StructureArrays:
+        """The same with part ``order[k]`` in place k."""
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        parents = self.parents[order]
+        return StructureArrays(
+            self.points[order],
+            self.scalars[order],
+            self.box[order],
+            self.vectors[order],
+            self.candidate_scalars[order],
+            self.candidate_vectors[order],
+            self.relations[np.ix_(order, order)],
+            np.where(parents >= 0, place[parents], -1),
+        )
+
+
+@dataclass(eq=False)
+class Structure:
+    """The candidates of one object.
+
+    Attributes:
+        scene: the parts in the working frame.
+        assembly: with the tree that geometry alone would give.
+        slots: per part the hypotheses by slot, None where a mechanism has none.
+    """
+
+    scene: Scene
+    assembly: Assembly
+    slots: list[list[Hypothesis | None]]
+    contexts: list[PartContext]
+    _offered: dict[tuple[int, int], Hypothesis] = field(default_factory=dict)
+
+    @cached_property
+    def looks(self) -> list[Looks | None]:
+        """Cues of each part; None for the only part of an object."""
+        return [look(c) if len(self.scene) > 1 else None for c in self.contexts]
+
+    def offered(self, part: int, slot: int) -> Hypothesis | None:
+        """The candidate with its limits from the motion sweep, where its mechanism has that."""
+        key = (part, slot)
+        if key not in self._offered:
+            found = self.slots[part][slot]
+            if found is None:
+                return None
+            sweep = SWEPT.get(MECHANISMS[slot // RANKS])
+            if sweep is not None:
+                found = sweep(self.contexts[part], found)
+            self._offered[key] = found
+        return self._offered[key]
+
+
+def read_structure(
+    segmented: SegmentedObject,
+    seed: int = 0,
+    *,
+    budget: int = SAMPLE_BUDGET,
+    progress: Progress = no_progress,
+) -> Structure:
+    """Find the candidates of every part.
+
+    Args:
+        segmented: the parts; names are used where they are there.
+        seed: of the surface samples.
+        budget: surface points of all parts together.
+        progress: told of each part.
+    """
+    scene = make_scene(segmented, seed, budget=budget)
+    scores = root_scores(scene)
+    root = int(np.argmax(scores))
+    parent = spanning_parents(scene, root)
+    assembly = Assembly(scene, root, parent)
+    mechanisms, _, _ = guess_mechanisms(assembly)
+    assembly.front, assembly.front_certainty = find_front(assembly, mechanisms)
+    contexts = [PartContext(_as_child(assembly, scores, i), i) for i in range(len(scene))]
+    slots: list[list[Hypothesis | None]] = []
+    for i, context in enumerate(contexts):
+        progress(i / len(contexts), f"motions of {scene.shapes[i].link}")
+        slots.append(_slots(context) if len(scene) > 1 else [None] * SLOTS)
+    return Structure(scene, assembly, slots, contexts)
+
+
+def _as_child(assembly: Assembly, scores: Array, part: int) -> Assembly:
+    """The assembly in which ``part`` hangs on something, the root on the next likely base."""
+    if assembly.parent[part] >= 0 or len(assembly.scene) == 1:
+        return assembly
+    others = [j for j in range(len(scores)) if j != part]
+    parent = list(assembly.parent)
+    base = max(others, key=lambda j: scores[j])
+    parent[part], parent[base] = base, -1
+    return Assembly(assembly.scene, base, parent, assembly.front, assembly.front_certainty)
+
+
+FARTHEST = 2.0
+"""Axes farther from the part (diagonals) are no motion of it."""
+
+
+def _slots(context: PartContext) -> list[Hypothesis | None]:
+    out: list[Hypothesis | None] = []
+    center = context.shape.center
+    for mechanism in MECHANISMS:
+        near = [h for h in BUILDERS[mechanism](context) if _sound(h, center)]
+        found = sorted(near, key=lambda h: -h.score)[:RANKS]
+        out += [*found, *[None] * (RANKS - len(found))]
+    return out
+
+
+def _sound(h: Hypothesis, center: Array) -> bool:
+    # In plain numbers: numpy takes ten times as long for three of them.
+    a, b, c = (float(v) for v in h.axis)
+    x, y, z = (float(v) for v in h.origin - center)
+    off = math.hypot(b * z - c * y, c * x - a * z, a * y - b * x)
+    return all(map(math.isfinite, (off, h.lower, h.upper, h.score))) and off < FARTHEST
+
+
+def structure_arrays(structure: Structure, rng: np.random.Generator) -> StructureArrays:
+    """The structure prompt as numbers; ``rng`` draws the points."""
+    scene = structure.scene
+    n = len(scene)
+    looks = structure.looks
+    known = {i: k for i, k in enumerate(looks) if k is not None}
+    scores = root_scores(scene)
+    rows = [
+        _scalars(structure.contexts[i], looks[i], known, float(scores[i] - scores.max()))
+        for i in range(n)
+    ]
+    candidates = [_candidates(structure.slots[i], scene.shapes[i].center) for i in range(n)]
+    box = [
+        np.concatenate([(s.low + s.high) / 2, np.maximum((s.high - s.low) / 2, 1e-4)])
+        for s in scene.shapes
+    ]
+    return StructureArrays(
+        np.stack([_drawn(s.points, POINTS, rng) for s in scene.shapes]).astype(np.float32),
+        np.clip(np.array(rows), -8, 8).astype(np.float32),
+        np.array(box, np.float32),
+        np.stack([_vectors(c, k) for c, k in zip(structure.contexts, looks, strict=True)]),
+        np.stack([c[0] for c in candidates]),
+        np.stack([c[1] for c in candidates]),
+        _relations(structure, scores),
+        np.array(structure.assembly.parent, np.int64),
+    )
+
+
+def _drawn(points: Array, count: int, rng: np.random.Generator) -> Array:
+    if not len(points):
+        return np.zeros((count, 3))
+    return points[rng.choice(len(points), count, replace=len(points) < count)]
+
+
+def _scalars(
+    context: PartContext, k: Looks | None, others: dict[int, Looks], root_score: float
+) -> list[float]:
+    shape, scene = context.shape, context.scene
+    half = np.sort(shape.box.half)
+    out = [
+        root_score,
+        len(scene) / 10,
+        float(scene.scanned),
+        10 * shape.noise,
+        *(4 * half),
+        *np.log(np.maximum(half, 1e-4)),
+        shape.thinness,
+        shape.slenderness,
+        float(np.sqrt(max(shape.area, 0.0))),
+        float(shape.low[2] - scene.low[2]),
+        float(scene.high[2] - shape.high[2]),
+        float(context.assembly.root == context.part),
+        context.assembly.front_certainty,
+    ]
+    out += _look_scalars(context, k)
+    scored = motion_scores(context, k, others) if k is not None else {}
+    out += [scored.get(m, -2.0) for m in MECHANISMS]
+    said, _ = mechanism_of(shape.name, scene.category)
+    out += [float(said == m) for m in (*MECHANISMS, "fixed")] + [float(said is None)]
+    return out
+
+
+def _look_scalars(context: PartContext, k: Looks | None) -> list[float]:
+    if k is None:
+        return [0.0] * LOOKS
+    shape = context.shape
+    around = [r.spread for r in shape.roundnesses[:3]]
+    handle = context.handle
+    return [
+        k.relative,
+        k.size,
+        float(k.disc is not None),
+        k.disc.radius if k.disc is not None else 0.0,
+        k.flat,
+        k.axis_up,
+        float(k.ball),
+        k.height,
+        float(k.grounded),
+        k.top,
+        k.bottom,
+        k.sides,
+        k.walls / 6,
+        k.exposed,
+        k.backed,
+        k.way_out,
+        k.depth,
+        *k.face,
+        k.fill,
+        k.normal_up,
+        k.aligned,
+        k.end_contact,
+        *np.clip(k.contact_spread, 0, 2),
+        k.twins / 4,
+        3 * k.on_top,
+        *[5 * s for s in (*around, 1.0, 1.0, 1.0)[:3]],
+        float(context.touching),
+        float(context.closed),
+        handle.strength if handle is not None else 0.0,
+        handle.share if handle is not None else 0.0,
+    ]
+
+
+def _vectors(context: PartContext, k: Looks | None) -> Floats:
+    out = np.zeros((VECTORS, 3), np.float32)
+    if k is None:
+        return out
+    shape = context.shape
+    out[0], out[1] = k.outward, k.exit
+    out[2] = context.contact_center - shape.center
+    handle = context.handle
+    if handle is not None:
+        out[3] = shape.box.axes @ handle.center
+    out[4] = context.panel_normal
+    return out
+
+
+def _candidates(slots: list[Hypothesis | None], center: Array) -> tuple[Floats, Floats]:
+    scalars = np.zeros((SLOTS, CANDIDATE_SCALARS), np.float32)
+    vectors = np.zeros((SLOTS, CANDIDATE_VECTORS, 3), np.float32)
+    for k, h in enumerate(slots):
+        if h is None:
+            continue
+        rotates = h.type in ("revolute", "continuous")
+        # Of a slide only the direction counts.
+        arm = (h.origin - center) - h.axis * float((h.origin - center) @ h.axis)
+        best = slots[k - k % RANKS]
+        assert best is not None
+        scalars[k] = (
+            1.0,
+            np.clip(h.score - best.score, -4, 0),
+            np.clip(h.score, -4, 4) / 2,
+            np.clip(h.lower, -4, 4),
+            np.clip(h.upper, -4, 4),
+            float(np.linalg.norm(arm)) if rotates else 0.0,
+            float(rotates),
+        )
+        vectors[k, 0] = h.axis
+        vectors[k, 1] = arm if rotates else 0.0
+    return scalars, vectors
+
+
+def _relations(structure: Structure, scores: Array) -> Floats:
+    scene = structure.scene
+    n = len(scene)
+    size = np.array([s.size for s in scene.shapes])
+    center = np.stack([s.center for s in scene.shapes])
+    parent = np.array(structure.assembly.parent)
+    out = np.zeros((n, n, RELATIONS), np.float32)
+    gap = np.minimum(scene.gap, 1.0)
+    out[..., 0] = np.exp(-gap / 0.01)
+    out[..., 1] = np.sqrt(gap)
+    out[..., 2] = parent[:, None] == np.arange(n)[None]
+    out[..., 3] = parent[None] == np.arange(n)[:, None]
+    out[..., 4] = np.tanh(np.log(np.maximum(size[:, None], 1e-4) / np.maximum(size[None], 1e-4)))
+    out[..., 5] = np.tanh(5 * (center[:, None, 2] - center[None, :, 2]))
+    out[..., 6] = np.tanh(scores[:, None] - scores[None])
+    out[..., 7] = np.eye(n)
+    return out

@@ -1,0 +1,164 @@
+"""Engines that continue a prompt given as embeddings: our own decoder, and vLLM."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from tokenizers import Tokenizer
+from torch import Tensor
+
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
+from model.core.progress import Progress, no_progress
+from model.prediction.arti4urdf.language_model import Decoder
+from model.prediction.arti4urdf.text_script import Author
+from model.prediction.arti4urdf.text_writing import Vocabulary, Written, write
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A continuation.
+
+    Attributes:
+        text: special tokens included, the end left out.
+        log_probability: mean over its tokens.
+        complete: it ended by itself, not at the limit.
+    """
+
+    text: str
+    log_probability: float
+    complete: bool
+
+
+class TextEngine(Protocol):
+    """Continues a prompt."""
+
+    def generate(
+        self,
+        prompt: Tensor,
+        *,
+        max_tokens: int,
+        temperature: float = 0.0,
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> Generated:
+        """Continue ``prompt`` (T, D); temperature 0 takes the likeliest token each time."""
+        ...
+
+
+class LocalEngine:
+    """Our decoder with its cache, on whatever device its weights are.
+
+    Args:
+        decoder: of a Qwen3 folder.
+        tokenizer: of the same folder.
+        end: id of the token that ends an answer.
+    """
+
+    def __init__(self, decoder: Decoder, tokenizer: Tokenizer, end: int) -> None:
+        self._decoder, self._tokenizer, self._end = decoder, tokenizer, end
+
+    @torch.inference_mode()
+    def generate(
+        self,
+        prompt: Tensor,
+        *,
+        max_tokens: int,
+        temperature: float = 0.0,
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> Generated:
+        """As :meth:`TextEngine.generate`."""
+        decoder = self._decoder
+        weight = decoder.model.norm.weight
+        generator = torch.Generator().manual_seed(seed)
+        cache = decoder.new_cache(1, capacity=len(prompt) + max_tokens)
+        hidden = decoder(prompt[None].to(weight.device, weight.dtype), cache=cache)
+        said: list[int] = []
+        total = 0.0
+        complete = False
+        while len(said) < max_tokens and not complete:
+            odds = decoder.logits(hidden[0, -1]).float().log_softmax(-1)
+            token = _draw(odds, temperature, generator)
+            total += float(odds[token])
+            complete = token == self._end
+            said.append(token)
+            progress(len(said) / max_tokens, f"Writing, {len(said)} tokens")
+            step = torch.tensor([[token]], device=weight.device)
+            if not complete and len(said) < max_tokens:
+                hidden = decoder(decoder.embed(step), cache=cache)
+        words = said[:-1] if complete else said
+        text = self._tokenizer.decode(words, skip_special_tokens=False)
+        return Generated(text, total / max(len(said), 1), complete)
+
+    @torch.inference_mode()
+    def write(self, prompt: Tensor, author: Author, *, progress: Progress = no_progress) -> Written:
+        """Let the model make ``author``'s choices, the likeliest each time.
+
+        See :func:`model.prediction.arti4urdf.text_writing.write`.
+        """
+        return write(
+            self._decoder, self._tokenizer, self._vocabulary, prompt, author, progress=progress
+        )
+
+    @cached_property
+    def _vocabulary(self) -> Vocabulary:
+        return Vocabulary(self._tokenizer)
+
+
+def _draw(odds: Tensor, temperature: float, generator: torch.Generator) -> int:
+    if temperature <= 0:
+        return int(odds.argmax())
+    likely = (odds / temperature).softmax(-1).cpu()  # drawn alike on every device
+    return int(torch.multinomial(likely, 1, generator=generator))
+
+
+class VllmEngine:
+    """vLLM with prompt embeddings, for GPUs and many requests. This class was written against
+    vLLM's documentation and has not been run: vLLM needs a GPU.
+
+    Args:
+        folder: a Qwen3 folder, such as ``language_model`` of a saved model.
+        end: id of the token that ends an answer.
+    """
+
+    def __init__(self, folder: Path, end: int) -> None:
+        try:
+            from vllm import LLM, SamplingParams  # type: ignore[import-not-found]
+        except ImportError as error:
+            how = install_command("vllm")
+            raise ConfigurationError(f"the engine vllm needs vLLM: {how}") from error
+        self._sampling, self._end = SamplingParams, end
+        self._model = LLM(model=str(folder), enable_prompt_embeds=True, dtype="bfloat16")
+
+    def generate(
+        self,
+        prompt: Tensor,
+        *,
+        max_tokens: int,
+        temperature: float = 0.0,
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> Generated:
+        """As :meth:`TextEngine.generate`; progress is told at the beginning and the end only."""
+        progress(0.0, "Writing")
+        options = self._sampling(
+            temperature=temperature,
+            max_tokens=max_tokens,
+            seed=seed,
+            stop_token_ids=[self._end],
+            skip_special_tokens=False,
+            logprobs=0,
+        )
+        embeds = prompt.to("cpu", torch.bfloat16)
+        (request,) = self._model.generate([{"prompt_embeds": embeds}], options, use_tqdm=False)
+        answer = request.outputs[0]
+        progress(1.0, "Writing")
+        likely = (answer.cumulative_logprob or 0.0) / max(len(answer.token_ids), 1)
+        complete = answer.finish_reason == "stop"
+        return Generated(answer.text, likely if math.isfinite(likely) else -math.inf, complete)

@@ -1,0 +1,252 @@
+"""All parts of one object in the working frame, and how they stand to each other.
+
+The working frame: origin at the middle of the object's bounding box, +z up, the dominant
+horizontal directions along x and y, the bounding box's diagonal is 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from model.core.articulated_object import Part, SegmentedObject
+from model.prediction.geometric.denoising import denoised
+from model.prediction.geometric.shape import Shape, rotation
+from model.prediction.geometric.surface import Noise, dominant_yaw, part_surface
+
+Array = npt.NDArray[np.float64]
+
+TOUCHING = 0.012
+"""Gap (diagonals) below which two sampled surfaces count as touching."""
+SAMPLE_BUDGET = 26000
+"""Surface points of all parts together."""
+
+
+@dataclass(frozen=True)
+class WorkingFrame:
+    """Between the object's frame (metres) and the working frame (diagonals)."""
+
+    center: Array
+    yaw: float
+    diagonal: float
+
+    @cached_property
+    def object_from_working(self) -> Array:
+        """(3, 3) rotation."""
+        return rotation(np.array([0.0, 0.0, 1.0]), self.yaw)
+
+    def to_working(self, points: Array) -> Array:
+        """(N, 3) metres → (N, 3) diagonals."""
+        return (points - self.center) @ self.object_from_working / self.diagonal
+
+    def point_in_object(self, point: Array) -> Array:
+        """(3,) diagonals → (3,) metres."""
+        return self.object_from_working @ point * self.diagonal + self.center
+
+    def direction_in_object(self, direction: Array) -> Array:
+        """(3,) → (3,)."""
+        return self.object_from_working @ direction
+
+
+@dataclass(eq=False)
+class Scene:
+    """Parts with their shapes and neighbourhood.
+
+    Attributes:
+        name, category: of the object. parts: as they were given.
+        shapes: one a part, in the order given.
+        frame: where the working frame is.
+    """
+
+    name: str
+    category: str | None
+    shapes: tuple[Shape, ...]
+    frame: WorkingFrame
+    parts: tuple[Part, ...]
+    _trees: dict[int, KDTree] = field(default_factory=dict)
+    _distances: dict[tuple[int, int], Array] = field(default_factory=dict)
+    _covers: dict[tuple[int, bytes, tuple[int, ...], bytes], float] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def tree(self, i: int) -> KDTree:
+        """KD-tree of part ``i``'s sample."""
+        if i not in self._trees:
+            self._trees[i] = KDTree(self.shapes[i].points)
+        return self._trees[i]
+
+    def distances(self, i: int, j: int) -> Array:
+        """(N_i,) distance of each sample of part ``i`` to part ``j``."""
+        key = (i, j)
+        if key not in self._distances:
+            self._distances[key] = self.tree(j).query(self.shapes[i].points)[0]
+        return self._distances[key]
+
+    @cached_property
+    def gap(self) -> Array:
+        """(P, P) gap between the surfaces, symmetric; bounding boxes' gap where they are far."""
+        n = len(self)
+        low = np.stack([s.low for s in self.shapes])
+        high = np.stack([s.high for s in self.shapes])
+        apart = np.maximum(0.0, np.maximum(low[:, None] - high[None], low[None] - high[:, None]))
+        out = np.linalg.norm(apart, axis=2)
+        for i in range(n):
+            for j in range(i + 1, n):
+                if out[i, j] < 0.05:
+                    a, b = (i, j) if self.shapes[i].size <= self.shapes[j].size else (j, i)
+                    d = self.distances(a, b)
+                    k = min(len(d) - 1, max(2, len(d) // 200))
+                    near = float(np.partition(d, k)[k])
+                    # Sampled surfaces that touch are half a spacing apart.
+                    out[i, j] = out[j, i] = max(0.0, near - 0.5 * self.spacing(b))
+        return out
+
+    @cached_property
+    def noise(self) -> float:
+        """Largest noise of the parts (diagonals); 0 for meshes."""
+        return max(s.noise for s in self.shapes)
+
+    def spacing(self, i: int) -> float:
+        """Typical distance between neighbouring samples of part ``i``."""
+        s = self.shapes[i]
+        return float(np.sqrt(s.area / max(1, len(s.points)))) if s.area > 0 else 0.0
+
+    def contact(self, i: int, j: int, share: float = 0.06) -> Array:
+        """(K, 3) the samples of part ``i`` that are nearest to part ``j``."""
+        d = self.distances(i, j)
+        k = min(len(d), max(6, int(share * len(d))))
+        limit = max(float(d.min()) + 0.008, TOUCHING)
+        near = np.argpartition(d, k - 1)[:k]
+        close = near[d[near] <= limit]
+        return self.shapes[i].points[close if len(close) >= 4 else near]
+
+    def union(self, members: tuple[int, ...]) -> Array:
+        """(N, 3) samples of several parts."""
+        if not members:
+            return np.zeros((0, 3))
+        return np.concatenate([self.shapes[m].points for m in members])
+
+    def others(self, i: int) -> tuple[int, ...]:
+        """All parts but ``i``."""
+        return tuple(j for j in range(len(self)) if j != i)
+
+    @cached_property
+    def low(self) -> Array:
+        """(3,) lowest corner of the object."""
+        return np.stack([s.low for s in self.shapes]).min(0)
+
+    @cached_property
+    def high(self) -> Array:
+        """(3,) highest corner of the object."""
+        return np.stack([s.high for s in self.shapes]).max(0)
+
+    @cached_property
+    def scanned(self) -> bool:
+        """Whether the parts are clouds."""
+        return sum(s.scanned for s in self.shapes) * 2 > len(self)
+
+    def cover(
+        self, i: int, direction: Array, others: tuple[int, ...], axes: Array | None = None
+    ) -> float:
+        """Share of part ``i``'s face, seen from ``direction``, that other parts lie in front of.
+
+        1: it can't leave that way; 0: nothing is in front of it.
+        """
+        # Every mechanism asks anew about the same few sides.
+        key = (i, direction.tobytes(), others, b"" if axes is None else axes.tobytes())
+        if key not in self._covers:
+            self._covers[key] = self._cover(i, direction, others, axes)
+        return self._covers[key]
+
+    def _cover(
+        self, i: int, direction: Array, others: tuple[int, ...], axes: Array | None
+    ) -> float:
+        e = np.eye(3) if axes is None else axes
+        k = int(np.argmax(np.abs(e.T @ direction)))
+        sign = np.sign(e[:, k] @ direction)
+        u, v = (x for x in range(3) if x != k)
+        own = self.shapes[i].points @ e
+        rest = self.union(others) @ e
+        if not len(rest):
+            return 0.0
+        low, high = own.min(0), own.max(0)
+        cell = max(0.02, float(max(high[u] - low[u], high[v] - low[v])) / 14, 1e-6)
+        nu = max(1, int((high[u] - low[u]) / cell))
+        nv = max(1, int((high[v] - low[v]) / cell))
+
+        def index(p: Array) -> npt.NDArray[np.int64]:
+            a = np.clip(
+                ((p[:, u] - low[u]) / (high[u] - low[u] + 1e-9) * nu).astype(int), 0, nu - 1
+            )
+            b = np.clip(
+                ((p[:, v] - low[v]) / (high[v] - low[v] + 1e-9) * nv).astype(int), 0, nv - 1
+            )
+            return a * nv + b
+
+        mine = np.full(nu * nv, -np.inf)
+        np.maximum.at(mine, index(own), own[:, k] * sign)
+        inside = (
+            (rest[:, u] >= low[u])
+            & (rest[:, u] <= high[u])
+            & (rest[:, v] >= low[v])
+            & (rest[:, v] <= high[v])
+        )
+        theirs = np.full(nu * nv, -np.inf)
+        if inside.any():
+            np.maximum.at(theirs, index(rest[inside]), rest[inside, k] * sign)
+        seen = np.isfinite(mine)
+        return float((theirs[seen] > mine[seen] + 0.004).mean())
+
+
+def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPLE_BUDGET) -> Scene:
+    """Sample the parts (``budget`` points in all) and turn them into the working frame.
+
+    The sampling depends on each part's geometry alone, not on the order of the parts.
+    """
+    bounds = segmented.bounds
+    diagonal = float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
+    center = bounds.mean(0)
+    parts = segmented.parts
+    rough = np.array([_rough_area(p.bounds) for p in parts])
+    share = np.sqrt(rough + 1e-12)
+    counts = np.clip(budget * share / share.sum(), 160, 6000).astype(int)
+    sampled = [part_surface(p, int(c), seed) for p, c in zip(parts, counts, strict=True)]
+    noise = _common_noise([s.noise for s in sampled])
+    sampled = [denoised(s, noise) for s in sampled]
+    normals = np.concatenate([s.normals for s in sampled])
+    weights = np.concatenate(
+        [np.full(len(s.points), s.area / max(1, len(s.points))) for s in sampled]
+    )
+    yaw = dominant_yaw(normals, weights, [s.points for s in sampled])
+    frame = WorkingFrame(center, yaw, diagonal)
+    shapes = tuple(
+        Shape(
+            part.link,
+            part.name,
+            frame.to_working(s.points),
+            s.normals @ frame.object_from_working,
+            frame.to_working(s.outline),
+            s.area / diagonal**2,
+            part.mesh is None or not len(part.mesh.faces),
+            s.noise.sigma / diagonal,
+        )
+        for part, s in zip(parts, sampled, strict=True)
+    )
+    return Scene(segmented.name, segmented.category, shapes, frame, parts)
+
+
+def _common_noise(each: list[Noise]) -> float:
+    """One scanner, one noise: small parts and rods can't tell theirs."""
+    told = sorted(n.sigma for n in each if n.told)
+    found = told or sorted(n.sigma for n in each if n.sigma)
+    return found[len(found) // 2] if found else 0.0
+
+
+def _rough_area(bounds: Array) -> float:
+    a, b, c = bounds[1] - bounds[0]
+    return float(a * b + b * c + c * a)

@@ -1,0 +1,346 @@
+"""How much a part without a name looks like each mechanism.
+
+Explicit scores of explicit cues (:mod:`model.prediction.geometric.part_features`), in the groups that people would
+think in: round things, things on top of others, panels, drawers, arms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.prediction.geometric.assembly import TOUCHING
+from model.prediction.geometric.context import PartContext
+from model.prediction.geometric.hypothesis import UP, unit
+from model.prediction.geometric.motion_lexicon import Mechanism
+from model.prediction.geometric.part_features import Looks
+from model.prediction.geometric.pins import alike
+from model.prediction.geometric.shape import blades
+
+Scores = dict[Mechanism, float]
+
+LAP = 0.5 * TOUCHING
+"""How far (diagonals) panels that pass each other lap at least; the edges of neighbours in one
+plane are found to no more than that."""
+
+NEXT_TO = 0.06
+"""Largest gap (diagonals) between fronts that are neighbours."""
+
+
+def _step(value: float, at: float, width: float) -> float:
+    """0 well below ``at``, 1 well above; straight in between."""
+    return float(np.clip((value - at) / width + 0.5, 0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cues:
+    """Soft judgements (0..1) that several mechanisms share.
+
+    Attributes:
+        small, large: size over the object. rod: long and thin. panel: flat and filled.
+        standing: the panel's normal is level. on_stem: held by a small part of it, from below.
+        upright_disc, level_disc: round about an upright or level axis.
+    """
+
+    part: PartContext
+    looks: Looks
+    others: dict[int, Looks]
+    small: float
+    large: float
+    rod: float
+    panel: float
+    standing: float
+    on_stem: bool
+    upright_disc: bool
+    level_disc: bool
+
+
+def _cues(part: PartContext, k: Looks, others: dict[int, Looks]) -> _Cues:
+    rod = 1 - _step(k.slender, 0.42, 0.2)
+    large = _step(k.size, 0.2, 0.15)
+    held_below = k.end_contact > 0.4 or max(k.contact_spread[1:]) < 0.35
+    return _Cues(
+        part,
+        k,
+        others,
+        small=1 - _step(k.size, 0.14, 0.08),
+        large=large,
+        rod=rod,
+        panel=(1 - _step(k.panel, 0.32, 0.2)) * _step(k.fill, 0.5, 0.3) * (1 - 0.8 * rod),
+        standing=1 - _step(k.normal_up, 0.5, 0.4),
+        on_stem=held_below and k.on_top > 0 and large > 0.5,
+        upright_disc=k.disc is not None and k.axis_up > 0.8,
+        level_disc=k.disc is not None and k.axis_up < 0.35,
+    )
+
+
+def motion_scores(part: PartContext, looks: Looks, others: dict[int, Looks]) -> Scores:
+    """Mechanism → score; the largest wins.
+
+    Args:
+        part: the part. looks: its cues. others: the cues of all parts without a name.
+    """
+    c = _cues(part, looks, others)
+    scores: Scores = {}
+    for group in (_round_things, _things_on_top, _panels, _drawers, _arms, _pairs):
+        for mechanism, value in group(c).items():
+            scores[mechanism] = scores.get(mechanism, 0.0) + value
+    return scores
+
+
+def _round_things(c: _Cues) -> Scores:
+    """Knobs, wheels, balls, propellers, hands; and buttons, which are what else is small."""
+    k, disc = c.looks, c.looks.disc
+    press = 2.2 * c.small + 0.15 * min(k.twins, 6) * c.small - 0.5 * (1 - k.exposed)
+    spin = 0.0
+    if disc is not None:
+        clear = disc.radius > 10 * c.part.shape.noise
+        spin += 0.6
+        knob = k.flat >= 0.27 or (k.size >= 0.085 and k.flat >= 0.15)
+        faces_out = abs(float(disc.axis @ k.outward)) > 0.9
+        if clear and knob and 0.035 < k.size < 0.3 and k.flat < 1.6 and faces_out:
+            spin += 2.2
+        if c.level_disc and k.flat < 1.2 and k.size < 0.6 and (clear or k.grounded):
+            spin += 2.6 if k.grounded else 1.2 * (1 - _step(k.height, 0.5, 0.3))
+        if c.level_disc and k.flat < 0.9 and (clear or k.grounded):
+            spin += 1.0
+        if k.ball and clear:
+            spin += 2.5
+        covers_front = k.backed > 0.8 and not k.grounded and k.walls <= 2
+        if c.level_disc and covers_front and k.size > 0.3 and k.flat < 0.3:
+            spin -= 1.5  # a round door
+    if blades(c.part.shape) is not None:
+        spin += 4.0
+    if c.part.hand:
+        spin += 3.0
+    if k.scanned and k.grounded and k.height < 0.2:
+        spin += 2.6 * c.small  # a wheel of which a scan shows too little to be round
+    drum = c.level_disc and k.walls >= 4 and k.size > 0.25
+    if drum and disc is not None and abs(float(disc.axis @ k.exit)) > 0.9:
+        spin += 2.5
+    return {"press": press, "spin": spin}
+
+
+def _things_on_top(c: _Cues) -> Scores:
+    """Caps, pot lids, turntables, casters, seats, heads on stems."""
+    k, disc, part = c.looks, c.looks.disc, c.part
+    swivel, screw, lift = 0.0, 0.0, 0.1
+    if c.upright_disc and k.flat < 0.35 and k.top > 0.5 and k.bottom > 0.5:
+        swivel += 2.8  # a turntable inside
+    if _holds_wheel(c):
+        swivel += 3.5
+    if c.on_stem:
+        swivel += 1.0 + 0.9 * (1 - c.panel)
+    wheels = sum(o.disc is not None and o.axis_up < 0.35 and o.grounded for o in c.others.values())
+    if c.on_stem and wheels >= 3 and k.size > 0.4:
+        screw = swivel + 1.0  # the seat of an office chair
+    if c.upright_disc and disc is not None:
+        aside = float(np.linalg.norm((part.shape.center - part.base.center)[:2]))
+        width = 2 * float(np.sort(part.base.box.half)[0])
+        cap = (
+            k.top < 0.3
+            and (k.bottom > 0.4 or k.scanned)
+            and k.height > 0.6
+            and k.flat > 0.085
+            and disc.radius > 0.1 * width
+            and aside < 0.6 * disc.radius
+            and float(part.base.high[2]) < float(part.shape.high[2]) + 0.02
+        )
+        if cap:
+            tall = _tallness(part) > 1.1
+            screw = max(screw, 2.9 if tall else 1.2)
+            lift = 1.0 if tall else 2.9
+    tilt = 0.3 + (1.2 * c.panel if c.on_stem else 0.0)
+    if part.parent != part.assembly.root and part.base.slenderness < 0.35:
+        tilt += 1.5 * (1 - c.small)  # the head of a lamp
+        swivel -= 1.0
+    return {"swivel": swivel, "screw": screw, "lift": lift, "tilt": tilt}
+
+
+def _panels(c: _Cues) -> Scores:
+    """Doors, lids, sliding panels, rockers."""
+    k, part = c.looks, c.part
+    hinge = 0.8 + c.panel * c.standing * (1.2 * c.large + 0.4 * k.exposed)
+    flap = 0.5 + c.panel * (1 - c.standing) * (1.2 * c.large + 0.6 * (1 - k.top))
+    if k.aligned < 0.985:  # ajar
+        flap += c.panel * (0.8 * c.large * (1 - c.standing) + 0.3)
+        hinge += c.panel * 0.8 * c.large * c.standing
+    toggle = 0.2
+    if k.parts <= 4 and part.closed and 0.2 < k.relative < 0.75 and k.panel > 0.3:
+        toggle += 1.5 * k.exposed * k.backed * (k.disc is None)
+    slide = 3.0 * c.panel * c.standing * passes_sibling(part)
+    return {"hinge": hinge, "flap": flap, "toggle": toggle, "slide_along": slide}
+
+
+def _drawers(c: _Cues) -> Scores:
+    """What can leave level, with the parent around and behind it."""
+    k, part = c.looks, c.part
+    embedded = _step(k.walls, 3.0, 2.0)
+    deep = _step(k.depth / max(min(k.face), 1e-6), 0.8, 0.5)
+    drawer = k.way_out * embedded * (0.5 + 1.5 * deep) + k.way_out * deep * c.large
+    wide = _step(k.face[0] / max(k.face[1], 1e-6), 1.9, 0.6)
+    low = 1 - _step(k.face[1] / max(part.base.size, 1e-6), 0.22, 0.1)
+    if k.scanned:
+        # Of a closed drawer a scan shows only the front, and perhaps a rim.
+        flat = 1 - _step(k.depth / max(k.face[0], 1e-6), 1.0, 0.4)
+        drawer += 2.4 * part.closed * wide * low * c.large * flat
+    else:
+        drawer += 1.8 * k.way_out * c.panel * c.standing * wide * low * c.large
+    drawer += 3.4 * part.closed * c.panel * c.standing * c.large * spans_doors(part)
+    return {"slide_out": 0.3 + drawer - (2.0 if k.disc is not None else 0.0)}
+
+
+def _arms(c: _Cues) -> Scores:
+    """Long things held at one end or at both."""
+    k, part = c.looks, c.part
+    temple = 0.2 + c.rod * (1.3 * k.end_contact + 0.4 * c.large)
+    if k.twins and not part.closed:
+        temple += 0.5 * c.rod * k.end_contact
+    middling = (1 - c.small) * (1 - _step(k.size, 0.42, 0.1)) * (0.5 if part.closed else 1.0)
+    lever = 0.3 + middling * (1 - c.panel) * (0.9 + 0.8 * k.end_contact)
+    lever += 2.6 * c.small * c.rod * k.end_contact * (1 - c.panel)
+    bail, legs = _bail(part, k)
+    bail *= 1 - c.panel  # of a scanned door only one face is there, thin as a bow's wire
+    # A long-legged bow that stands on its parent is pulled out of it.
+    return {
+        "temple": temple,
+        "lever": lever,
+        "swing": 0.2 + 1.6 * bail * (1 - legs),
+        "lift": 2.2 * bail * legs,
+    }
+
+
+def _pairs(c: _Cues) -> Scores:
+    """Two long things, one turning in or sliding along the other, or two of a kind."""
+    k, part = c.looks, c.part
+    scores: Scores = {"pivot": 0.2 + 0.5 * c.rod * (k.parts <= 4), "slide_along": 0.2}
+    pair = k.parts <= 3 and not k.twins and k.relative > 0.6 and part.base.slenderness < 0.33
+    pair = pair or (k.parts == 2 and k.relative > 0.85 and alike(part.shape, part.base))
+    if pair and c.rod > 0.5:
+        # A blade that is free on one edge turns out of its handle; one that is not slides.
+        middle = part.shape.order[1]
+        held = min(part.covers[middle], part.covers[middle + 3]) > 0.6 and k.walls >= 4
+        scores["slide_along" if held else "pivot"] += 3.2 * c.rod
+    elif _caps_the_end(part):
+        scores["slide_along"] += 2.6
+    return scores
+
+
+def _caps_the_end(part: PartContext) -> bool:
+    """Whether it sits on one end of a long parent and is as thick: the cap of a pen or a stick."""
+    shape, base = part.shape, part.base
+    thin, middle, long = base.order
+    if base.slenderness > 0.5 or shape.size > 0.8 * base.size:
+        return False
+    axes = base.box.axes
+    step = axes.T @ (shape.center - base.center)
+    reach = np.array([shape.box.reach(axes[:, k]) for k in (thin, middle)])
+    thick = base.box.half[[thin, middle]]
+    return bool(
+        abs(axes[2, long]) < 0.5
+        and abs(step[long]) > 0.6 * base.box.half[long]
+        and np.all(np.abs(step[[thin, middle]]) < 0.35 * thick + 0.005)
+        and np.all(reach > 0.55 * thick)
+        and np.all(reach < 1.6 * thick + 0.005)
+    )
+
+
+def _tallness(context: PartContext) -> float:
+    """Height over width of the whole object."""
+    extent = context.scene.high - context.scene.low
+    return float(extent[2] / max(extent[0], extent[1], 1e-6))
+
+
+def _holds_wheel(c: _Cues) -> bool:
+    """A small part near the ground that a wheel hangs on."""
+    context = c.part
+    if c.looks.size > 0.2 or c.looks.height > 0.3:
+        return False
+    for j, other in c.others.items():
+        if j == context.part or context.scene.gap[j, context.part] > 2 * TOUCHING:
+            continue
+        wheel = other.disc is not None and other.axis_up < 0.35 and other.grounded
+        if wheel and context.assembly.parent[j] == context.part:
+            return True
+    return False
+
+
+def passes_sibling(context: PartContext) -> bool:
+    """Whether another panel lies in a parallel plane and laps over this one at the side."""
+    shape, scene = context.shape, context.scene
+    n = shape.panel.normal
+    axes = shape.box.axes
+    thick = shape.panel.high - shape.panel.low
+    for j in scene.others(context.part):
+        other = scene.shapes[j]
+        if j in (context.parent, context.assembly.root) or other.size < 0.6 * shape.size:
+            continue
+        if abs(other.box.axes[:, other.panel.normal] @ axes[:, n]) < 0.98:
+            continue
+        step = axes.T @ (other.center - shape.center)
+        # Handles move the middles of boxes, not the planes.
+        apart = abs(float(axes[:, n] @ (other.slab_center - shape.slab_center)))
+        if not 0.6 * thick < apart < 5 * thick + 0.02:
+            continue
+        lap = [
+            shape.box.half[k] + other.box.reach(axes[:, k]) - abs(step[k])
+            for k in range(3)
+            if k != n
+        ]
+        narrow = 2 * min(float(shape.box.half[k]) for k in range(3) if k != n)
+        if LAP < min(lap) < 0.6 * narrow:
+            return True
+    return False
+
+
+def spans_doors(context: PartContext) -> bool:
+    """Whether it is wider than high and runs below or above two or more upright fronts that stand
+    side by side in its plane: the drawer across the doors of a refrigerator or a cupboard."""
+    shape, scene = context.shape, context.scene
+    normal = context.panel_normal
+    if abs(normal[2]) > 0.3:
+        return False
+    level = unit(np.cross(UP, normal))
+    width, height = 2 * shape.box.reach(level), float(shape.high[2] - shape.low[2])
+    doors: dict[float, list[float]] = {1.0: [], -1.0: []}
+    for j in scene.others(context.part):
+        other = scene.shapes[j]
+        if j in (context.parent, context.assembly.root):
+            continue
+        wide, tall = 2 * other.box.reach(level), float(other.high[2] - other.low[2])
+        step = other.center - shape.center
+        in_plane = abs(float((other.slab_center - shape.slab_center) @ normal)) < 2 * TOUCHING
+        within = abs(float(step @ level)) + wide / 2 < width / 2 + 2 * TOUCHING
+        gap = abs(float(step[2])) - (height + tall) / 2
+        if in_plane and within and tall > wide and abs(gap) < NEXT_TO:
+            doors[float(np.sign(step[2]))].append(wide)
+    return width > 1.1 * height and any(
+        len(side) > 1 and sum(side) > 0.7 * width for side in doors.values()
+    )
+
+
+def _bail(context: PartContext, k: Looks) -> tuple[float, float]:
+    """How much it is a bow held at two far ends of one level axis, and whether it has long legs.
+
+    Returns:
+        0..1, and 0..1: 1 where the bow stands upright on its parent and is higher than wide.
+    """
+    shape = context.shape
+    if k.size < 0.15:
+        return 0.0, 0.0
+    contact = context.contact
+    best, legs = 0.0, 0.0
+    for axis in shape.box.axes.T:
+        if abs(axis[2]) > 0.5:
+            continue
+        along = (contact - shape.center) @ axis / max(shape.box.reach(axis), 1e-6)
+        middle = float((np.abs(along) < 0.5).mean())
+        both = min(float((along > 0.6).mean()), float((along < -0.6).mean()))
+        value = 2 * both * (1 - min(1.0, 2 * middle))
+        if value > best:
+            best = value
+            tall = shape.box.reach(context.upright()) / max(shape.box.reach(axis), 1e-6)
+            legs = _step(tall, 0.95, 0.3) * float(k.on_top > 0)
+    thin_walled = 1 - _step(shape.area / max(2 * shape.size**2, 1e-9), 0.25, 0.3)
+    return float(np.clip(best, 0, 1)) * thin_walled, legs
