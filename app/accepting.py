@@ -17,9 +17,9 @@ from app.judging import Wish
 from app.titles import in_words
 from model.core.asset import Source
 from model.core.errors import CommandError
-from model.gate.report import GateReport
 from model.io.assets.asset_folder import publish
 from model.io.assets.reader import recover
+from model.validation.report import GateReport
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.provenance import provenance

@@ -205,8 +205,8 @@ def _collision(
 
 def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
     from app.headless import predicted_sure
-    from model.gate.gate import run_gate
-    from model.gate.unsure import with_unsure
+    from model.validation.low_confidence import with_unsure
+    from model.validation.runner import run_gate
 
     if not task.physics.told_shapes:
         obj = replace(obj, shapes={})

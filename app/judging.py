@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from app.titles import joint_title
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
-from model.gate.report import GateReport, Mend
-from model.gate.unsure import with_unsure
+from model.validation.low_confidence import with_unsure
+from model.validation.report import GateReport, Mend
 from sessions.document import Document
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from model.core import codec
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
-from model.gate.report import GateReport
+from model.validation.report import GateReport
 
 PACKAGES = static_assets().parent
 DECIDES = ("collision", "exporters", "gate", "geometry", "kinematics")
@@ -30,7 +30,7 @@ def judge_joints(
         return codec.read(GateReport, json.loads(kept.read_text(encoding="utf-8")))
     except (OSError, ValueError):
         pass
-    from model.gate.gate import run_gate
+    from model.validation.runner import run_gate
 
     obj = articulated_object(source, tree)
     report = run_gate(obj, store=source.workspace / "collision", progress=progress)

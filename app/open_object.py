@@ -26,10 +26,10 @@ from app.tasks import ReadOptions, Stamp, stamp_if_there
 from app.watched import Watched
 from model.core.errors import ArtiworldError, CommandError
 from model.core.tree import KinematicTree
-from model.gate.report import GateReport
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote.http_predictor import BackendError
 from model.segmentation.prompts import BASE
+from model.validation.report import GateReport
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.state import Document, SessionState

@@ -19,9 +19,9 @@ from app.part_tasks import PartSource
 from app.scene_rows import HELD
 from app.titles import joint_title
 from app.watched import Notice
-from model.gate.report import GateReport
-from model.gate.unsure import with_unsure
 from model.io.assets.asset_folder import publish
+from model.validation.low_confidence import with_unsure
+from model.validation.report import GateReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
 from sessions.state import Context, apply, review_problems

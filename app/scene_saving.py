@@ -21,7 +21,6 @@ from app.scene_tasks import OpenedScene, SceneItem
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.gate.words import called
 from model.scenes.jobs import (
     ACCEPTED,
     ASSETS,
@@ -33,6 +32,7 @@ from model.scenes.jobs import (
     STATIC,
     TODO,
 )
+from model.validation.phrases import called
 from sessions import commands as cmd
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import CommandError
 from model.core.joint import Joint, JointType
 from model.core.tree import KinematicTree
-from model.gate.words import moving_chain
+from model.validation.phrases import moving_chain
 
 SWEEP_POINTS = 3000
 

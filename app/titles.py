@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from model.core.tree import KinematicTree
-from model.gate.words import called, joint_called, moving_chain
+from model.validation.phrases import called, joint_called, moving_chain
 from sessions.document import Document
 
 _LINK = re.compile(r"(?<![\w/])(?:link|helper)_\d+(?!\.?\w)")

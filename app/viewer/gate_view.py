@@ -11,7 +11,7 @@ from app.viewer import palette
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.core.errors import CommandError
-from model.gate.report import GateReport, JointVerdict, MendKind, Verdict
+from model.validation.report import GateReport, JointVerdict, MendKind, Verdict
 from sessions import commands as cmd
 from sessions.document import Document
 

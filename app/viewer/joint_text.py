@@ -9,7 +9,7 @@ from app.titles import in_words, joint_title, moved_part, part_title
 from app.viewer.text import plain
 from model.core.joint import Joint, value_text
 from model.core.tree import KinematicTree
-from model.gate.words import BASE
+from model.validation.phrases import BASE
 from sessions.document import Document
 
 

@@ -12,7 +12,7 @@ from viser import transforms as vtf
 
 from app.viewer.animation import Animation
 from model.core.joint import Joint
-from model.gate.report import Finding
+from model.validation.report import Finding
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp

@@ -1,6 +1,6 @@
 """Whether a predicted object works: every joint over its range, alone, together, and in MuJoCo.
 
-The gate (:mod:`model.gate`) does the looking; here its findings become figures of an object:
+The gate (:mod:`model.validation`) does the looking; here its findings become figures of an object:
 penetration, coming off, jamming, floating, senseless limits, and in the simulator what is no
 number, explodes, drifts or stops short. An object is executable where nothing of it is broken.
 """
@@ -77,7 +77,7 @@ def execute(obj: ArticulatedObject | None, *, seed: int = 0, timeout: float = 12
 
 
 def _judged(obj: ArticulatedObject, seed: int) -> Execution:
-    from model.gate.gate import run_gate
+    from model.validation.runner import run_gate
 
     report = run_gate(obj, seed=seed, physics=True, shapes=False, mends=False)
     broken = report.with_verdict("broken")

@@ -16,7 +16,7 @@ from model.core.errors import KinematicsError
 from model.core.joint import Joint, value_text
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.gate.words import interval, title
+from model.validation.phrases import interval, title
 from sessions.document import Document, PartInfo
 
 DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))

@@ -26,8 +26,8 @@ from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
-from model.gate import gate
 from model.physics.collision import build
+from model.validation import runner as gate
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Begun, Store

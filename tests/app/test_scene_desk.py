@@ -31,10 +31,10 @@ from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.gate.report import Finding, GateReport, JointVerdict
 from model.io.assets.reader import load_object
 from model.io.readers import read_asset
 from model.scenes.assets import asset_digest
+from model.validation.report import Finding, GateReport, JointVerdict
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects

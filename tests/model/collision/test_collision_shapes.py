@@ -17,7 +17,6 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.gate.physics import run_physics
 from model.geometry import reconstruct
 from model.geometry.sampling import sample_surface
 from model.io.export.part_files import part_mesh
@@ -31,6 +30,7 @@ from model.physics.collision.narrow_phase import Way, overlaps
 from model.physics.collision.overlap import overlap
 from model.physics.collision.shapes import Primitive, hull_of_shape
 from model.physics.simulation_values import physics_of
+from model.validation.physics import run_physics
 
 WALL = 0.01
 

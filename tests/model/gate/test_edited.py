@@ -18,11 +18,11 @@ from model.core import codec
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.lru_cache import Recent
-from model.gate import drives, physics
-from model.gate.gate import run_gate
 from model.kinematics import penetration as crossing
 from model.physics.collision import build
 from model.physics.collision import narrow_phase as touching
+from model.validation import drives, physics
+from model.validation.runner import run_gate
 
 
 def edits_of(joint: Joint) -> list[Joint]:

@@ -17,7 +17,7 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
-from model.gate.gate import run_gate
+from model.validation.runner import run_gate
 
 
 def judge(obj: ArticulatedObject, **options):

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 
 from demos import DEMOS, demo_object
 
-from model.gate.gate import run_gate
+from model.validation.runner import run_gate
 
 
 @pytest.mark.parametrize("name", DEMOS)

@@ -12,11 +12,11 @@ from cabinets import DOOR, DRAWER, box, cabinet, part
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.gate import physics
-from model.gate.gate import run_gate
-from model.gate.physics import run_physics
 from model.physics.collision.hulls import hull_of
 from model.physics.simulation_values import Physics, physics_of
+from model.validation import physics
+from model.validation.physics import run_physics
+from model.validation.runner import run_gate
 
 pytest.importorskip("mujoco")
 
@@ -140,7 +140,7 @@ def test_what_only_the_shapes_run_into_is_told_with_the_place():
 
 def test_the_gate_refuses_what_its_shapes_block_and_shrinking_them_is_the_mend(monkeypatch):
     obj, made = blocked()
-    monkeypatch.setattr("model.gate.gate.physics_of", lambda *_, **__: made)
+    monkeypatch.setattr("model.validation.runner.physics_of", lambda *_, **__: made)
     found = run_gate(obj).of("drawer")
     assert (found.verdict, found.worst.kind) == ("broken", "physics")
     assert "where its collision shapes meet those of carcass 0" in found.sentence

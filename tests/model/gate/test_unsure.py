@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.gate.report import Finding, GateReport, JointVerdict
-from model.gate.unsure import with_unsure
+from model.validation.low_confidence import with_unsure
+from model.validation.report import Finding, GateReport, JointVerdict
 
 DRAWER = Joint("drawer", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0.0, upper=0.7)
 WHEEL = Joint("wheel", "continuous", "link_0", "link_2", (1, 0, 0))

@@ -12,18 +12,18 @@ import numpy.typing as npt
 
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint
-from model.gate.examine import (
+from model.kinematics.contact import contact_between
+from model.kinematics.snapping import box_of
+from model.kinematics.sweep import sweep_joint
+from model.validation.examine import (
     Scene,
     attached_range,
     collision_finding,
     detached_finding,
     limits_of,
 )
-from model.gate.report import Finding, Mend
-from model.gate.words import interval
-from model.kinematics.contact import contact_between
-from model.kinematics.snapping import box_of
-from model.kinematics.sweep import sweep_joint
+from model.validation.phrases import interval
+from model.validation.report import Finding, Mend
 
 CURED = ("collision", "jammed", "detached", "limits")
 LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01

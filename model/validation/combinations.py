@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
-from model.gate.examine import Scene, between, limits_of
-from model.gate.report import Finding, Verdict
-from model.gate.words import length
 from model.kinematics.joint_path import tree_poses
 from model.kinematics.sweep import sweep_way
+from model.validation.examine import Scene, between, limits_of
+from model.validation.phrases import length
+from model.validation.report import Finding, Verdict
 
 POSES = 12
 STEPS = 10

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from model.core.joint import Joint
-from model.gate.physics_report import PhysicsReport
+from model.validation.physics_report import PhysicsReport
 
 Verdict = Literal["fine", "look", "broken"]
 Kind = Literal[

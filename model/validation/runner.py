@@ -10,16 +10,16 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.progress import Progress, no_progress
-from model.gate.combinations import combination_findings
-from model.gate.examine import Scene, examine
-from model.gate.mends import mends_for
-from model.gate.physics import run_physics, simulator_installed
-from model.gate.physics_report import PhysicsReport, Stop
-from model.gate.report import Finding, GateReport, JointVerdict, Verdict, worst_first
-from model.gate.support import loose_parts
-from model.gate.words import length, title, value
 from model.kinematics.sweep import diagonal_of, surfaces_of, sweep_tolerance
 from model.physics.simulation_values import physics_of
+from model.validation.combinations import combination_findings
+from model.validation.examine import Scene, examine
+from model.validation.fixes import mends_for
+from model.validation.phrases import length, title, value
+from model.validation.physics import run_physics, simulator_installed
+from model.validation.physics_report import PhysicsReport, Stop
+from model.validation.report import Finding, GateReport, JointVerdict, Verdict, worst_first
+from model.validation.support import loose_parts
 
 TOUCHING = 0.01
 """Gap that still counts as touching, in the object's diagonal."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.gate.report import Finding, GateReport, JointVerdict, worst_first
+from model.validation.report import Finding, GateReport, JointVerdict, worst_first
 
 UNLIKELY = 0.5
 """Confidence below which a joint is more likely wrong than right."""

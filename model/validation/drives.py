@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.lru_cache import Recent
-from model.gate.physics_report import Stop
+from model.validation.physics_report import Stop
 
 OUTSIDE = 0.2
 """Share of the range beyond a limit that counts as exploded."""

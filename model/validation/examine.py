@@ -11,11 +11,11 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.gate.report import Finding, Verdict
-from model.gate.support import hold
-from model.gate.words import interval, length, title, value
 from model.kinematics.surface import Surface
 from model.kinematics.sweep import Sweep, sweep_joint, sweep_way
+from model.validation.phrases import interval, length, title, value
+from model.validation.report import Finding, Verdict
+from model.validation.support import hold
 
 SHALLOW = 0.03
 """Deepest penetration that is worth a look only, in the object's diagonal."""
