@@ -45,7 +45,7 @@ format: $(VENV)/.lint
 pictures: $(VENV)/.test
 	@.ci/need 'command -v chromium || command -v chromium-browser || command -v google-chrome' chromium
 	$(BIN)/python tests/browser/pictures.py $(ARGS)
-	$(BIN)/python -m model.datasets.procedural.gallery --out docs/gallery
+	$(BIN)/python -m model.data.procedural.gallery --out docs/gallery
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis

@@ -25,7 +25,7 @@ from model.core.errors import ConfigurationError
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.datasets.registry import DatasetOptions, open_dataset
+from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.joint_metrics import UsableLimits, score_object
 from model.evaluation.pool import time_limit
 from model.geometry.parts import split

@@ -16,7 +16,7 @@ from model.prediction.registry import DEFAULT
 if TYPE_CHECKING:
     from app.printing import Show
     from model.core.progress import Progress
-    from model.datasets.registry import DatasetOptions
+    from model.data.registry import DatasetOptions
     from model.evaluation.report import Report
     from model.evaluation.run import EvaluationConfig
 
@@ -198,7 +198,7 @@ def folder_name(method: str) -> str:
 
 
 def _data(args: argparse.Namespace) -> DatasetOptions:
-    from model.datasets.registry import DatasetOptions
+    from model.data.registry import DatasetOptions
 
     return DatasetOptions(args.data, args.root, args.seed, args.n, tuple(args.family), args.fault)
 
@@ -207,8 +207,8 @@ def _export(args: argparse.Namespace, progress: Progress) -> Answer:
     import numpy as np
 
     from app.headless import check_output
-    from model.datasets.part_export import export_parts
-    from model.datasets.registry import open_dataset
+    from model.data.part_export import export_parts
+    from model.data.registry import open_dataset
     from model.evaluation.run import chosen_ids
 
     config = configurations(args)[0]

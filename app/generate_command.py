@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     """Make the objects, and say where they are."""
     from app import printing
     from app.headless import check_output
-    from model.datasets.procedural.generate import GenerateSettings, generate
+    from model.data.procedural.generate import GenerateSettings, generate
 
     check_output(args.out)
     settings = GenerateSettings(args.out, tuple(args.family), args.n, args.seed)

@@ -132,7 +132,7 @@ def _fit_confidence(args: argparse.Namespace) -> int:
 def _train_small(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from model.datasets.procedural.generate import family_names
+    from model.data.procedural.generate import family_names
     from model.evaluation.table import progress_bar
     from model.training.config import preset
     from model.training.loop import export_weights, train
@@ -246,9 +246,9 @@ def _full_config(args: argparse.Namespace, preset: FullConfig) -> FullConfig:
 
 
 def _sources(args: argparse.Namespace, config: FullConfig) -> Sources:
-    from model.datasets.procedural.generate import family_names
-    from model.datasets.registry import recognised
-    from model.datasets.splits import training_ids
+    from model.data.procedural.generate import family_names
+    from model.data.registry import recognised
+    from model.data.splits import training_ids
     from model.training.full_data import ObjectSet
     from model.training.full_loop import Sources
     from model.training.samples import training_families

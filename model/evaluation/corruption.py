@@ -11,7 +11,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.datasets.protocol import GroundTruth
+from model.data.protocol import GroundTruth
 from model.geometry.sampling import sample_surface
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import InputFileError
 from model.core.tree import KinematicTree
-from model.datasets.urdf_folders import urdf_files
+from model.data.urdf_folders import urdf_files
 from model.evaluation.alignment import Frame, fit, outline, renamed
 from model.evaluation.part_matching import PartMatch, match_parts, sampled_parts
 from model.io.merging import merge_rigid

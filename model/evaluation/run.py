@@ -16,9 +16,9 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject, Prediction
 from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.progress import Progress, no_progress
-from model.datasets.protocol import Dataset, GroundTruth
-from model.datasets.registry import DatasetOptions, open_dataset
-from model.datasets.splits import select
+from model.data.protocol import Dataset, GroundTruth
+from model.data.registry import DatasetOptions, open_dataset
+from model.data.splits import select
 from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_costs
 from model.evaluation.corruption import Corruption, corrupt
 from model.evaluation.executability import execute, require_simulator
@@ -41,7 +41,7 @@ class EvaluationConfig:
     """What is evaluated, and how.
 
     Attributes:
-        data: the data set. split: which of its objects, see :mod:`model.datasets.splits`.
+        data: the data set. split: which of its objects, see :mod:`model.data.splits`.
         predictor: name of the predictor (:data:`TRUTH` answers with the truth), or what
             ``predictions`` is called in the report.
         predictions: folder of URDFs to score instead of running a predictor.

@@ -23,8 +23,8 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.datasets.partnet_mobility import partnet_category, semantic_names
-from model.datasets.urdf_folders import description_beside
+from model.data.partnet_mobility import partnet_category, semantic_names
+from model.data.urdf_folders import description_beside
 from model.io.assets.reader import PROVENANCE, URDF, load_object, reading_notes, told_links
 from model.io.export.manifest import category_told
 from model.io.formats.mtl import MaterialFiles

@@ -15,9 +15,9 @@ from model.core.errors import ArtiworldError
 from model.core.inertial import Inertial
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.datasets.partnet_mobility import read_partnet_mobility
-from model.datasets.protocol import GroundTruth
-from model.datasets.urdf_folders import UrdfFolders
+from model.data.partnet_mobility import read_partnet_mobility
+from model.data.protocol import GroundTruth
+from model.data.urdf_folders import UrdfFolders
 from model.geometry.outliers import stray_points
 from model.geometry.parts import split
 from model.geometry.topology import connected_shells

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.progress import Progress, no_progress
-from model.datasets.registry import DatasetOptions, open_dataset
+from model.data.registry import DatasetOptions, open_dataset
 from model.segmentation.bench_data import (
     BenchObject,
     View,

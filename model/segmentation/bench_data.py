@@ -15,7 +15,7 @@ from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.datasets.protocol import Dataset
+from model.data.protocol import Dataset
 from model.segmentation.seen_clicks import FRONT, picture_of
 
 View = Literal["all", "one-sided", "mesh", "scan"]
@@ -119,7 +119,7 @@ def partnet_objects(
     root: Path, view: View, points: int, limit: int, least: int, most: int, offset: int = 0
 ) -> Iterator[BenchObject]:
     """PartNet-Mobility objects, see :func:`dataset_objects`."""
-    from model.datasets.partnet_mobility import PartNetMobility
+    from model.data.partnet_mobility import PartNetMobility
 
     source = PartNetMobility(root)
     return dataset_objects(source, view, points, limit, least, most, offset, front=FRONT)
@@ -178,7 +178,7 @@ def _scanned(
     Args:
         number: the label of each link.
     """
-    from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+    from model.data.procedural.scan import ScanSettings, View, simulate_scan
 
     there = replace(truth, parts=tuple(p for p in truth.parts if p.mesh is not None))
     bounds = np.concatenate([p.bounds for p in there.parts])
@@ -205,7 +205,7 @@ def _seen_from_the_front(
     front: Direction,
 ) -> npt.NDArray[np.int64]:
     """Two views from the front and above, as a person would hold the scanner."""
-    from model.segmentation.training.scans import visible_from
+    from model.data.simulated.scans import visible_from
 
     azimuth = np.arctan2(front[1], front[0]) + rng.uniform(-0.4, 0.4) + np.array([-0.4, 0.4])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(2, 0.5)], axis=1)
@@ -241,7 +241,7 @@ def procedural_objects(
     view: View, points: int, limit: int, least: int, most: int, noise: float = 0.0
 ) -> Iterator[BenchObject]:
     """Our own procedural objects that no network was trained on."""
-    from model.segmentation.training.scans import build, scan
+    from model.data.simulated.scans import build, scan
 
     mode = "one-sided" if view == "one-sided" else "outside"
     name = f"procedural {mode}{' noisy' if noise else ''}"

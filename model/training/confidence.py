@@ -16,9 +16,9 @@ import numpy as np
 
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.progress import Progress, no_progress
-from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
-from model.datasets.procedural.generate import family_names, make
-from model.datasets.protocol import GroundTruth
+from model.data.procedural.corruption import MIXED, corrupted, sometimes
+from model.data.procedural.generate import family_names, make
+from model.data.protocol import GroundTruth
 from model.evaluation.calibration import compared
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import robust_map

@@ -20,7 +20,7 @@ from torch.utils.data import Dataset as TorchDataset
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
 from model.core.errors import ArtiworldError
 from model.core.tree import KinematicTree
-from model.datasets.protocol import Dataset, GroundTruth
+from model.data.protocol import Dataset, GroundTruth
 from model.prediction.arti4urdf.answer import rounded, write_answer
 from model.prediction.arti4urdf.full_model import Example
 from model.prediction.arti4urdf.text_prompt import make_example

@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.progress import Progress, no_progress
-from model.datasets.procedural.corruption import MIXED, corrupted, sometimes
-from model.datasets.procedural.generate import COMPOSITE, family_names, make
-from model.datasets.protocol import GroundTruth
-from model.datasets.registry import recognised
-from model.datasets.splits import training_ids
+from model.data.procedural.corruption import MIXED, corrupted, sometimes
+from model.data.procedural.generate import COMPOSITE, family_names, make
+from model.data.protocol import GroundTruth
+from model.data.registry import recognised
+from model.data.splits import training_ids
 from model.evaluation.pool import in_processes
 from model.prediction.arti4urdf.structure import StructureArrays, read_structure, structure_arrays
 from model.training.labels import Labels, label
@@ -237,7 +237,7 @@ def write_dataset(
 
     Args:
         root: of PartNet-Mobility or PhysXNet. folder: of the shards.
-        held_out, test_share: see :func:`model.datasets.splits.training_ids`.
+        held_out, test_share: see :func:`model.data.splits.training_ids`.
         progress: told each object.
 
     Returns:

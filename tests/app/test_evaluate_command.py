@@ -11,7 +11,7 @@ import pytest
 from app.annotator import BY_HAND, AnnotatorConfig, annotate
 from app.cli import main
 from app.person_report import run_person
-from model.datasets.registry import DatasetOptions, open_dataset
+from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
 
 MADE = (

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from model.datasets.registry import DatasetOptions, open_dataset
+from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3
 from tests.model.scenes import scenes_made

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.asset import Asset
+from model.data.simulated.scans import SQUARE, build, random_scan
 from model.evaluation.pool import in_order
 from model.segmentation.box_scores import BOX_SCORE_FEATURES, BoxDescriber
 from model.segmentation.boxes import Boxes
@@ -19,7 +20,6 @@ from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.simulated_clicks import central, deepest
 from model.segmentation.training.clicks import asked_by_size
 from model.segmentation.training.fit import averaged, fit_ranker
-from model.segmentation.training.scans import SQUARE, build, random_scan
 
 Float = npt.NDArray[np.floating]
 

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.asset import Asset
+from model.data.simulated.rooms import NOTHING, bared, scanned_room
+from model.data.simulated.scans import DRAWERED, SMALL_PARTED, build, random_scan
 from model.evaluation.pool import in_order
 from model.segmentation.boxes import OBJECT_FEATURE_NAMES
 from model.segmentation.edge_strength import shipped_edge_model
@@ -27,8 +29,6 @@ from model.segmentation.scorers import (
 from model.segmentation.simulated_clicks import central, deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
 from model.segmentation.training.fit import Boosting, averaged, fit_ranker, fit_trees
-from model.segmentation.training.rooms import NOTHING, bared, scanned_room
-from model.segmentation.training.scans import DRAWERED, SMALL_PARTED, build, random_scan
 from model.segmentation.trees import Scorer, Trees
 
 Float = npt.NDArray[np.floating]

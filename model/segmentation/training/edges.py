@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.asset import Asset
+from model.data.simulated.scans import random_scan
 from model.segmentation.edge_strength import hand_set_strength
 from model.segmentation.features import FEATURE_NAMES, edge_features
 from model.segmentation.graph import build_graph
 from model.segmentation.mlp import save_mlp
 from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.training.fit import area_under_curve, fit_mlp
-from model.segmentation.training.scans import random_scan
 
 Float = npt.NDArray[np.floating]
 

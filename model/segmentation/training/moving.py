@@ -18,7 +18,17 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.asset import Asset
-from model.datasets.procedural.scan import simulate_scan
+from model.data.procedural.scan import simulate_scan
+from model.data.simulated.ornaments import ornamented
+from model.data.simulated.scans import (
+    FLUSH,
+    SMALL_PARTED,
+    SQUARE,
+    Shape,
+    build,
+    depth_cameras,
+    scan,
+)
 from model.evaluation.pool import in_order
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.edge_strength import shipped_edge_model
@@ -41,16 +51,6 @@ from model.segmentation.training.clicks import (
     fit_scorer,
     joined_rows,
     overlaps,
-)
-from model.segmentation.training.ornaments import ornamented
-from model.segmentation.training.scans import (
-    FLUSH,
-    SMALL_PARTED,
-    SQUARE,
-    Shape,
-    build,
-    depth_cameras,
-    scan,
 )
 from model.segmentation.trees import Scorer, save_scorer
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 pytest.importorskip("torch", reason="torch is not installed")
 
 from model.core.articulated_object import SegmentedObject
-from model.datasets.procedural.generate import make
+from model.data.procedural.generate import make
 from model.prediction.arti4urdf.answer import parse_answer, write_answer
 
 FAMILIES = ("StorageFurniture", "Bottle", "Chair", "Fan", "Oven")

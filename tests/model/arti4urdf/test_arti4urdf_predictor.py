@@ -11,7 +11,7 @@ from model.core.articulated_object import Part, SegmentedObject
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.threads import BY_DEFAULT, NAMES, with_threads
-from model.datasets.procedural.generate import make
+from model.data.procedural.generate import make
 from model.prediction.arti4urdf import decoding
 from model.prediction.arti4urdf.answer import parse_answer
 from model.prediction.arti4urdf.decoding import decode

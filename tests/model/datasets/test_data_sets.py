@@ -11,9 +11,9 @@ import pytest
 import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.datasets.protocol import Dataset
-from model.datasets.registry import DatasetOptions, dataset_names, open_dataset
-from model.datasets.splits import in_test, is_held_out, select
+from model.data.protocol import Dataset
+from model.data.registry import DatasetOptions, dataset_names, open_dataset
+from model.data.splits import in_test, is_held_out, select
 
 
 def obj_file(path: Path, size: tuple[float, ...], at: tuple[float, ...]) -> None:
@@ -174,7 +174,7 @@ def test_real_mjcf_files(shared_data: Path) -> None:
 
 
 def test_made_objects_are_those_that_generate_writes(tmp_path: Path) -> None:
-    from model.datasets.procedural.generate import GenerateSettings, generate
+    from model.data.procedural.generate import GenerateSettings, generate
 
     generate(GenerateSettings(tmp_path, ("Safe", "Laptop"), n=1, seed=4))
     written = open_dataset(DatasetOptions("procedural", tmp_path))

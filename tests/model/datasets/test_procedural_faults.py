@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from model.core.errors import ConfigurationError
-from model.datasets.procedural.corruption import FAULTS
-from model.datasets.procedural_set import ProceduralSet
+from model.data.procedural.corruption import FAULTS
+from model.data.procedural_set import ProceduralSet
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -9,9 +9,9 @@ import pytest
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
-from model.datasets.procedural.families import FAMILIES, HELD_OUT
-from model.datasets.procedural.generate import COMPOSITE, family_names, make
-from model.datasets.procedural.grammar import at_rest
+from model.data.procedural.families import FAMILIES, HELD_OUT
+from model.data.procedural.generate import COMPOSITE, family_names, make
+from model.data.procedural.grammar import at_rest
 from model.geometry.topology import weld
 from model.kinematics.sweep import sweep_joint
 

@@ -12,12 +12,12 @@ import pytest
 from app.prompt_file import read_prompts
 from model.core.errors import ConfigurationError
 from model.core.resources import static_assets
-from model.datasets.partnet_mobility import PartNetMobility
-from model.datasets.procedural.corruption import MIXED, Corruption, corrupted, sometimes
-from model.datasets.procedural.examples import EXAMPLES, write_examples
-from model.datasets.procedural.generate import GenerateSettings, generate, make
-from model.datasets.procedural.grammar import transformed
-from model.datasets.procedural.scan import ScanSettings, View, simulate_scan
+from model.data.partnet_mobility import PartNetMobility
+from model.data.procedural.corruption import MIXED, Corruption, corrupted, sometimes
+from model.data.procedural.examples import EXAMPLES, write_examples
+from model.data.procedural.generate import GenerateSettings, generate, make
+from model.data.procedural.grammar import transformed
+from model.data.procedural.scan import ScanSettings, View, simulate_scan
 from model.io.readers import read_asset
 from model.segmentation.registry import load_segmenter
 

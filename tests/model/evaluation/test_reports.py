@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.datasets.registry import DatasetOptions
+from model.data.registry import DatasetOptions
 from model.evaluation import render
 from model.evaluation.calibration import calibrate
 from model.evaluation.compare import compare
@@ -145,7 +145,7 @@ def test_a_page_with_pictures(tmp_path: Path) -> None:
 
 def test_a_render_shows_near_before_far_and_joints_in_colour() -> None:
     data = DatasetOptions("procedural", None, families=("Safe",))
-    from model.datasets.registry import open_dataset
+    from model.data.registry import open_dataset
 
     obj = open_dataset(data).load("Safe_0_0").object
     colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)

@@ -23,7 +23,7 @@ from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.datasets.mjcf import read_mjcf
+from model.data.mjcf import read_mjcf
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object, reading_notes
 from model.io.assets.reload import mujoco_problems, object_from_links

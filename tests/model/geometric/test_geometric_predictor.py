@@ -14,7 +14,7 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
-from model.datasets.procedural.generate import make
+from model.data.procedural.generate import make
 from model.prediction.geometric.mechanisms import BUILDERS
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.protocol import Predictor
@@ -304,7 +304,7 @@ def test_progress_and_cancel() -> None:
 def test_one_sided_noisy_scans(name: str) -> None:
     """As seen from the front and above, with noise: types and axes stay right."""
     from model.core.tree import KinematicTree
-    from model.datasets.protocol import GroundTruth
+    from model.data.protocol import GroundTruth
     from model.evaluation.corruption import Corruption, corrupt
     from model.evaluation.joint_metrics import axis_angle
 

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
 from model.core.point_cloud import PointCloud
-from model.datasets.procedural_set import ProceduralSet
+from model.data.procedural_set import ProceduralSet
 from model.prediction.geometric.denoising import denoised
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.geometric.surface import Noise, cloud_normals, part_surface, strays

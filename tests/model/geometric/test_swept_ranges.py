@@ -6,7 +6,7 @@ import pytest
 
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint
-from model.datasets.procedural.generate import make
+from model.data.procedural.generate import make
 from model.prediction.geometric.predictor import GeometricPredictor
 
 PREDICTOR = GeometricPredictor()

@@ -11,7 +11,7 @@ import pytest
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.segmentation.training.primitives import block
+from model.data.simulated.primitives import block
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.mesh import Mesh
+from model.data.simulated.primitives import block
 from model.geometry.sampling import sample_surface
 from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
 from model.segmentation.edge_strength import shipped_edge_model
@@ -17,7 +18,6 @@ from model.segmentation.encoding import encode
 from model.segmentation.masks import Candidates, Clicked, MendingClick
 from model.segmentation.scorers import solver_of
 from model.segmentation.solver import PartSolver, PartState
-from model.segmentation.training.primitives import block
 
 DRAWER = 2
 """The middle one of three."""

@@ -12,8 +12,9 @@ import pytest
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.resources import static_assets
-from model.datasets.procedural.examples import joined
-from model.datasets.procedural.generate import make
+from model.data.procedural.examples import joined
+from model.data.procedural.generate import make
+from model.data.simulated.primitives import block
 from model.io.readers import read_asset
 from model.segmentation import fronts
 from model.segmentation.default import DefaultSegmenter, DefaultSession
@@ -23,7 +24,6 @@ from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.repeats import Repeats
 from model.segmentation.simulated_clicks import central, deepest, iou, next_click, next_part_click
 from model.segmentation.solver import PartSolver, PartState
-from model.segmentation.training.primitives import block
 
 
 @pytest.fixture(scope="module")

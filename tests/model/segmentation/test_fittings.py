@@ -10,6 +10,7 @@ import pytest
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.resources import static_assets
+from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
 from model.io.readers import read_asset
 from model.segmentation.attached_shells import fittings_of
@@ -18,7 +19,6 @@ from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.proposal import propose
 from model.segmentation.tools import hover
-from model.segmentation.training.primitives import block
 from tests.model.segmentation.conftest import subdivide
 
 FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)

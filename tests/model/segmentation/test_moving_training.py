@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from model.data.simulated.ornaments import ornamented
+from model.data.simulated.scans import build
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.scorers import MOVING_SCORERS, SCORERS
 from model.segmentation.training.clicks import ClickTraining
@@ -14,8 +16,6 @@ from model.segmentation.training.clouds import CloudTraining, train_clouds
 from model.segmentation.training.fit import Boosting
 from model.segmentation.training.mending import MendingTraining, play_sessions, train_mending
 from model.segmentation.training.moving import MovingTraining, play, train_moving
-from model.segmentation.training.ornaments import ornamented
-from model.segmentation.training.scans import build
 from model.segmentation.trees import load_scorer
 
 FEW = Boosting(trees=8, leaves=4, least=5, forests=2)

@@ -7,13 +7,13 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
+from model.data.simulated.rooms import NOTHING, scanned_room
+from model.data.simulated.scans import LabelledCloud, family_shape, scan
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.scorers import read_scorers
 from model.segmentation.simulated_clicks import deepest, iou, next_click
 from model.segmentation.training.clicks import ClickTraining, train_room_scorers
-from model.segmentation.training.rooms import NOTHING, scanned_room
-from model.segmentation.training.scans import LabelledCloud, family_shape, scan
 
 SEED = 90_001
 """Of a room that no scorer was trained on."""

@@ -10,6 +10,7 @@ from model.core.asset import Asset
 from model.core.errors import GeometryError, PromptError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.data.simulated.primitives import block
 from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
 from model.segmentation.cuts import pieces, straight_cut
 from model.segmentation.default import DefaultSegmenter
@@ -18,7 +19,6 @@ from model.segmentation.rectangles import rectangle_cut
 from model.segmentation.similar import mirrored, same_shape
 from model.segmentation.simulated_clicks import iou
 from model.segmentation.tools import connected, grow, hover
-from model.segmentation.training.primitives import block
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,10 @@ import pytest
 from model.core.asset import Asset
 from model.core.errors import InputFileError
 from model.core.point_cloud import PointCloud
-from model.datasets.procedural.families import HELD_OUT
-from model.datasets.procedural.generate import GenerateSettings, generate
-from model.datasets.urdf_folders import UrdfFolders
+from model.data.procedural.families import HELD_OUT
+from model.data.procedural.generate import GenerateSettings, generate
+from model.data.simulated.scans import SMALL_PARTED, build, random_scan, scan
+from model.data.urdf_folders import UrdfFolders
 from model.segmentation.bench import (
     BenchConfig,
     BenchRow,
@@ -27,7 +28,6 @@ from model.segmentation.scorers import read_scorers
 from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
 from model.segmentation.training.clicks import ClickTraining, train_scorers
 from model.segmentation.training.fit import area_under_curve, averaged, fit_ranker
-from model.segmentation.training.scans import SMALL_PARTED, build, random_scan, scan
 
 LINE = np.c_[np.arange(20.0), np.zeros(20), np.zeros(20)]
 

@@ -16,9 +16,9 @@ for _name in ("transformers", "accelerate"):
 
 from app.cli import main  # noqa: E402
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
-from model.datasets.procedural.generate import GenerateSettings, generate  # noqa: E402
-from model.datasets.registry import recognised  # noqa: E402
-from model.datasets.splits import training_ids  # noqa: E402
+from model.data.procedural.generate import GenerateSettings, generate  # noqa: E402
+from model.data.registry import recognised  # noqa: E402
+from model.data.splits import training_ids  # noqa: E402
 from model.prediction.arti4urdf.answer import JSON_END, parse_answer, write_answer  # noqa: E402
 from model.prediction.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402

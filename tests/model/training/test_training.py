@@ -205,7 +205,7 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run that was stopped goes on; what is written can be read."""
-    from model.datasets.procedural.generate import family_names
+    from model.data.procedural.generate import family_names
     from model.prediction.confidence import weighing_of
     from model.training import confidence
 

@@ -1,0 +1,342 @@
+"""Box, Safe, Suitcase, TrashCan: things to put things into."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.data.procedural import controls
+from model.data.procedural import modules as m
+from model.data.procedural import shapes as s
+from model.data.procedural.families.openings import lever_handle
+from model.data.procedural.grammar import Builder, ProceduralObject
+from model.data.procedural.materials import (
+    PAINTS,
+    PLASTICS,
+    Palette,
+    metal,
+    one_color,
+    plain,
+    rubber,
+    wood,
+)
+
+
+def box(rng: np.random.Generator) -> ProceduralObject:
+    """A chest with one lid, a carton with two or four flaps, or a box whose lid lifts off."""
+    b = Builder("Box", rng)
+    kind = ("chest", "carton", "lift")[rng.integers(3)]
+    skin = (
+        wood(("oak", "walnut", "cherry", "beech")[rng.integers(4)])
+        if kind == "chest"
+        else (plain("cardboard", (190, 152, 108)) if kind == "carton" else one_color(rng, PLASTICS))
+    )
+    w, d, h = (float(v) for v in rng.uniform((0.2, 0.15, 0.1), (0.6, 0.42, 0.35)))
+    wall = 0.004 if kind == "carton" else 0.008
+    body = b.base("box_body")
+    body.add(s.tray((w, d, h), wall), skin, "body", grain=0)
+    rest: dict[str, float] = {}
+    if kind == "carton":
+        z = h + 0.0005
+        pairs = [((0, -d / 2, z), (1, 0, 0), (w, d / 2)), ((0, d / 2, z), (-1, 0, 0), (w, d / 2))]
+        for at, axis, (length, reach) in pairs:
+            sign = np.sign(at[1])
+            flap = b.hinge("lid", body, axis, at, 0.0, float(rng.uniform(2.6, 3.4)))
+            flap.add(
+                s.box(
+                    (length - 0.002, reach - 0.001, 0.003),
+                    (0, at[1] - sign * reach / 2, z + 0.0015),
+                ),
+                skin,
+                "flap",
+            )
+            rest[flap.link] = float(rng.uniform(0.0, 2.5)) if rng.random() < 0.7 else 0.0
+        return b.build({k: v for k, v in rest.items() if v})
+    lid_h = float(rng.uniform(0.012, 0.3 * h))
+    top = s.tray((w, d, lid_h), wall).scaled((1, 1, -1)).moved((0, 0, h + 0.001 + lid_h))
+    trim = metal(("brass", "black", "steel")[rng.integers(3)])
+    if kind == "lift":
+        over = (
+            s.tray((w + 0.009, d + 0.009, lid_h), 0.002).scaled((1, 1, -1)).moved((0, 0, h + 0.003))
+        )
+        lid = b.slide("lid", body, (0, 0, 1), 0.0, 1.1 * lid_h + 0.05, (0, 0, h))
+        lid.add(over, skin, "lid")
+        if rng.random() < 0.5:
+            m.add(
+                lid,
+                m.place(
+                    m.handle("bow", 0.35 * w, 0.03), (0, 0, h + 0.002), face="up", roll=np.pi / 2
+                ),
+                trim,
+                "handle",
+            )
+        return b.build()
+    swing = float(rng.uniform(1.5, 2.0))
+    lid = b.hinge("lid", body, (-1, 0, 0), (0, d / 2 + 0.0045, h + 0.0005), 0.0, swing)
+    lid.add(top, skin, "lid", grain=0)
+    for x in (-0.3 * w, 0.3 * w):
+        lid.add(
+            s.along(s.cylinder(0.004, 0.04, segments=10), 0).moved((x, d / 2 + 0.0045, h + 0.0005)),
+            trim,
+            "hinge",
+        )
+    clasp = s.box((0.03, 0.004, 0.03), (0, -d / 2 - 0.0025, h + 0.004), 0.001)
+    lid.add(clasp, trim, "clasp")
+    if rng.random() < 0.3:
+        rest[lid.link] = float(rng.uniform(0.1, swing))
+    return b.build(rest)
+
+
+def safe(rng: np.random.Generator) -> ProceduralObject:
+    """A steel box with a thick door, a dial or a keypad, and a handle that turns."""
+    b = Builder("Safe", rng)
+    skin = plain("safe", PAINTS[3:][rng.integers(len(PAINTS) - 3)])
+    palette = Palette(skin, skin, metal("steel"), metal("steel"), plain("dark", (36, 38, 42)))
+    w, d, h = (float(v) for v in rng.uniform((0.3, 0.28, 0.25), (0.6, 0.5, 0.8)))
+    wall, thick = float(rng.uniform(0.02, 0.045)), float(rng.uniform(0.025, 0.05))
+    body = b.base("safe_body")
+    m.carcass(body, (w, d, h), wall, palette, bottom=0.015)
+    for x in (-1, 1):
+        for y in (-1, 1):
+            foot = s.cylinder(0.02, 0.018, segments=12)
+            body.add(foot.moved((x * 0.4 * w, y * 0.4 * d, 0.009)), rubber(), "foot")
+    body.add(
+        s.box((w - 2 * wall, 0.6 * d, 0.006), (0, 0.1 * d, 0.015 + h / 2)), palette.metal, "shelf"
+    )
+    side: m.Side = "left" if rng.random() < 0.5 else "right"
+    inset = rng.random() < 0.5
+    r = m.Opening(-w / 2, w / 2, 0.015, 0.015 + h)
+    r = r.shrunk(wall + 0.003) if inset else r.shrunk(0.001)
+    y = -d / 2 + thick if inset else -d / 2 - 0.002
+    spec = m.DoorSpec(side, float(rng.uniform(1.4, 1.9)), "plain", None, thickness=thick)
+    door_ = m.door(b, body, r, y, spec, palette)
+    front = y - thick
+    free = 1 if side == "left" else -1
+    cx, cz = r.center
+    mark = plain("mark", (240, 240, 240))
+    if rng.random() < 0.6:
+        controls.knob(
+            b,
+            door_,
+            (cx + free * 0.12 * w, front, cz + 0.12 * h),
+            0.032,
+            0.025,
+            palette.dark,
+            mark,
+            style=2,
+        )
+    else:
+        for i in range(3):
+            for j in range(3):
+                at = (cx + (i - 1) * 0.024, front, cz + 0.12 * h + (j - 1) * 0.024)
+                controls.push_button(b, door_, at, (0.018, 0.018, 0.004), mark)
+    at = np.array([cx + free * 0.1 * w, front, cz - 0.15 * h])
+    if rng.random() < 0.5:
+        lever_handle(b, door_, at, -float(free), palette.metal)
+    else:
+        wheel = b.spin("knob", door_, (0, -1, 0), at)
+        hub = s.along(s.cylinder(0.014, 0.045, segments=16), 1).moved(
+            at + np.array([0, -0.0232, 0])
+        )
+        wheel.add(hub, palette.metal, "hub")
+        for k in range(int(rng.integers(3, 6))):
+            spoke = (
+                s.cylinder(0.0055, 0.06, segments=10)
+                .moved((0, 0, 0.04))
+                .turned((0, 1, 0), 2 * np.pi * k / 4)
+            )
+            wheel.add(spoke.moved(at + np.array([0, -0.038, 0])), palette.metal, "spoke")
+    return b.build()
+
+
+def suitcase(rng: np.random.Generator) -> ProceduralObject:
+    """A trolley case: shell that opens, telescopic handle, wheels."""
+    b = Builder("Suitcase", rng)
+    skin = plain("shell", PLASTICS[rng.integers(len(PLASTICS))])
+    w, d, h = (float(v) for v in rng.uniform((0.34, 0.2, 0.48), (0.5, 0.3, 0.72)))
+    wheel = 0.024
+    bottom = 2 * wheel + 0.01
+    body = b.base("suitcase_body")
+    half = d / 2 - 0.001
+
+    def shell(front: bool) -> s.Solid:
+        solid = s.tray((w, h, half), 0.004, radius=0.06, taper=0.012, corner=5)
+        turned = (
+            solid.turned((1, 0, 0), -np.pi / 2) if front else solid.turned((1, 0, 0), np.pi / 2)
+        )
+        y = -half - 0.001 if front else half + 0.001
+        return turned.moved((0, y, bottom + h / 2))
+
+    body.add(shell(False), skin, "shell")
+    side = -1 if rng.random() < 0.5 else 1
+    axis = (0, 0, -1) if side < 0 else (0, 0, 1)
+    lid = b.hinge(
+        "lid",
+        body,
+        axis,
+        (side * (w / 2 + 0.001), 0.0, bottom + h / 2),
+        0.0,
+        float(rng.uniform(1.8, 3.0)),
+    )
+    lid.add(shell(True), skin, "shell")
+    for k in range(int(rng.integers(0, 5))):
+        rib = s.box(
+            (0.012, 0.006, 0.72 * h), ((k - 2) * 0.14 * w, -half - 0.001, bottom + h / 2), 0.002
+        )
+        lid.add(rib, skin, "rib")
+    pull = float(rng.uniform(0.25, 0.4))
+    handle = b.slide("handle", body, (0, 0, 1), 0.0, pull, (0, d / 4, bottom + h))
+    grey = metal("steel")
+    y = half + 0.016
+    length = 0.85 * h
+    for x in (-0.18 * w, 0.18 * w):
+        sleeve = s.ring(
+            [
+                (0.0075, bottom),
+                (0.0105, bottom),
+                (0.0105, bottom + h - 0.03),
+                (0.0075, bottom + h - 0.03),
+            ],
+            14,
+        )
+        body.add(sleeve.moved((x, y, 0)), plain("sleeve", (50, 52, 56)), "sleeve")
+        bar = s.cylinder(0.0065, length, segments=12).moved((x, y, bottom + h - length / 2 + 0.02))
+        handle.add(bar, grey, "bar")
+    grip = s.rounded_box((0.36 * w + 0.04, 0.022, 0.026), 0.009, rim=0.006)
+    handle.add(grip.moved((0, y, bottom + h + 0.03)), plain("grip", (40, 40, 44)), "grip")
+    spinner = rng.random() < 0.6
+    palette = Palette(skin, skin, metal("dark"), metal("dark"), plain("dark", (40, 40, 44)))
+    spots = [(-1, -0.6), (1, -0.6), (-1, 0.6), (1, 0.6)] if spinner else [(-1, 0.6), (1, 0.6)]
+    for sx, sy in spots:
+        parent = lid if sy < 0 else body
+        top = (sx * (w / 2 - 0.07), sy * half, bottom - 0.001)
+        controls.caster(
+            b,
+            parent,
+            top,
+            wheel,
+            palette,
+            rubber(),
+            swivel=spinner,
+            heading=float(rng.random() * 6.28) if spinner else 0.0,
+        )
+    return b.build()
+
+
+def trash_can(rng: np.random.Generator) -> ProceduralObject:
+    """A bin with a hinged, swinging or lift-off lid, perhaps a pedal or wheels."""
+    b = Builder("TrashCan", rng)
+    skin = metal("brushed") if rng.random() < 0.3 else one_color(rng, PLASTICS)
+    dark = plain("dark", (44, 46, 50))
+    body = b.base("trashcan_body")
+    h = float(rng.uniform(0.3, 0.8))
+    round_ = rng.random() < 0.4
+    w = float(rng.uniform(0.45, 0.75)) * h
+    d = w if round_ else w * float(rng.uniform(0.75, 1.0))
+    wall, lift = 0.004, 0.02
+    if round_:
+        r = w / 2
+        body.add(
+            s.lathe(
+                [
+                    (0.88 * r, lift),
+                    (r, lift + h),
+                    (r - wall, lift + h),
+                    (0.88 * r - wall, lift + wall),
+                ],
+                32,
+            ),
+            skin,
+            "body",
+        )
+    else:
+        body.add(
+            s.tray((w, d, h), wall, radius=0.03, taper=0.08 * w).moved((0, 0, lift)), skin, "body"
+        )
+    body.add(s.box((0.7 * w, 0.7 * d, lift), (0, 0, lift / 2)), dark, "base")
+    top, kind = lift + h + 0.001, rng.random()
+    rest: dict[str, float] = {}
+    outline = s.circle(w / 2, 32) if round_ else s.rectangle(w, d, 0.03, 3)
+    if kind < 0.55:
+        lid = b.hinge(
+            "lid", body, (-1, 0, 0), (0, d / 2 + 0.004, top), 0.0, float(rng.uniform(1.2, 1.7))
+        )
+        loops = [s.at(outline, top), s.at(outline, top + 0.012), s.at(0.9 * outline, top + 0.025)]
+        lid.add(s.loft(loops), dark if rng.random() < 0.5 else skin, "lid")
+        lid.add(
+            s.along(s.cylinder(0.006, 0.35 * w, segments=12), 0).moved(
+                (0, d / 2 + 0.004, top + 0.002)
+            ),
+            dark,
+            "hinge",
+        )
+        if rng.random() < 0.5:
+            pedal = b.hinge("pedal", body, (1, 0, 0), (0, -d / 2 + 0.12 * d, 0.014), 0.0, 0.1)
+            reach = 0.1 * d + 0.05
+            pedal.add(
+                s.box(
+                    (0.3 * w, reach, 0.006),
+                    (0, -d / 2 - reach / 2 + 0.05 * d + 0.003, 0.0145),
+                    0.001,
+                ),
+                metal("steel"),
+                "pedal",
+            )
+        elif rng.random() < 0.4:
+            for side in (-1, 1):
+                at = (side * (0.35 * w + 0.012), d / 2 - 0.02, 0.05)
+                wheel = b.spin("wheel", body, (1, 0, 0), at)
+                tyre, hub = controls.wheel(0.05, 0.02)
+                m.add(
+                    wheel,
+                    [t.moved((side * (w / 2 + 0.014), d / 2 - 0.02, 0.05)) for t in tyre],
+                    rubber(),
+                    "tyre",
+                )
+                m.add(
+                    wheel,
+                    [t.moved((side * (w / 2 + 0.014), d / 2 - 0.02, 0.05)) for t in hub],
+                    dark,
+                    "hub",
+                )
+        if rng.random() < 0.25:
+            rest[lid.link] = float(rng.uniform(0.1, 1.2))
+    elif kind < 0.8:
+        rim = [
+            s.at(outline * f, z)
+            for f, z in (
+                (1.0, top),
+                (1.0, top + 0.1),
+                (0.86, top + 0.12),
+                (0.84, top + 0.12),
+                (0.97, top + 0.1),
+                (0.97, top),
+            )
+        ]
+        body.add(s.loft(rim, ring=True), dark, "rim")
+        inner = np.abs(outline).max(0) * 0.8
+        z = top + 0.125
+        lid = b.hinge("lid", body, (1, 0, 0), (0, 0, z), -0.9, 0.9)
+        flap = s.slab(
+            s.circle(inner[0], 28)
+            if round_
+            else s.rectangle(2 * inner[0], 1.7 * inner[1], 0.02, 2),
+            0.005,
+        )
+        lid.add(flap.moved((0, 0, z)), skin, "flap")
+    else:
+        lid = b.slide("lid", body, (0, 0, 1), 0.0, float(rng.uniform(0.08, 0.2)), (0, 0, top))
+        loops = [
+            s.at(1.02 * outline, top),
+            s.at(1.02 * outline, top + 0.015),
+            s.at(0.85 * outline, top + 0.035),
+        ]
+        lid.add(s.loft(loops), dark, "lid")
+        m.add(
+            lid,
+            m.place(
+                m.handle("bow", 0.4 * w, 0.035), (0, 0, top + 0.034), face="up", roll=np.pi / 2
+            ),
+            dark,
+            "handle",
+        )
+    return b.build(rest)

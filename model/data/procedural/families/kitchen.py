@@ -1,0 +1,346 @@
+"""Oven and Microwave; the housing that kitchen machines share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.data.procedural import controls
+from model.data.procedural import modules as m
+from model.data.procedural import shapes as s
+from model.data.procedural.grammar import Body, Builder, ProceduralObject
+from model.data.procedural.materials import (
+    Palette,
+    Surface,
+    appliance_palette,
+    glass,
+    picture,
+    plain,
+)
+
+INSIDE = plain("inside", (206, 208, 210))
+
+
+def housing(
+    body: Body,
+    size: tuple[float, float, float],
+    opening: m.Opening,
+    palette: Palette,
+    bottom: float,
+    *,
+    depth: float | None = None,
+    inside: Surface = INSIDE,
+) -> None:
+    """A body whose front is closed but for one opening into a hollow of ``depth``."""
+    w, d, h = size
+    hollow = 0.86 * d if depth is None else depth
+    front, back = -d / 2, d / 2
+    x0, x1, z0, z1 = -w / 2, w / 2, bottom, bottom + h
+    blocks = (
+        ((x0, opening.x0), (z0, z1), "side_wall"),
+        ((opening.x1, x1), (z0, z1), "side_wall"),
+        ((opening.x0, opening.x1), (z0, opening.z0), "floor"),
+        ((opening.x0, opening.x1), (opening.z1, z1), "ceiling"),
+    )
+    for (a, b), (low, high), piece in blocks:
+        solid = s.box(
+            (b - a, hollow, high - low), ((a + b) / 2, front + hollow / 2, (low + high) / 2), 0.003
+        )
+        body.add(solid, palette.body, piece)
+    rear = s.box((w, d - hollow, h), (0, back - (d - hollow) / 2, (z0 + z1) / 2), 0.004)
+    body.add(rear, palette.body, "back")
+    lining = s.box(
+        (opening.width, 0.004, opening.height),
+        (opening.center[0], front + hollow - 0.002, opening.center[1]),
+    )
+    body.add(lining, inside, "lining")
+
+
+def rack(
+    body: Body,
+    width: float,
+    depth: float,
+    at: tuple[float, float, float],
+    surface: Surface,
+    bars: int = 9,
+) -> None:
+    """A wire shelf centred on ``at``."""
+    x, y, z = at
+    for side in (-1, 1):
+        rail = s.along(s.cylinder(0.004, depth, segments=8), 1).moved(
+            (x + side * (width / 2 - 0.004), y, z)
+        )
+        body.add(rail, surface, "rail")
+    for k in range(bars):
+        wire = s.along(s.cylinder(0.0025, width, segments=6), 0)
+        body.add(wire.moved((x, y - depth / 2 + depth * (k + 0.5) / bars, z)), surface, "wire")
+
+
+@dataclass(frozen=True)
+class OvenSpec:
+    """What decides how an oven looks.
+
+    Attributes:
+        size: (x, y, z) metres; knobs: number; burners: 0 for a built-in oven.
+        drawer: a warming drawer below the door; knob_limits: radians, None turns without end.
+        gap: metres above and below the door.
+    """
+
+    size: tuple[float, float, float] = (0.6, 0.6, 0.86)
+    knobs: int = 6
+    knob_style: int = 0
+    burners: int = 4
+    drawer: bool = True
+    display: bool = True
+    feet: float = 0.03
+    fascia: float = 0.11
+    handle: m.HandleStyle = "bar"
+    knob_limits: tuple[float, float] | None = None
+    door_open: float = 0.0
+    gap: float = 0.003
+
+
+def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> ProceduralObject:
+    """An oven, with a cooktop where it has burners."""
+    b = Builder("Oven", rng)
+    w, d, h = spec.size
+    body = b.base("oven_body")
+    bottom = spec.feet
+    low = bottom + (0.16 if spec.drawer else 0.03)
+    high = bottom + h - spec.fascia
+    wall = 0.05
+    housing(
+        body,
+        spec.size,
+        m.Opening(-w / 2 + wall, w / 2 - wall, low + 0.03, high - 0.03),
+        palette,
+        bottom,
+        inside=plain("oven_lining", (60, 62, 66)),
+    )
+    for x in (-1, 1):
+        for y in (-1, 1):
+            body.add(
+                s.cylinder(0.02, bottom + 0.01, segments=12).moved(
+                    (x * (w / 2 - 0.05), y * (d / 2 - 0.05), (bottom + 0.01) / 2)
+                ),
+                palette.dark,
+                "foot",
+            )
+    front = -d / 2
+    thick = 0.035
+    fascia = s.box(
+        (w - 0.004, thick, spec.fascia - 0.006),
+        (0, front - thick / 2, bottom + h - spec.fascia / 2),
+        0.004,
+    )
+    body.add(fascia, palette.front if rng.random() < 0.6 else palette.dark, "control_panel")
+    for k, z in enumerate((low + 0.15, low + 0.3)):
+        if z < high - 0.08:
+            rack(body, w - 2 * wall, 0.7 * d, (0, front + 0.4 * d, z), palette.metal, 9 + k)
+    door = m.door(
+        b,
+        body,
+        m.Opening(-w / 2 + 0.002, w / 2 - 0.002, low, high + 0.002 - spec.gap),
+        front - 0.002,
+        m.DoorSpec(
+            "bottom", np.pi / 2, "window", spec.handle, 0.76 * w, 0.045, 0.5, 0.05, thick - 0.002
+        ),
+        palette,
+    )
+    if spec.drawer:
+        _warming_drawer(b, body, w, d, bottom, low + 0.001 - spec.gap, thick, palette)
+    _oven_knobs(b, body, spec, palette, front - thick, bottom + h - spec.fascia / 2)
+    if spec.burners:
+        _cooktop(body, w, d, bottom + h, spec.burners, palette)
+    return b.build({door.link: spec.door_open} if spec.door_open else None)
+
+
+def _warming_drawer(
+    b: Builder,
+    body: Body,
+    w: float,
+    d: float,
+    bottom: float,
+    low: float,
+    thick: float,
+    palette: Palette,
+) -> None:
+    front = -d / 2
+    part = b.slide("drawer", body, (0, -1, 0), 0.0, 0.3, (0, front, (bottom + low) / 2))
+    r = m.Opening(-w / 2 + 0.002, w / 2 - 0.002, bottom + 0.004, low - 0.001)
+    m.panel(part, r, front - 0.002, thick - 0.002, "plain", palette)
+    grip = m.handle("lip", 0.5 * w, 0.025)
+    m.add(
+        part,
+        m.place(grip, (0, front - thick, low - 0.03), roll=np.pi / 2),
+        palette.accent,
+        "handle",
+    )
+
+
+def _oven_knobs(
+    b: Builder, body: Body, spec: OvenSpec, palette: Palette, y: float, z: float
+) -> None:
+    w = spec.size[0]
+    middle = spec.display and spec.knobs % 2 == 0
+    xs = np.linspace(-0.42, 0.42, spec.knobs) * w if spec.knobs > 1 else np.array([0.25 * w])
+    if middle:
+        half = spec.knobs // 2
+        xs = np.concatenate([np.linspace(-0.42, -0.2, half), np.linspace(0.2, 0.42, half)]) * w
+    if spec.display and (middle or spec.knobs == 1):
+        body.add(
+            s.box((0.12, 0.006, 0.045), (0, y - 0.002, z)),
+            picture("panel", int(spec.knobs)),
+            "display",
+        )
+    spread = float(np.diff(xs).min()) if len(xs) > 1 else 0.1
+    radius = min(0.024, 0.38 * spread, 0.33 * spec.fascia)
+    mark = (
+        plain("mark", (240, 240, 240))
+        if sum(palette.accent.material.base_color[:3]) < 300
+        else palette.dark
+    )
+    for x in xs:
+        controls.knob(
+            b,
+            body,
+            (float(x), y, z),
+            radius,
+            0.026,
+            palette.accent,
+            mark,
+            style=spec.knob_style,
+            limits=spec.knob_limits,
+        )
+
+
+def _cooktop(body: Body, w: float, d: float, top: float, burners: int, palette: Palette) -> None:
+    body.add(s.box((w, d, 0.012), (0, 0, top + 0.004), 0.003), palette.dark, "cooktop")
+    iron = plain("iron", (28, 28, 30))
+    rows = [(-0.24, -0.22), (0.24, -0.22), (-0.24, 0.2), (0.24, 0.2), (0.0, 0.0)][: max(burners, 1)]
+    for k, (x, y) in enumerate(rows):
+        r = 0.085 if k % 3 else 0.068
+        plate = s.lathe([(r, 0), (r, 0.01), (0.9 * r, 0.014), (0.3 * r, 0.014)], 24)
+        body.add(plate.moved((x * w, y * d, top + 0.009)), iron, "burner")
+        body.add(
+            s.ring([(1.06 * r, 0), (1.12 * r, 0), (1.12 * r, 0.004), (1.06 * r, 0.004)], 24).moved(
+                (x * w, y * d, top + 0.009)
+            ),
+            palette.metal,
+            "trim",
+        )
+
+
+def oven(rng: np.random.Generator) -> ProceduralObject:
+    """A range, or a built-in oven."""
+    stove = rng.random() < 0.6
+    size = (
+        float(rng.uniform(0.5, 0.76)),
+        float(rng.uniform(0.55, 0.65)),
+        float(rng.uniform(0.8, 0.9) if stove else rng.uniform(0.45, 0.65)),
+    )
+    knobs = int(rng.integers(1, 7))
+    limits = [None, (0.0, 4.71), (-2.4, 2.4)][rng.integers(3)]
+    spec = OvenSpec(
+        size,
+        knobs,
+        int(rng.integers(3)),
+        int(rng.integers(2, 6)) if stove else 0,
+        bool(stove and rng.random() < 0.6),
+        bool(rng.random() < 0.6),
+        float(rng.uniform(0.01, 0.06)),
+        float(rng.uniform(0.08, 0.13)),
+        ("bar", "bow", "flat")[rng.integers(3)],
+        limits,
+        float(rng.uniform(0.1, 1.3)) if rng.random() < 0.15 else 0.0,
+    )
+    return build_oven(spec, appliance_palette(rng), rng)
+
+
+def microwave(rng: np.random.Generator) -> ProceduralObject:
+    """A door beside a panel of buttons or knobs, perhaps a turntable."""
+    b = Builder("Microwave", rng)
+    palette = appliance_palette(rng)
+    w, d, h = (float(v) for v in rng.uniform((0.42, 0.32, 0.24), (0.6, 0.46, 0.36)))
+    bottom, wall, thick = 0.012, 0.025, 0.028
+    panel_width = float(rng.uniform(0.18, 0.26)) * w
+    body = b.base("microwave_body")
+    split = w / 2 - panel_width
+    opening = m.Opening(-w / 2 + wall, split - wall, bottom + wall, bottom + h - wall)
+    housing(body, (w, d, h), opening, palette, bottom)
+    for x in (-1, 1):
+        for y in (-1, 1):
+            body.add(
+                s.cylinder(0.015, bottom + 0.004, segments=12).moved(
+                    (x * 0.4 * w, y * 0.38 * d, bottom / 2 + 0.002)
+                ),
+                palette.dark,
+                "foot",
+            )
+    front = -d / 2
+    fascia = m.Opening(split + 0.0015, w / 2, bottom, bottom + h)
+    body.add(
+        s.box(
+            (fascia.width, thick, fascia.height),
+            (fascia.center[0], front - thick / 2, fascia.center[1]),
+            0.003,
+        ),
+        palette.dark,
+        "control_panel",
+    )
+    face = front - thick
+    side: m.Side = "left"
+    look = m.DoorSpec(
+        side,
+        float(rng.uniform(1.5, 2.0)),
+        "window",
+        ("bar", "flat", "bow", None)[rng.integers(4)],
+        0.6 * h,
+        0.03,
+        0.5,
+        0.03,
+        thick - 0.002,
+    )
+    m.door(
+        b, body, m.Opening(-w / 2, split - 0.0015, bottom, bottom + h), front - 0.002, look, palette
+    )
+    cx = fascia.center[0]
+    body.add(
+        s.box((0.75 * panel_width, 0.004, 0.14 * h), (cx, face - 0.001, bottom + 0.87 * h)),
+        picture("panel", int(rng.integers(6))),
+        "display",
+    )
+    if rng.random() < 0.5:
+        mark = plain("mark", (240, 240, 240))
+        for z in (0.3, 0.62)[: int(rng.integers(1, 3))]:
+            controls.knob(
+                b,
+                body,
+                (cx, face, bottom + z * h),
+                0.3 * panel_width,
+                0.02,
+                palette.accent,
+                mark,
+                style=int(rng.integers(3)),
+                limits=(0.0, 4.71) if rng.random() < 0.5 else None,
+            )
+    else:
+        rows, cols = int(rng.integers(3, 6)), 3
+        pitch = (0.28 * panel_width, 0.6 * h / rows)
+        for i in range(rows):
+            for j in range(cols):
+                at = (cx + (j - 1) * pitch[0], face, bottom + 0.1 * h + (i + 0.5) * pitch[1])
+                controls.push_button(
+                    b, body, at, (0.8 * pitch[0], 0.7 * pitch[1], 0.004), palette.accent
+                )
+    if rng.random() < 0.6:
+        plate = b.spin(
+            "tray", body, (0, 0, 1), (opening.center[0], front + 0.43 * d, opening.z0 + 0.012)
+        )
+        r = 0.45 * min(opening.width, 0.86 * d)
+        dish = s.lathe(
+            [(0.3 * r, 0.012), (r, 0.016), (r, 0.02), (0.95 * r, 0.019), (0.3 * r, 0.016)], 28
+        )
+        plate.add(dish.moved((opening.center[0], front + 0.43 * d, opening.z0)), glass(), "plate")
+    return b.build()

@@ -1,0 +1,279 @@
+"""Dishwasher and WashingMachine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.data.procedural import controls
+from model.data.procedural import modules as m
+from model.data.procedural import shapes as s
+from model.data.procedural.families.kitchen import housing
+from model.data.procedural.grammar import Body, Builder, ProceduralObject
+from model.data.procedural.materials import Palette, appliance_palette, glass, metal, picture, plain
+
+
+def basket(width: float, depth: float, height: float) -> s.Solid:
+    """A rack as a shallow tray on z = 0."""
+    return s.tray((width, depth, height), 0.005, radius=0.02)
+
+
+def dishwasher(rng: np.random.Generator) -> ProceduralObject:
+    """A door that folds down, racks that slide out, buttons above."""
+    b = Builder("Dishwasher", rng)
+    palette = appliance_palette(rng)
+    w, d, h = (float(v) for v in rng.uniform((0.45, 0.52, 0.76), (0.6, 0.6, 0.84)))
+    bottom, wall, thick = 0.08, 0.03, 0.03
+    body = b.base("dishwasher_body")
+    body.add(
+        s.box((0.96 * w, 0.8 * d, bottom + 0.002), (0, 0.05 * d, bottom / 2)),
+        palette.dark,
+        "plinth",
+    )
+    built_in = rng.random() < 0.5
+    strip = 0.0 if built_in else 0.1
+    opening = m.Opening(-w / 2 + wall, w / 2 - wall, bottom + wall, bottom + h - strip - wall)
+    housing(body, (w, d, h), opening, palette, bottom)
+    front = -d / 2
+    top = bottom + h - strip
+    style: m.HandleStyle | None = ("bar", "bow", "flat", "lip")[rng.integers(4)]
+    m.door(
+        b,
+        body,
+        m.Opening(-w / 2 + 0.001, w / 2 - 0.001, bottom + 0.002, top - 0.003),
+        front - 0.002,
+        m.DoorSpec("bottom", np.pi / 2, "plain", style, 0.7 * w, 0.04, 0.5, 0.06, thick),
+        palette,
+    )
+    count = int(rng.integers(2, 7))
+    if strip:
+        body.add(
+            s.box((w, thick, strip - 0.002), (0, front - thick / 2, top + strip / 2), 0.003),
+            palette.dark,
+            "control_panel",
+        )
+        for k in range(count):
+            x = (k - (count - 1) / 2) * 0.045
+            controls.push_button(
+                b,
+                body,
+                (x, front - thick, top + strip / 2),
+                (0.026, 0.016, 0.005),
+                palette.accent,
+                round_=bool(k % 2),
+            )
+        controls.knob(
+            b,
+            body,
+            (0.4 * w, front - thick, top + strip / 2),
+            0.028,
+            0.022,
+            palette.accent,
+            plain("mark", (230, 230, 230)),
+            style=int(rng.integers(3)),
+        )
+    for k in range(int(rng.integers(1, 3))):
+        z = opening.z0 + (0.08 + 0.5 * k) * opening.height
+        shelf = b.slide("shelf", body, (0, -1, 0), 0.0, 0.62 * d, (0, 0, z))
+        deep = 0.76 * d
+        solid = basket(opening.width - 0.012, deep, 0.09).moved((0, front + deep / 2 + 0.012, z))
+        shelf.add(solid, metal("white"), "rack")
+    return b.build()
+
+
+def washing_machine(rng: np.random.Generator) -> ProceduralObject:
+    """A front loader: round door, drum, detergent drawer, programme knob and buttons."""
+    b = Builder("WashingMachine", rng)
+    palette = appliance_palette(rng)
+    w, d, h = (float(v) for v in rng.uniform((0.55, 0.48, 0.8), (0.65, 0.6, 0.9)))
+    bottom, strip = 0.02, 0.12
+    body = b.base("washingmachine_body")
+    radius = float(rng.uniform(0.26, 0.32)) * w
+    cz = bottom + 0.5 * (h - strip)
+    front = -d / 2
+    _round_opening(body, w, d, h, bottom, radius, cz, palette)
+    for x in (-1, 1):
+        for y in (-1, 1):
+            body.add(
+                s.cylinder(0.02, bottom + 0.004, segments=12).moved(
+                    (x * 0.42 * w, y * 0.4 * d, bottom / 2 + 0.002)
+                ),
+                palette.dark,
+                "foot",
+            )
+    _porthole(b, body, radius, front, cz, palette, rng)
+    drum = b.spin("drum", body, (0, 1, 0), (0, 0, cz))
+    r = 0.93 * radius
+    shell = s.lathe(
+        [
+            (r, 0),
+            (r, 0.6 * d),
+            (0.0, 0.6 * d),
+            (0.0, 0.59 * d),
+            (0.95 * r, 0.59 * d),
+            (0.95 * r, 0),
+        ],
+        28,
+    )
+    drum.add(
+        s.along(shell, 1).scaled((1, -1, 1)).moved((0, front + 0.05, cz)), metal("steel"), "drum"
+    )
+    for k in range(3):
+        fin = s.box((0.03, 0.45 * d, 0.16 * r), (0, front + 0.05 + 0.3 * d, 0.86 * r), 0.004)
+        drum.add(fin.turned((0, 1, 0), 2.094 * k).moved((0, 0, cz)), metal("steel"), "fin")
+    zs = bottom + h - strip / 2
+    _washing_controls(b, body, w, front, zs, strip, palette, rng)
+    return b.build()
+
+
+def _round_opening(
+    body: Body,
+    w: float,
+    d: float,
+    h: float,
+    bottom: float,
+    radius: float,
+    cz: float,
+    palette: Palette,
+) -> None:
+    """A cabinet with a round hole in its front, hollow behind it."""
+    wall, front = 0.015, -d / 2
+    angles = (np.arange(32) + 0.5) * 2 * np.pi / 32
+    unit = np.stack([np.cos(angles), np.sin(angles)], 1)
+    low, high = bottom - cz, bottom + h - cz
+    for x, z in ((w / 2, high), (-w / 2, high), (-w / 2, low), (w / 2, low)):
+        # The corners belong to the outline: the nearest direction is turned to each.
+        corner = np.array([x, z]) / np.hypot(x, z)
+        unit[np.argmax(unit @ corner)] = corner
+    # The outer rim: where the ray at each angle leaves the rectangle.
+    with np.errstate(divide="ignore"):
+        reach = np.minimum(
+            (w / 2) / np.abs(unit[:, 0]),
+            np.where(unit[:, 1] > 0, high / unit[:, 1], low / unit[:, 1]),
+        )
+    outer, inner = unit * reach[:, None], unit * radius
+    loops = [
+        s.at(outer, wall / 2),
+        s.at(outer, -wall / 2),
+        s.at(inner, -wall / 2),
+        s.at(inner, wall / 2),
+    ]
+    plate = s.along(s.loft(loops, ring=True), 1).moved((0, front + wall / 2, cz))
+    body.add(plate, palette.front, "front")
+    z = bottom + h / 2
+    for side in (-1, 1):
+        body.add(
+            s.box((wall, d - wall, h), (side * (w - wall) / 2, wall / 2, z), 0.003),
+            palette.body,
+            "side_wall",
+        )
+    body.add(s.box((w - 2 * wall, wall, h), (0, (d - wall) / 2, z)), palette.body, "back")
+    for at in (bottom + wall / 2, bottom + h - wall / 2):
+        body.add(s.box((w - 2 * wall, d - 2 * wall, wall), (0, 0, at)), palette.body, "wall")
+    body.add(
+        s.box((w + 0.004, d + 0.004, 0.02), (0, 0, bottom + h + 0.009), 0.005), palette.body, "top"
+    )
+
+
+def _porthole(
+    b: Builder,
+    body: Body,
+    radius: float,
+    front: float,
+    cz: float,
+    palette: Palette,
+    rng: np.random.Generator,
+) -> None:
+    outer, thick = 1.18 * radius, 0.04
+    side = -1 if rng.random() < 0.6 else 1
+    hinge_x = side * (outer + 0.012)
+    axis = (0, 0, -1) if side < 0 else (0, 0, 1)
+    door = b.hinge(
+        "door", body, axis, (hinge_x, front - 0.5 * thick, cz), 0.0, float(rng.uniform(1.8, 2.6))
+    )
+    rim = s.ring(
+        [
+            (0.72 * radius, 0.004),
+            (outer, 0.004),
+            (outer, 0.6 * thick),
+            (0.92 * outer, thick),
+            (0.78 * radius, 0.9 * thick),
+        ],
+        36,
+    )
+    door.add(
+        s.along(rim, 1).moved((0, front, cz)),
+        palette.accent if rng.random() < 0.5 else metal("white"),
+        "rim",
+    )
+    bowl = s.lathe(
+        [
+            (0.74 * radius, 0.012),
+            (0.74 * radius, 0.024),
+            (0.0, 0.03),
+            (0.0, 0.024),
+            (0.7 * radius, 0.012),
+        ],
+        28,
+    )
+    door.add(s.along(bowl, 1).moved((0, front, cz)), glass((90, 110, 120), 160), "glass")
+    lug = s.box((0.05, 0.02, 0.09), (side * (outer - 0.012), front - 0.5 * thick, cz), 0.004)
+    door.add(lug, palette.metal, "hinge")
+    grip = m.handle("flat", 0.09, 0.02)
+    m.add(
+        door, m.place(grip, (-side * 0.9 * outer, front - 0.8 * thick, cz)), palette.dark, "handle"
+    )
+
+
+def _washing_controls(
+    b: Builder,
+    body: Body,
+    w: float,
+    front: float,
+    z: float,
+    strip: float,
+    palette: Palette,
+    rng: np.random.Generator,
+) -> None:
+    face = front - 0.012
+    if rng.random() < 0.85:
+        r = m.Opening(-0.47 * w, -0.2 * w, z - 0.4 * strip, z + 0.38 * strip)
+        drawer = b.slide("drawer", body, (0, -1, 0), 0.0, 0.18, (r.center[0], front, r.center[1]))
+        m.panel(drawer, r, front - 0.001, 0.014, "plain", palette)
+        grip = m.handle("lip", 0.6 * r.width, 0.016)
+        m.add(
+            drawer,
+            m.place(grip, (r.center[0], front - 0.015, r.z0 + 0.02), roll=np.pi / 2),
+            palette.dark,
+            "handle",
+        )
+    body.add(
+        s.box((0.64 * w, 0.012, 0.74 * strip), (0.155 * w, front - 0.006, z), 0.003),
+        palette.dark,
+        "control_panel",
+    )
+    mark = plain("mark", (240, 240, 240))
+    controls.knob(
+        b,
+        body,
+        (0.0, face, z),
+        0.03,
+        0.025,
+        metal("white"),
+        palette.dark,
+        style=int(rng.integers(3)),
+        limits=None if rng.random() < 0.7 else (-2.6, 2.6),
+    )
+    body.add(
+        s.box((0.15 * w, 0.004, 0.35 * strip), (0.17 * w, face - 0.001, z)),
+        picture("panel", int(rng.integers(5))),
+        "display",
+    )
+    for k in range(int(rng.integers(2, 6))):
+        controls.push_button(
+            b,
+            body,
+            (0.29 * w + 0.034 * k - 0.02, face, z),
+            (0.018, 0.018, 0.005),
+            mark,
+            round_=True,
+        )

@@ -1,0 +1,1 @@
+"""Labelled clouds and rooms made from procedural shapes, for training segmenters."""
