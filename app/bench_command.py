@@ -104,14 +104,14 @@ def bench_segment(
     progress: Progress = no_progress,
     **settings: Any,
 ) -> Bench:
-    """Segmentation by simulated clicks, see :mod:`model.segmentation.bench`.
+    """Segmentation by simulated clicks, see :mod:`model.evaluation.segmentation.bench`.
 
     ``settings`` are those of its ``BenchConfig``; None leaves the default.
     """
     import json
     from typing import get_args
 
-    from model.segmentation.bench import BenchConfig, DataSet, run
+    from model.evaluation.segmentation.bench import BenchConfig, DataSet, run
 
     chosen = sets or (["partnet"] if data is not None else ["procedural"])
     known = get_args(DataSet)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from model.evaluation.segmentation.visible_clicks import LEAST_PIXELS, largest_piece
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
 from model.segmentation.scorers import (
     MOVING_SCORERS,
@@ -20,7 +21,6 @@ from model.segmentation.scorers import (
     shipped_scorers,
     solver_of,
 )
-from model.segmentation.seen_clicks import LEAST_PIXELS, largest_piece
 from model.segmentation.training.clicks import Log, Rows, overlaps
 from model.segmentation.training.moving import (
     FirstClick,

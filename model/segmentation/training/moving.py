@@ -30,18 +30,18 @@ from model.data.simulated.scans import (
     scan,
 )
 from model.evaluation.pool import in_order
-from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import Encoding, encode
-from model.segmentation.mlp import Mlp
-from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
-from model.segmentation.seen_clicks import (
+from model.evaluation.segmentation.visible_clicks import (
     LEAST_PIXELS,
     Picture,
     depths,
     largest_piece,
     picture_of,
 )
+from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
+from model.segmentation.edge_strength import shipped_edge_model
+from model.segmentation.encoding import Encoding, encode
+from model.segmentation.mlp import Mlp
+from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
 from model.segmentation.solver import PartState
 from model.segmentation.training.clicks import (
     Log,

@@ -10,7 +10,7 @@ import pytest
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
 from model.data.simulated.scans import build, scan
-from model.segmentation.bench_data import partnet_objects
+from model.evaluation.segmentation.bench_data import partnet_objects
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.local_refinement import SMALL
 from model.segmentation.prompts import Click, Prompts, Region

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.segmentation.bench import BenchConfig, run
-from model.segmentation.default import DefaultSegmenter
-from model.segmentation.prompts import PartSegmentation, Prompts
-from model.segmentation.seen_clicks import (
+from model.evaluation.segmentation.bench import BenchConfig, run
+from model.evaluation.segmentation.visible_clicks import (
     Picture,
     clicked_as_seen,
     largest_piece,
     middle_of,
     picture_of,
 )
+from model.segmentation.default import DefaultSegmenter
+from model.segmentation.prompts import PartSegmentation, Prompts
 
 AHEAD = (0.0, -1.0, 0.0)
 

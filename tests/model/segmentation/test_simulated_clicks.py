@@ -14,14 +14,14 @@ from model.data.procedural.families import HELD_OUT
 from model.data.procedural.generate import GenerateSettings, generate
 from model.data.simulated.scans import SMALL_PARTED, build, random_scan, scan
 from model.data.urdf_folders import UrdfFolders
-from model.segmentation.bench import (
+from model.evaluation.segmentation.bench import (
     BenchConfig,
     BenchRow,
     _all_competing,
     _one_against_the_rest,
     run,
 )
-from model.segmentation.bench_data import BenchObject, dataset_objects
+from model.evaluation.segmentation.bench_data import BenchObject, dataset_objects
 from model.segmentation.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.prompts import PartSegmentation, Prompts
 from model.segmentation.scorers import read_scorers

@@ -16,7 +16,7 @@ from model.core.errors import ArtiworldError, InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.data.protocol import Dataset
-from model.segmentation.seen_clicks import FRONT, picture_of
+from model.evaluation.segmentation.visible_clicks import FRONT, picture_of
 
 View = Literal["all", "one-sided", "mesh", "scan"]
 """All surfaces as points; those seen from the front, with noise; the mesh; what depth cameras in

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from model.core.progress import Progress, no_progress
 from model.data.registry import DatasetOptions, open_dataset
-from model.segmentation.bench_data import (
+from model.evaluation.segmentation.bench_data import (
     BenchObject,
     View,
     dataset_objects,
@@ -24,12 +24,12 @@ from model.segmentation.bench_data import (
     procedural_objects,
     room_objects,
 )
+from model.evaluation.segmentation.visible_clicks import clicked_as_seen, picture_of
 from model.segmentation.default import DefaultSession
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.proposal import propose
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
-from model.segmentation.seen_clicks import clicked_as_seen, picture_of
 from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
 
 DataSet = Literal["partnet", "partnet-one-sided", "partnet-scan", "partnet-mesh",
@@ -407,7 +407,7 @@ def _quantile(values: list[float], q: float) -> float:
 
 
 def main() -> None:
-    """``python -m model.segmentation.bench --help``."""
+    """``python -m model.evaluation.segmentation.bench --help``."""
     import tyro
 
     run(tyro.cli(BenchConfig, description=__doc__)).print_table()

@@ -1,0 +1,1 @@
+"""Segmenters scored by simulated clicks."""
