@@ -142,7 +142,7 @@ def bench_networks(
     sizes: list[str] | None, train: bool | None, progress: Progress = no_progress
 ) -> Bench:
     """The paper-size networks, see :mod:`app.bench_networks`."""
-    from model.training.full_config import LORA_RANK, FullConfig, require_extras
+    from model.training.arti4urdf.full_config import LORA_RANK, FullConfig, require_extras
 
     require_extras(FullConfig(lora_rank=LORA_RANK))
     from app.bench_networks import NetworksConfig, measure, tables

@@ -28,7 +28,7 @@ from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.language_model import QWEN3, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBertConfig
-from model.training.full_config import LORA_RANK, FullConfig
+from model.training.arti4urdf.full_config import LORA_RANK, FullConfig
 
 if TYPE_CHECKING:
     from model.prediction.arti4urdf.full_model import Example, FullModel
@@ -102,8 +102,8 @@ def _examples(config: NetworksConfig) -> list[Example]:
     Raises:
         ConfigurationError: where none can be drawn, with the reason.
     """
-    from model.training.full_data import Draws, ObjectSet
-    from model.training.samples import training_families
+    from model.training.arti4urdf.full_data import Draws, ObjectSet
+    from model.training.arti4urdf.samples import training_families
 
     objects = ObjectSet(config.steps + 1, 1, training_families())
     every = replace(config.training, longest=10**9)
@@ -194,7 +194,7 @@ def _training(
     """One object a step, as each of the paper's GPUs has it."""
     import torch
 
-    from model.training.full_loop import load_model
+    from model.training.arti4urdf.full_loop import load_model
 
     began = time.perf_counter()
     model = load_model(config, ulip2, qwen3).to(device).train()

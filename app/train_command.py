@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from model.training.full_config import FullConfig
-    from model.training.full_loop import Sources
+    from model.training.arti4urdf.full_config import FullConfig
+    from model.training.arti4urdf.full_loop import Sources
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -73,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
     """
     from app.headless import check_output
     from model.core.errors import ConfigurationError
-    from model.training.config import CONFIDENCE
-    from model.training.full_config import full_presets
+    from model.training.arti4urdf.config import CONFIDENCE
+    from model.training.arti4urdf.full_config import full_presets
 
     if args.samples < 1 or args.minutes <= 0 or args.jobs < 0:
         raise ConfigurationError("--samples, --minutes and --jobs must be positive")
@@ -100,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
 def _fit_confidence(args: argparse.Namespace) -> int:
     from model.core.errors import ConfigurationError
     from model.evaluation.table import progress_bar
-    from model.training.confidence import PREDICTORS, fit_confidence
-    from model.training.config import CONFIDENCE
+    from model.training.arti4urdf.confidence import PREDICTORS, fit_confidence
+    from model.training.arti4urdf.config import CONFIDENCE
 
     if args.data or args.steps is not None or not math.isinf(args.minutes):
         raise ConfigurationError(
@@ -134,9 +134,9 @@ def _train_small(args: argparse.Namespace) -> int:
 
     from model.data.procedural.generate import family_names
     from model.evaluation.table import progress_bar
-    from model.training.config import preset
-    from model.training.loop import export_weights, train
-    from model.training.samples import HELD_OUT, make_shards, write_dataset
+    from model.training.arti4urdf.config import preset
+    from model.training.arti4urdf.loop import export_weights, train
+    from model.training.arti4urdf.samples import HELD_OUT, make_shards, write_dataset
 
     config = replace(preset(args.preset), seed=args.seed)
     if args.steps is not None:
@@ -190,7 +190,7 @@ def _train_full(args: argparse.Namespace, preset: FullConfig) -> int:
     from model.core.errors import ConfigurationError
     from model.core.progress import no_progress
     from model.evaluation.table import progress_bar
-    from model.training.full_config import require_extras
+    from model.training.arti4urdf.full_config import require_extras
 
     if args.language_model is None or args.point_encoder is None:
         raise ConfigurationError(
@@ -199,7 +199,7 @@ def _train_full(args: argparse.Namespace, preset: FullConfig) -> int:
         )
     config = _full_config(args, preset)
     require_extras(config)
-    from model.training.full_loop import LEFT_OUT, train_full
+    from model.training.arti4urdf.full_loop import LEFT_OUT, train_full
 
     # With several processes the first one speaks.
     speaks = os.environ.get("RANK", "0") == "0"
@@ -230,7 +230,7 @@ def _full_config(args: argparse.Namespace, preset: FullConfig) -> FullConfig:
     """The preset with the options, then with --set."""
     from dataclasses import replace
 
-    from model.training.full_config import LORA_RANK, LORA_RATE, with_settings
+    from model.training.arti4urdf.full_config import LORA_RANK, LORA_RATE, with_settings
 
     config = replace(
         preset,
@@ -249,9 +249,9 @@ def _sources(args: argparse.Namespace, config: FullConfig) -> Sources:
     from model.data.procedural.generate import family_names
     from model.data.registry import recognised
     from model.data.splits import training_ids
-    from model.training.full_data import ObjectSet
-    from model.training.full_loop import Sources
-    from model.training.samples import training_families
+    from model.training.arti4urdf.full_data import ObjectSet
+    from model.training.arti4urdf.full_loop import Sources
+    from model.training.arti4urdf.samples import training_families
 
     families = family_names() if config.held_out else training_families()
     listed = []

@@ -94,7 +94,7 @@ def open_npz(path: Path) -> NpzFile:
         InputFileError: where it is not there.
     """
     if not path.is_file():
-        raise InputFileError(path, "not there", "train it: python -m model.segmentation.training")
+        raise InputFileError(path, "not there", "train it: python -m model.training.segmentation")
     return np.load(path, allow_pickle=False)
 
 

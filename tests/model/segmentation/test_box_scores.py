@@ -19,7 +19,7 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode_cells
 from model.segmentation.mlp import load_mlp
 from model.segmentation.plane_boxes import SIDE_FEATURES, PlaneBoxes
-from model.segmentation.training.boxes import BoxTraining, rows_of, train_boxes
+from model.training.segmentation.boxes import BoxTraining, rows_of, train_boxes
 from tests.model.segmentation.conftest import cabinet_cloud
 
 

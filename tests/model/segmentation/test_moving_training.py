@@ -11,12 +11,16 @@ from model.data.simulated.ornaments import ornamented
 from model.data.simulated.scans import build
 from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.scorers import MOVING_SCORERS, SCORERS
-from model.segmentation.training.clicks import ClickTraining
-from model.segmentation.training.clouds import CloudTraining, train_clouds
-from model.segmentation.training.fit import Boosting
-from model.segmentation.training.mending import MendingTraining, play_sessions, train_mending
-from model.segmentation.training.moving import MovingTraining, play, train_moving
 from model.segmentation.trees import load_scorer
+from model.training.segmentation.clicks import ClickTraining
+from model.training.segmentation.clouds import CloudTraining, train_clouds
+from model.training.segmentation.corrective_clicks import (
+    MendingTraining,
+    play_sessions,
+    train_mending,
+)
+from model.training.segmentation.first_clicks import MovingTraining, play, train_moving
+from model.training.segmentation.fit import Boosting
 
 FEW = Boosting(trees=8, leaves=4, least=5, forests=2)
 SMALL = MovingTraining(parts=2, clicks=2, networks=1, held_out=2, workers=1)

@@ -19,12 +19,8 @@ from model.segmentation.part_masks import (
     shipped_part_scorer,
     spoken_of,
 )
-from model.segmentation.training.moving import MovingTraining
-from model.segmentation.training.part_masks import (
-    PartMaskTraining,
-    play_masks,
-    train_part_masks,
-)
+from model.training.segmentation.first_clicks import MovingTraining
+from model.training.segmentation.part_masks import PartMaskTraining, play_masks, train_part_masks
 
 SMALL = PartMaskTraining(asked=6, spread=40, networks=1, held_out=2, workers=1)
 

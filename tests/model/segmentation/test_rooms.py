@@ -13,7 +13,7 @@ from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.scorers import read_scorers
 from model.segmentation.simulated_clicks import deepest, iou, next_click
-from model.segmentation.training.clicks import ClickTraining, train_room_scorers
+from model.training.segmentation.clicks import ClickTraining, train_room_scorers
 
 SEED = 90_001
 """Of a room that no scorer was trained on."""

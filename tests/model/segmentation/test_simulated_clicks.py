@@ -26,8 +26,8 @@ from model.segmentation.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.prompts import PartSegmentation, Prompts
 from model.segmentation.scorers import read_scorers
 from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
-from model.segmentation.training.clicks import ClickTraining, train_scorers
-from model.segmentation.training.fit import area_under_curve, averaged, fit_ranker
+from model.training.segmentation.clicks import ClickTraining, train_scorers
+from model.training.segmentation.fit import area_under_curve, averaged, fit_ranker
 
 LINE = np.c_[np.arange(20.0), np.zeros(20), np.zeros(20)]
 

@@ -25,16 +25,16 @@ from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
 from model.prediction.arti4urdf.text_script import Author  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
-from model.training.full_config import (  # noqa: E402
+from model.training.arti4urdf.full_config import (
     FullConfig,
     check_size,
     full_presets,
     require_extras,
     with_settings,
 )
-from model.training.full_data import Draws, ObjectSet, positions, varied  # noqa: E402
-from model.training.full_loop import LEFT_OUT, Sources, train_full  # noqa: E402
-from model.training.samples import training_families, write_dataset  # noqa: E402
+from model.training.arti4urdf.full_data import Draws, ObjectSet, positions, varied  # noqa: E402
+from model.training.arti4urdf.full_loop import LEFT_OUT, Sources, train_full  # noqa: E402
+from model.training.arti4urdf.samples import training_families, write_dataset  # noqa: E402
 from tests.app.run_cli import artiworld, assert_users_mistake  # noqa: E402
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 

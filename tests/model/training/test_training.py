@@ -23,13 +23,13 @@ from model.prediction.arti4urdf.structure import read_structure, structure_array
 from model.prediction.arti4urdf.vocabulary import SIZE, TYPES
 from model.prediction.arti4urdf.weights import load_weights
 from model.prediction.geometric.predictor import assemble
-from model.training import batches
-from model.training.batches import Augmentation, augmented, collate, teach
-from model.training.config import TrainingConfig
-from model.training.labels import label
-from model.training.loop import LOG, export_weights, rate, train
-from model.training.loss import batch_loss
-from model.training.samples import (
+from model.training.arti4urdf import batches
+from model.training.arti4urdf.batches import Augmentation, augmented, collate, teach
+from model.training.arti4urdf.config import TrainingConfig
+from model.training.arti4urdf.labels import label
+from model.training.arti4urdf.loop import LOG, export_weights, rate, train
+from model.training.arti4urdf.loss import batch_loss
+from model.training.arti4urdf.samples import (
     HELD_OUT,
     Sample,
     draw_truth,
@@ -207,7 +207,7 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
     """A run that was stopped goes on; what is written can be read."""
     from model.data.procedural.generate import family_names
     from model.prediction.confidence import weighing_of
-    from model.training import confidence
+    from model.training.arti4urdf import confidence
 
     def made(predictors: tuple[str, ...], object_id: str) -> list[confidence.JointRow]:
         assert object_id not in asked
@@ -241,7 +241,7 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
 
 
 def test_rows_of_a_made_object() -> None:
-    from model.training.confidence import joint_rows
+    from model.training.arti4urdf.confidence import joint_rows
 
     rows = joint_rows(("geometric",), "Lamp_5_0")
     assert rows and all(r.predictor == "geometric" and r.object_id == "Lamp_5_0" for r in rows)

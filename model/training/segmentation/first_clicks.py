@@ -43,7 +43,8 @@ from model.segmentation.encoding import Encoding, encode
 from model.segmentation.mlp import Mlp
 from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
 from model.segmentation.solver import PartState
-from model.segmentation.training.clicks import (
+from model.segmentation.trees import Scorer, save_scorer
+from model.training.segmentation.clicks import (
     Log,
     Rows,
     asked_by_size,
@@ -52,11 +53,10 @@ from model.segmentation.training.clicks import (
     joined_rows,
     overlaps,
 )
-from model.segmentation.trees import Scorer, save_scorer
 
 if TYPE_CHECKING:
-    from model.segmentation.training.clouds import CloudTraining
-    from model.segmentation.training.mending import MendingTraining
+    from model.training.segmentation.clouds import CloudTraining
+    from model.training.segmentation.corrective_clicks import MendingTraining
 
 Seeds = tuple[int, int, int]
 """First one, end, step."""

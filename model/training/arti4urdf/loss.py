@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from model.prediction.arti4urdf.network import ArtiModel
-from model.training.batches import Batch
+from model.training.arti4urdf.batches import Batch
 
 TYPE_WEIGHT = 0.1
 Z_WEIGHT = 1e-3

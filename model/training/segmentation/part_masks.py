@@ -23,9 +23,9 @@ from model.segmentation.part_masks import (
 )
 from model.segmentation.proposal import WORTH, spread
 from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
-from model.segmentation.training import clicks
-from model.segmentation.training.fit import averaged, fit_mlp
-from model.segmentation.training.moving import MovingTraining, Seeds, collected, seen_object
+from model.training.segmentation import clicks
+from model.training.segmentation.first_clicks import MovingTraining, Seeds, collected, seen_object
+from model.training.segmentation.fit import averaged, fit_mlp
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]

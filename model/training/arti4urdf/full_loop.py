@@ -25,9 +25,9 @@ from torch.utils.data import DataLoader
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
-from model.training.full_config import FullConfig, check_size, require_extras
-from model.training.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
-from model.training.loop import CONFIG, LOG, rate, same_config, to_board
+from model.training.arti4urdf.full_config import FullConfig, check_size, require_extras
+from model.training.arti4urdf.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
+from model.training.arti4urdf.loop import CONFIG, LOG, rate, same_config, to_board
 
 STATE = "state.json"
 LEFT_OUT = "left_out.jsonl"

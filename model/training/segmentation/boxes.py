@@ -18,8 +18,8 @@ from model.segmentation.edge_strength import shipped_edge_model
 from model.segmentation.encoding import encode_cells
 from model.segmentation.mlp import Mlp, save_mlp
 from model.segmentation.simulated_clicks import central, deepest
-from model.segmentation.training.clicks import asked_by_size
-from model.segmentation.training.fit import averaged, fit_ranker
+from model.training.segmentation.clicks import asked_by_size
+from model.training.segmentation.fit import averaged, fit_ranker
 
 Float = npt.NDArray[np.floating]
 

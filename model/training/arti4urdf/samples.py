@@ -22,7 +22,7 @@ from model.data.registry import recognised
 from model.data.splits import training_ids
 from model.evaluation.pool import in_processes
 from model.prediction.arti4urdf.structure import StructureArrays, read_structure, structure_arrays
-from model.training.labels import Labels, label
+from model.training.arti4urdf.labels import Labels, label
 
 HELD_OUT = ("Display", "Suitcase", "Pliers", "Kettle", "Oven")
 """The paper's five categories that are never trained on."""

@@ -26,8 +26,8 @@ from model.prediction.arti4urdf.full_model import Example
 from model.prediction.arti4urdf.text_prompt import make_example
 from model.prediction.arti4urdf.text_script import as_written
 from model.prediction.remote.wire import decode_request, encode_request
-from model.training.full_config import FullConfig
-from model.training.samples import MOST_PARTS, draw_truth, family_of
+from model.training.arti4urdf.full_config import FullConfig
+from model.training.arti4urdf.samples import MOST_PARTS, draw_truth, family_of
 
 if TYPE_CHECKING:
     from tokenizers import Tokenizer

@@ -1,4 +1,4 @@
-"""Trains the shipped networks again: ``python -m model.segmentation.training --help``."""
+"""Trains the shipped networks again: ``python -m model.training.segmentation --help``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from model.core.resources import static_assets
-from model.segmentation.training.boxes import BoxTraining, train_boxes
-from model.segmentation.training.clicks import ClickTraining, train_room_scorers, train_scorers
-from model.segmentation.training.clouds import CloudTraining, train_clouds
-from model.segmentation.training.edges import EdgeTraining, train_edges
-from model.segmentation.training.mending import MendingTraining, train_mending
-from model.segmentation.training.moving import MovingTraining, train_moving
-from model.segmentation.training.part_masks import PartMaskTraining, train_part_masks
+from model.training.segmentation.boxes import BoxTraining, train_boxes
+from model.training.segmentation.clicks import ClickTraining, train_room_scorers, train_scorers
+from model.training.segmentation.clouds import CloudTraining, train_clouds
+from model.training.segmentation.corrective_clicks import MendingTraining, train_mending
+from model.training.segmentation.edges import EdgeTraining, train_edges
+from model.training.segmentation.first_clicks import MovingTraining, train_moving
+from model.training.segmentation.part_masks import PartMaskTraining, train_part_masks
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import torch
 
 from model.prediction.arti4urdf.network import ArtiModel, Prompt, whole_cloud
 from model.prediction.arti4urdf.structure import POINTS
-from model.training.batches import PLAIN, augmented, collate, teach, without_judgements
-from model.training.loss import batch_loss, by_kind
-from model.training.samples import Sample
+from model.training.arti4urdf.batches import PLAIN, augmented, collate, teach, without_judgements
+from model.training.arti4urdf.loss import batch_loss, by_kind
+from model.training.arti4urdf.samples import Sample
 
 Change = Callable[[Sequence[Prompt], np.random.Generator], list[Prompt]]
 

@@ -15,7 +15,7 @@ from model.segmentation.features import FEATURE_NAMES, edge_features
 from model.segmentation.graph import build_graph
 from model.segmentation.mlp import save_mlp
 from model.segmentation.nodes import nodes_of_asset
-from model.segmentation.training.fit import area_under_curve, fit_mlp
+from model.training.segmentation.fit import area_under_curve, fit_mlp
 
 Float = npt.NDArray[np.floating]
 

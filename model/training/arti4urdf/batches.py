@@ -17,8 +17,8 @@ from model.prediction.arti4urdf.answer import LINE_REACH
 from model.prediction.arti4urdf.grammar import FREE, Choice, Feed, Grammar
 from model.prediction.arti4urdf.network import Prompt
 from model.prediction.arti4urdf.structure import FIRST_LOOK, NAME_SAYS, StructureArrays
-from model.training.labels import Labels
-from model.training.samples import Sample
+from model.training.arti4urdf.labels import Labels
+from model.training.arti4urdf.samples import Sample
 
 Bools = npt.NDArray[np.bool_]
 

@@ -19,10 +19,10 @@ from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.network import ArtiModel
 from model.prediction.arti4urdf.weights import save_weights
-from model.training.batches import PLAIN, Batch, augmented, collate, teach
-from model.training.config import TrainingConfig
-from model.training.loss import batch_loss, by_kind
-from model.training.samples import Sample, read_shard
+from model.training.arti4urdf.batches import PLAIN, Batch, augmented, collate, teach
+from model.training.arti4urdf.config import TrainingConfig
+from model.training.arti4urdf.loss import batch_loss, by_kind
+from model.training.arti4urdf.samples import Sample, read_shard
 
 STATE = "state.pt"
 LOG = "log.jsonl"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from model.segmentation.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
 from model.segmentation.scorers import SCORERS, shipped_scorers
-from model.segmentation.training.clicks import (
+from model.training.segmentation.clicks import (
     ClickTraining,
     Round,
     Rows,
@@ -21,8 +21,8 @@ from model.segmentation.training.clicks import (
     fit_scorer,
     fit_trees_to,
 )
-from model.segmentation.training.fit import Boosting
-from model.segmentation.training.moving import fitted
+from model.training.segmentation.first_clicks import fitted
+from model.training.segmentation.fit import Boosting
 
 Played = tuple[Round, int, int]
 """Kind of objects, first seed, end."""

@@ -9,8 +9,8 @@ from model.core.errors import ConfigurationError
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.language_model import DecoderConfig
 from model.prediction.arti4urdf.network import ModelConfig
-from model.training.batches import Augmentation
-from model.training.full_config import full_presets
+from model.training.arti4urdf.batches import Augmentation
+from model.training.arti4urdf.full_config import full_presets
 
 HALF = DecoderConfig(v.SIZE, 96, 256, 3, 3, 1, head_dim=32)
 

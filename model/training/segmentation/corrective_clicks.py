@@ -21,8 +21,8 @@ from model.segmentation.scorers import (
     shipped_scorers,
     solver_of,
 )
-from model.segmentation.training.clicks import Log, Rows, overlaps
-from model.segmentation.training.moving import (
+from model.training.segmentation.clicks import Log, Rows, overlaps
+from model.training.segmentation.first_clicks import (
     FirstClick,
     MovingTraining,
     Seeds,

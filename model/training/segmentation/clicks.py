@@ -28,8 +28,8 @@ from model.segmentation.scorers import (
 )
 from model.segmentation.simulated_clicks import central, deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
-from model.segmentation.training.fit import Boosting, averaged, fit_ranker, fit_trees
 from model.segmentation.trees import Scorer, Trees
+from model.training.segmentation.fit import Boosting, averaged, fit_ranker, fit_trees
 
 Float = npt.NDArray[np.floating]
 Round = Literal["all", "small", "drawers", "rooms"]
