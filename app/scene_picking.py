@@ -21,7 +21,7 @@ from app.jobs import CLICKS
 from app.scene_tasks import SceneItem
 from model.core.errors import CommandError
 from model.scenes.finders import LexiconFinder
-from model.scenes.own_file import quaternion_wxyz
+from model.scenes.native_format import quaternion_wxyz
 from model.scenes.poses import pose, rotation_from_quaternion
 from model.scenes.protocol import Decision, ObjectDescription
 from model.scenes.scene import FloatArray, SceneObject

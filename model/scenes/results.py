@@ -18,10 +18,10 @@ from model.io.assets.reader import URDF
 from model.io.export.manifest import ABOUT, write_scene_about
 from model.io.export.mjcf import FILE
 from model.io.urdf.writer import number, xml_name
-from model.scenes.holding import frictions
+from model.scenes.holding_friction import frictions
 from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING, write_json
+from model.scenes.native_format import quaternion_wxyz, scene_to_json
 from model.scenes.overlaps import at_rest
-from model.scenes.own_file import quaternion_wxyz, scene_to_json
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf

@@ -16,7 +16,7 @@ import numpy as np
 
 from model.io.urdf.writer import number, vector, xml_name
 from model.scenes.jobs import ASSETS, MJCF
-from model.scenes.own_file import quaternion_wxyz
+from model.scenes.native_format import quaternion_wxyz
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray
 

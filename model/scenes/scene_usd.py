@@ -13,7 +13,7 @@ import numpy as np
 from model.io.export.usd import FILE, FRICTION, NAME_KEY
 from model.io.urdf.writer import xml_name
 from model.scenes.jobs import ASSETS
-from model.scenes.own_file import quaternion_wxyz
+from model.scenes.native_format import quaternion_wxyz
 from model.scenes.scene import FloatArray
 from model.scenes.scene_mjcf import Stand
 

@@ -13,7 +13,7 @@ import trimesh
 from model.core.errors import ConfigurationError, InputFileError
 from model.io.readers import read_asset
 from model.scenes.embedded import unpack
-from model.scenes.own_file import scene_to_json
+from model.scenes.native_format import scene_to_json
 from model.scenes.readers.house import THICKNESS
 from model.scenes.registry import BUILT_IN, load_reader, read_scene
 from tests.model.scenes import scenes_made as made
