@@ -7,8 +7,8 @@ import os
 import socket
 import sys
 
-from app.login import Login
-from app.network import check_address, is_loopback, url
+from app.server.login import Login
+from app.server.network import check_address, is_loopback, url
 from model.core.errors import ConfigurationError
 from model.core.installing import install_command
 from model.prediction.remote import TOKEN_VARIABLE, is_backend
@@ -45,13 +45,13 @@ def run(args: argparse.Namespace) -> int:
     try:
         import uvicorn
 
-        from app.backend_server import Backend, BackendSettings
+        from app.server.backend_server import Backend, BackendSettings
     except ImportError as error:
         raise ConfigurationError(
             f"a backend needs {error.name}: {install_command('artiworld[backend]')}"
         ) from error
-    from app import backend_tasks
-    from app.jobs import WorkerProcess
+    from app.server import backend_tasks
+    from app.server.jobs import WorkerProcess
 
     check_address(args.host, args.port)
     settings = BackendSettings(name, token, args.max_request_mb * 1_000_000, args.waiting)

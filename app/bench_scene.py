@@ -114,7 +114,7 @@ def _block(faces: int, low: Any, high: Any, rng: np.random.Generator) -> tuple[A
 
 
 def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigures:
-    from app.server import Server
+    from app.server.server import Server
 
     start, used = time.perf_counter(), _cpu(os.getpid())
     config = ServeConfig(

@@ -226,7 +226,7 @@ def wait_for(condition: Any, what: str) -> None:
 
 
 def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
-    from app.server import Server
+    from app.server.server import Server
 
     server = Server(
         ServeConfig(

@@ -161,7 +161,7 @@ def _our_fault(error: Exception, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
         return 1
-    from app.crash_log import write_crash
+    from app.server.crash_log import write_crash
 
     where = write_crash(error)
     kind = "" if type(error) is RuntimeError else f"{type(error).__name__}: "

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
-from app.network import check_address
+from app.server.network import check_address
 from model.core.errors import ArtiworldError
 from model.core.installing import install_command
 from model.core.resources import static_assets

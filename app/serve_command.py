@@ -8,9 +8,9 @@ from pathlib import Path
 
 from app.backend_command import add_client_options, chosen_predictor, greet
 from app.config import TOKEN_VARIABLE, ServeConfig
-from app.login import Login, new_token
-from app.network import check_address, free_port, is_loopback
 from app.options import add_point_sam, add_reading
+from app.server.login import Login, new_token
+from app.server.network import check_address, free_port, is_loopback
 from model.core.errors import ConfigurationError, InputFileError
 from model.prediction.registry import DEFAULT
 from model.prediction.remote import is_backend
@@ -60,7 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the options while nothing is running yet, then serve until interrupted."""
     config = make_config(args)
-    from app.server import serve  # viser, only now that the options are right
+    from app.server.server import serve  # viser, only now that the options are right
 
     serve(config, open_browser=args.open)
     return 0

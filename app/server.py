@@ -12,11 +12,11 @@ from urllib.parse import quote
 import viser
 
 from app.config import ServeConfig
-from app.guard import guarded_server
-from app.network import url
-from app.scene_desk import SceneDesk
+from app.server.app_state import Workbench
+from app.server.guard import guarded_server
+from app.server.network import url
+from app.server.scene_workspace import SceneDesk
 from app.viewer.client_app import ClientApp
-from app.workbench import Workbench
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
 from sessions.store import Store

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.open_object import OpenObject
-from app.pointer_messages import tell_page
-from app.tool_tasks import NEXT_MASK, ToolRequest
+from app.server.open_object import OpenObject
+from app.server.pointer_messages import tell_page
+from app.server.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer import palette
 from app.viewer.category_guess import CategoryGuess, guesses_of
 from app.viewer.prompt_list import PromptEntry, prompt_entries

@@ -13,8 +13,9 @@ from typing import Any, Literal
 
 import viser
 
-from app.open_object import OpenObject
-from app.titles import in_words
+from app.server.app_state import Workbench
+from app.server.display_names import in_words
+from app.server.open_object import OpenObject
 from app.viewer.annotate_panel import AnnotatePanel
 from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
@@ -32,7 +33,6 @@ from app.viewer.scene_view import SceneView
 from app.viewer.seen import Seen
 from app.viewer.source_panel import SourcePanel
 from app.viewer.tab_threads import TabThreads
-from app.workbench import Workbench
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint
 from model.segmentation.prompts import MAX_PARTS

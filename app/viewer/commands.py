@@ -6,16 +6,16 @@ import datetime
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from app.accepting import accept, take_back
-from app.judging import LookFirstError
-from app.pointer_messages import tell_page
+from app.server.accepting import accept, take_back
+from app.server.pointer_messages import tell_page
+from app.server.validating import LookFirstError
 from app.viewer.keys import KEYS
 from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason
 
 if TYPE_CHECKING:
-    from app.open_object import OpenObject
+    from app.server.open_object import OpenObject
     from app.viewer.client_app import ClientApp
 
 _SHEET = (

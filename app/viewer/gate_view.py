@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
-from app.open_object import OpenObject
-from app.titles import in_words, joint_title
+from app.server.display_names import in_words, joint_title
+from app.server.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.text import plain
 from app.viewer.widgets import put

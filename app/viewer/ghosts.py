@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from app.scene_shapes import Shape
+from app.server.scene_shapes import Shape
 from app.viewer import palette
 from app.viewer.scene_nodes import Node, Scans, Stand
 

@@ -8,11 +8,11 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from app import picking_tasks, tool_tasks
-from app.jobs import PREVIEWS
-from app.open_object import OpenObject
-from app.pointer_messages import ArtiworldHoverMessage
-from app.segmenting import stored_prompts
+from app.server import picking_tasks, tool_tasks
+from app.server.jobs import PREVIEWS
+from app.server.open_object import OpenObject
+from app.server.pointer_messages import ArtiworldHoverMessage
+from app.server.segmenting import stored_prompts
 from app.viewer import palette
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.scene_desk import SceneDesk
-from app.scene_rows import Row, Work, decided_text
+from app.server.scene_rows import Row, Work, decided_text
+from app.server.scene_workspace import SceneDesk
 from app.viewer.pick_panel import PickPanel
 from app.viewer.scene_card import SceneCard
 from app.viewer.scene_list import SceneList, order

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app import snapping_tasks
-from app.jobs import EDITS
-from app.open_object import OpenObject
-from app.titles import joint_title, part_title
+from app.server import snapping_tasks
+from app.server.display_names import joint_title, part_title
+from app.server.jobs import EDITS
+from app.server.open_object import OpenObject
 from app.viewer.joint_text import joint_note, shown
 from app.viewer.widgets import differs, put
 from model.core.errors import CommandError

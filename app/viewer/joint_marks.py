@@ -12,8 +12,8 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
-from app.display_tasks import PartPayload
-from app.judging import JointCheck
+from app.server.display_tasks import PartPayload
+from app.server.validating import JointCheck
 from app.viewer import palette
 from model.core.tree import KinematicTree
 

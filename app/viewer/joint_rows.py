@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.scene_rows import Work
-from app.titles import joint_title, moved_part
+from app.server.display_names import joint_title, moved_part
+from app.server.scene_rows import Work
 from app.viewer import palette
 from app.viewer.joint_text import range_text, sure_text, sureness
 from app.viewer.widgets import put

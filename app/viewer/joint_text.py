@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from app.judging import JointCheck
-from app.titles import in_words, joint_title, moved_part, part_title
+from app.server.display_names import in_words, joint_title, moved_part, part_title
+from app.server.validating import JointCheck
 from app.viewer.text import plain
 from model.core.joint import Joint, value_text
 from model.core.tree import KinematicTree

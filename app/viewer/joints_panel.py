@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.open_object import OpenObject
-from app.titles import joint_title, moved_part, part_title
+from app.server.display_names import joint_title, moved_part, part_title
+from app.server.open_object import OpenObject
 from app.viewer.category_guess import CategoryGuess, guesses_of
 from app.viewer.joint_editor import JointEditor
 from app.viewer.joint_text import shown, tree_text

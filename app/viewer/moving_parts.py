@@ -10,7 +10,7 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
-from app.display_tasks import PartPayload
+from app.server.display_tasks import PartPayload
 from app.viewer.scene_rays import hit_distance, nearly_hit
 from app.viewer.tints import OPACITY, add_tint, tinted
 from model.geometry.picking import TOLERANCE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 from typing import Final
 
-from app.scene_rows import HELD
+from app.server.scene_rows import HELD
 
 Rgb = tuple[int, int, int]
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import viser
 
-from app import picking_tasks, tool_tasks
-from app.pointer_messages import (
+from app.server import picking_tasks, tool_tasks
+from app.server.pointer_messages import (
     ArtiworldAnswerMessage,
     ArtiworldHoverMessage,
     ArtiworldStrokeMessage,

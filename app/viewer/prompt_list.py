@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.tool_tasks import NEXT_MASK
+from app.server.tool_tasks import NEXT_MASK
 from model.segmentation.prompts import Click
 from sessions.document import RegionRef
 

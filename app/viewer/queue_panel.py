@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.pointer_messages import title_buttons
+from app.server.pointer_messages import title_buttons
 from app.viewer import palette
 from app.viewer.queue_names import clipped, queue_names
 from app.viewer.scene_list import page_buttons

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.open_object import OpenObject
-from app.titles import in_words, moved_part
+from app.server.display_names import in_words, moved_part
+from app.server.open_object import OpenObject
 from app.viewer import palette
 from app.viewer.joint_marks import AxisMark, axis_length
 from app.viewer.text import plain

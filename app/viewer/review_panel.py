@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.open_object import INTERRUPTED, OpenObject
-from app.titles import in_words, joint_title, part_title
+from app.server.display_names import in_words, joint_title, part_title
+from app.server.open_object import INTERRUPTED, OpenObject
 from app.viewer import palette
 from app.viewer.gate_view import GateView
 from app.viewer.joint_text import range_text, sure_text

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from app.scene_accepting import Refusal
-from app.scene_desk import SceneDesk
-from app.scene_rows import Row, Work, decided_text
-from app.titles import in_words
+from app.server.display_names import in_words
+from app.server.scene_accepting import Refusal
+from app.server.scene_rows import Row, Work, decided_text
+from app.server.scene_workspace import SceneDesk
 from app.viewer import palette
 from app.viewer.joint_rows import JointRows
 from app.viewer.rejecting import RejectButtons

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from app.scene_desk import SceneDesk
-from app.scene_rows import SHOWN, Row, Shown
+from app.server.scene_rows import SHOWN, Row, Shown
+from app.server.scene_workspace import SceneDesk
 from app.viewer import palette
 from app.viewer.text import plain
 from app.viewer.widgets import put

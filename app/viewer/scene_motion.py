@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from app.scene_rows import Work
+from app.server.scene_rows import Work
 from app.viewer.animation import PERIOD_SECONDS, phase_at, value_at
 
 STEPS = 48

@@ -15,8 +15,8 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
-from app.scene_rows import Work
-from app.scene_shapes import Shape
+from app.server.scene_rows import Work
+from app.server.scene_shapes import Shape
 from app.viewer import palette
 from app.viewer.scene_rays import hit_distance, meets_boxes, nearly_hit, within_tolerance
 from model.core.mesh import Material, Mesh

@@ -16,11 +16,11 @@ import numpy.typing as npt
 import viser
 from viser import transforms as vtf
 
-from app.display_tasks import front_direction
-from app.scene_desk import SceneDesk
-from app.scene_rows import Row
-from app.scene_shapes import Shape
-from app.scene_tasks import SceneItem
+from app.server.display_tasks import front_direction
+from app.server.scene_rows import Row
+from app.server.scene_shapes import Shape
+from app.server.scene_tasks import SceneItem
+from app.server.scene_workspace import SceneDesk
 from app.viewer import palette
 from app.viewer.ghosts import Ghosts
 from app.viewer.scene_nodes import (

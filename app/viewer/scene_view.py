@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from app.display_tasks import OpenedAsset, PartPayload
+from app.server.display_tasks import OpenedAsset, PartPayload
 from app.viewer import palette
 from app.viewer.joint_marks import JointMarks
 from app.viewer.moving_parts import MovingParts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from app.pointer_messages import ArtiworldShownMessage, tell_page
+from app.server.pointer_messages import ArtiworldShownMessage, tell_page
 
 if TYPE_CHECKING:
     from app.viewer.client_app import ClientApp

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from app.cutting import cut_out, leave_out
-from app.open_object import OpenObject
+from app.server.cutting import cut_out, leave_out
+from app.server.open_object import OpenObject
 from app.viewer.text import plain
 from app.viewer.widgets import put
 from model.core.errors import CommandError

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from app.display_tasks import OpenedAsset
-from app.pointer_messages import hide_on_page
+from app.server.display_tasks import OpenedAsset
+from app.server.pointer_messages import hide_on_page
 from app.viewer import palette
 
 OPACITY = 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.open_object import OpenObject
+from app.server.open_object import OpenObject
 from app.viewer.widgets import put
 from model.geometry.units import UNITS, OddSize, odd_size
 from sessions import commands as cmd

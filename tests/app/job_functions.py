@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.jobs import WorkerProcess
+from app.server.jobs import WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress

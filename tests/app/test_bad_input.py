@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from app.cli import main
-from app.display_tasks import open_asset
-from app.tasks import ReadOptions
+from app.server.display_tasks import open_asset
+from app.server.tasks import ReadOptions
 from sessions.commands import AddPart, SetCategory
 from tests.app.run_cli import artiworld, assert_users_mistake, box, cupboard, write_prompts
 

@@ -20,7 +20,7 @@ import yourdfpy
 from app import headless, printing
 from app.batch import Crashed, run_all
 from app.cli import main, make_parser
-from app.crash_log import write_crash
+from app.server.crash_log import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
 from tests.app.run_cli import (

@@ -10,9 +10,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from app.segmenting import MaskShown, Segmenting
-from app.segmenting_tasks import SegmentationAnswer
-from app.tool_tasks import MaskOffer, RegionOffer, ToolRequest
+from app.server.segmenting import MaskShown, Segmenting
+from app.server.segmenting_tasks import SegmentationAnswer
+from app.server.tool_tasks import MaskOffer, RegionOffer, ToolRequest
 from model.segmentation.prompts import Click
 from sessions.document import Document, RegionRef
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from app.scene_shapes import Shape
+from app.server.scene_shapes import Shape
 from app.viewer import ghosts
 from app.viewer.ghosts import Ghosts, before
 from app.viewer.scene_nodes import Scans, Stand

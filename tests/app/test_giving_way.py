@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from app.config import ServeConfig
-from app.segmenting import Segmenting
-from app.tasks import arrays_of
-from app.tool_tasks import PROPOSE, ToolRequest
-from app.workbench import Workbench
+from app.server.app_state import Workbench
+from app.server.segmenting import Segmenting
+from app.server.tasks import arrays_of
+from app.server.tool_tasks import PROPOSE, ToolRequest
 from model.core.lru_cache import Recent
 from model.core.resources import static_assets
 from model.segmentation.prompts import Click

@@ -20,10 +20,10 @@ import zstandard
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from app.guard import RouteAnswer, RouteRequest, guarded_server
-from app.login import ATTEMPTS, GUESSES, Login, new_token
-from app.network import check_address, free_port, is_loopback
-from app.upload_guard import plain_name
+from app.server.guard import RouteAnswer, RouteRequest, guarded_server
+from app.server.login import ATTEMPTS, GUESSES, Login, new_token
+from app.server.network import check_address, free_port, is_loopback
+from app.server.upload_guard import plain_name
 from model.core.errors import ConfigurationError
 
 TOKEN = "correct horse, battery"
@@ -189,7 +189,7 @@ def test_wrong_tokens_lock_nobody_else_of_the_address_out(stranger):
 
 def test_lock_ends_after_its_time(monkeypatch):
     now = 1000.0
-    monkeypatch.setattr("app.login.time.monotonic", lambda: now)
+    monkeypatch.setattr("app.server.login.time.monotonic", lambda: now)
     login = Login(TOKEN)
     heard = [login.try_token("wrong wrong", "1.2.3.4") for _ in range(GUESSES - 1)]
     assert heard == [False] * ATTEMPTS + [None] * (GUESSES - 1 - ATTEMPTS)

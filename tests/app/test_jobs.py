@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
+from app.server.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.progress import Cancelled
 from tests.app import job_functions as functions

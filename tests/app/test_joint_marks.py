@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.display_tasks import PartPayload
-from app.judging import JointCheck
+from app.server.display_tasks import PartPayload
+from app.server.validating import JointCheck
 from app.viewer.joint_marks import AxisMark, JointMarks
 from app.viewer.motion import Motion
 from app.viewer.moving_parts import MovingParts

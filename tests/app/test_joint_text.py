@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.titles import in_words, joint_title, moved_part, part_title
+from app.server.display_names import in_words, joint_title, moved_part, part_title
 from app.viewer.joint_rows import joint_lines, least_sure
 from app.viewer.joint_text import joint_note, range_text, tree_text
 from model.core.articulated_object import ArticulatedObject, Part, Prediction

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from app import judging_tasks
-from app.accepting import accept, asset_folder, take_back
 from app.config import ServeConfig
-from app.judging import LookFirstError
-from app.open_object import OpenObject
-from app.part_tasks import parts_of
-from app.workbench import Workbench
+from app.server import validation_tasks as judging_tasks
+from app.server.accepting import accept, asset_folder, take_back
+from app.server.app_state import Workbench
+from app.server.open_object import OpenObject
+from app.server.part_tasks import parts_of
+from app.server.validating import LookFirstError
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint

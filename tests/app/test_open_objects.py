@@ -13,10 +13,11 @@ from typing import Any
 import pytest
 import trimesh
 
-from app import display_tasks, workbench
 from app.config import ServeConfig
-from app.open_object import OpenObject
-from app.workbench import Workbench
+from app.server import app_state as workbench
+from app.server import display_tasks
+from app.server.app_state import Workbench
+from app.server.open_object import OpenObject
 from model.core.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd

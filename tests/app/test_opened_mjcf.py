@@ -12,10 +12,10 @@ import pytest
 import trimesh
 
 from app.cli import main
-from app.display_tasks import open_asset
 from app.serve_command import _scene_of
-from app.tasks import ReadOptions, stamp
-from app.uploads import keep_upload
+from app.server.display_tasks import open_asset
+from app.server.tasks import ReadOptions, stamp
+from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.assets.reader import load_object
 from model.io.readers import find_assets, read_asset

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.accepting import accept
 from app.config import ServeConfig
 from app.headless import predict
-from app.open_object import OpenObject
-from app.part_tasks import articulated_object
 from app.serve_command import _scene_of
-from app.tasks import arrays_of, stamp
+from app.server.accepting import accept
+from app.server.app_state import Workbench
+from app.server.open_object import OpenObject
+from app.server.part_tasks import articulated_object
+from app.server.tasks import arrays_of, stamp
 from app.viewer.joint_text import joint_note
 from app.viewer.review_panel import summary
-from app.workbench import Workbench
 from model.io.assets.reader import load_object, told_entry
 from model.io.readers import read_asset
 from model.io.urdf.writer import JointDynamics

@@ -11,10 +11,10 @@ from unittest.mock import Mock
 
 import pytest
 
-from app.job import Job
-from app.running_jobs import RunningJobs
-from app.segmenting import Segmenting
-from app.tool_tasks import FaceCutOffer, MaskOffer, RegionOffer, ToolRequest
+from app.server.job import Job
+from app.server.running_jobs import RunningJobs
+from app.server.segmenting import Segmenting
+from app.server.tool_tasks import FaceCutOffer, MaskOffer, RegionOffer, ToolRequest
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
 from model.segmentation.prompts import Click
@@ -121,7 +121,7 @@ def test_a_tool_that_finds_no_time_is_given_up_in_words(monkeypatch: pytest.Monk
     stopped: list[Any] = []
     job: Job[Any] = Job(stopped.append, 1, "tool", (int, (), {}), None, None)
     obj.bench.segmentation.submit = lambda *a, **k: job
-    monkeypatch.setattr("app.segmenting.TOOL_SECONDS", 0.01)
+    monkeypatch.setattr("app.server.segmenting.TOOL_SECONDS", 0.01)
     with pytest.raises(CommandError, match="too much to do"):
         segmenting.use_tool(ToolRequest("grow", 1), "tester")
     assert stopped == [job]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.display_tasks import open_asset
-from app.segmenting import Segmenting
-from app.segmenting_tasks import SegmentationAnswer
-from app.tasks import ReadOptions
+from app.server.display_tasks import open_asset
+from app.server.segmenting import Segmenting
+from app.server.segmenting_tasks import SegmentationAnswer
+from app.server.tasks import ReadOptions
 from sessions.document import Document
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from app.open_object import OpenObject
+from app.server.open_object import OpenObject
 from app.viewer.commands import Commands
 from app.viewer.pointing import Pointing
 from sessions.store import Store

@@ -3,7 +3,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from app.tool_tasks import NEXT_MASK, TOOLS
+from app.server.tool_tasks import NEXT_MASK, TOOLS
 from app.viewer.annotate_panel import TOOL_ROWS, AnnotatePanel, parts_listed
 from app.viewer.prompt_list import prompt_entries
 from app.viewer.review_panel import what_happened

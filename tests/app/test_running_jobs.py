@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from app.job import Job
-from app.running_jobs import RunningJobs
+from app.server.job import Job
+from app.server.running_jobs import RunningJobs
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from app import part_tasks, saving_tasks, tasks
-from app.display_tasks import open_asset
-from app.part_tasks import PartSource
-from app.saving_tasks import DRAFTS_KEPT, prepare_asset
-from app.tasks import ReadOptions
+from app.server import part_tasks, saving_tasks, tasks
+from app.server.display_tasks import open_asset
+from app.server.part_tasks import PartSource
+from app.server.saving_tasks import DRAFTS_KEPT, prepare_asset
+from app.server.tasks import ReadOptions
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import publish

@@ -15,18 +15,19 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app import scene_accepting, scene_tasks, tasks, workbench
-from app.accepting import accept
 from app.cli import make_parser
 from app.config import ServeConfig
-from app.job import Job
-from app.scene_desk import SceneDesk
-from app.scene_rows import Row, decided_text
 from app.serve_command import make_config
+from app.server import app_state as workbench
+from app.server import scene_accepting, scene_tasks, tasks
+from app.server.accepting import accept
+from app.server.app_state import Workbench
+from app.server.job import Job
+from app.server.scene_rows import Row, decided_text
+from app.server.scene_workspace import SceneDesk
 from app.viewer.joint_rows import joint_lines
 from app.viewer.scene_card import count_text
 from app.viewer.scene_list import order, page_buttons
-from app.workbench import Workbench
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint

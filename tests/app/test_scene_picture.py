@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.scene_shapes import Shape
+from app.server.scene_shapes import Shape
 from app.viewer.scene_nodes import Node, Stand
 from app.viewer.scene_picture import ScenePicture
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app import part_tasks, scene_tasks, tasks
+from app.server import part_tasks, scene_tasks, tasks
 from model.io.readers import read_asset
 from model.physics.collision.shapes import Primitive
 from model.scenes.protocol import Decision

@@ -18,10 +18,10 @@ import pytest
 
 from app.cli import make_parser
 from app.config import ServeConfig
-from app.network import url
 from app.serve_command import make_config
-from app.server import paths_to_open
-from app.workbench import Workbench
+from app.server.app_state import Workbench
+from app.server.network import url
+from app.server.server import paths_to_open
 from model.core.errors import ArtiworldError
 from model.core.resources import static_assets
 from model.scenes.assets import index_assets
@@ -252,7 +252,7 @@ def test_the_pages_messages_are_known_whoever_asked_first():
     """In a process of its own: viser keeps what it knew when it was first asked."""
     words = (
         "from viser import _messages as m; m.Message._subclass_from_type_string();"
-        "import app.pointer_messages as p;"
+        "import app.server.pointer_messages as p;"
         "known = m.Message._subclass_from_type_string();"
         "assert known['ArtiworldHoverMessage'] is p.ArtiworldHoverMessage"
     )

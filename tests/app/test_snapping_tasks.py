@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app import snapping_tasks
+from app.server import snapping_tasks
 from model.core.articulated_object import Part
 from model.core.joint import Joint
 from model.core.mesh import Mesh

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from app import room_tasks, segmenting_tasks, tasks, tool_tasks
-from app.display_tasks import OpenedAsset, open_asset
-from app.scene_shapes import drawn_parts
-from app.segmenting_tasks import StoredRegion
-from app.tool_tasks import NEW_PART, ToolRequest, use_tool
+from app.server import room_tasks, segmenting_tasks, tasks, tool_tasks
+from app.server.display_tasks import OpenedAsset, open_asset
+from app.server.scene_shapes import drawn_parts
+from app.server.segmenting_tasks import StoredRegion
+from app.server.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
 from model.segmentation.prompts import Click

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from app.uploads import keep_upload
+from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.readers import find_assets, read_asset
 

@@ -31,7 +31,7 @@ def browser() -> Iterator[Any]:
 def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Start servers in this process: ``start(paths, **ServeConfig fields)``."""
     from app.config import ServeConfig
-    from app.server import Server
+    from app.server.server import Server
 
     running: list[Any] = []
 

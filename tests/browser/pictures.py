@@ -22,7 +22,7 @@ from playwright.sync_api import sync_playwright
 
 from app.config import ServeConfig
 from app.prompt_file import read_prompts
-from app.server import Server
+from app.server.server import Server
 from model.core.resources import static_assets
 
 EXAMPLES = static_assets() / "examples"

@@ -13,7 +13,7 @@ import pytest
 from browsing import SceneTab, wait_until
 from scipy.spatial import KDTree
 
-from app import tasks
+from app.server import tasks
 from app.viewer.gate_view import MENDS
 from model.geometry.picking import Picker
 from model.io.readers import read_asset

@@ -11,7 +11,7 @@ from browsing import Tab, wait_until
 from objects import write_cabinet, write_cloud, write_flush
 from PIL import Image
 
-from app.tasks import asset_of
+from app.server.tasks import asset_of
 
 OVEN = Path(__file__).parents[2] / "static_assets" / "examples" / "oven_scan.ply"
 

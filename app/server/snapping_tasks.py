@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from app.part_tasks import PartSource, parts_of, segmented_object
+from app.server.part_tasks import PartSource, parts_of, segmented_object
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import CommandError
 from model.core.joint import Joint, JointType

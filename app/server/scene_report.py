@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from app.part_tasks import PartSource, articulated_object
-from app.scene_shapes import Shape
-from app.scene_tasks import SceneItem
+from app.server.part_tasks import PartSource, articulated_object
+from app.server.scene_shapes import Shape
+from app.server.scene_tasks import SceneItem
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress

@@ -21,9 +21,9 @@ from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from app import backend_tasks
-from app.jobs import Job, JobFailed, WorkerProcess
-from app.login import Login
+from app.server import backend_tasks
+from app.server.jobs import Job, JobFailed, WorkerProcess
+from app.server.login import Login
 from model.core.errors import ArtiworldError
 from model.prediction.remote.wire import (
     CONTENT_TYPE,

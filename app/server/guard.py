@@ -27,10 +27,10 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.login import Login, login_page
-from app.network import check_address, is_loopback
-from app.page import Page
-from app.upload_guard import UploadGuard
+from app.server.login import Login, login_page
+from app.server.network import check_address, is_loopback
+from app.server.page import Page
+from app.server.upload_guard import UploadGuard
 from model.core.errors import ConfigurationError
 from model.core.installing import install_command
 

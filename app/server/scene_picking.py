@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app import room_tasks, scene_tasks
-from app.cutting import pick_out
-from app.jobs import CLICKS
-from app.scene_tasks import SceneItem
+from app.server import room_tasks, scene_tasks
+from app.server.cutting import pick_out
+from app.server.jobs import CLICKS
+from app.server.scene_tasks import SceneItem
 from model.core.errors import CommandError
 from model.scenes.finders import LexiconFinder
 from model.scenes.native_format import quaternion_wxyz
@@ -30,8 +30,8 @@ from sessions.scene_commands import PickOut, Position, Quaternion
 from sessions.text import clean_text
 
 if TYPE_CHECKING:
-    from app.open_object import OpenObject
-    from app.scene_desk import SceneDesk
+    from app.server.open_object import OpenObject
+    from app.server.scene_workspace import SceneDesk
 
 
 class Picking:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.part_tasks import PartSource
-from app.segmenting_tasks import source_regions
-from app.tasks import ReadOptions, arrays_of, asset_of, working_copy
+from app.server.part_tasks import PartSource
+from app.server.segmenting_tasks import source_regions
+from app.server.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.core.articulated_object import Prediction
 from model.core.asset import Asset, ElementKind, UpAxis
 from model.core.point_cloud import PointCloud

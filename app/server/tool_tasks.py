@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app.segmenting_tasks import StoredRegion, prompts_of, session_of
-from app.tasks import arrays_of, asset_of
+from app.server.segmenting_tasks import StoredRegion, prompts_of, session_of
+from app.server.tasks import arrays_of, asset_of
 from model.core.asset import Asset
 from model.core.errors import CommandError
 from model.core.lru_cache import Recent

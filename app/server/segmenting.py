@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from app import segmenting_tasks, tool_tasks
-from app.display_tasks import OpenedAsset
-from app.jobs import CLICKS, PREVIEWS, Job
-from app.segmenting_tasks import StoredRegion
+from app.server import segmenting_tasks, tool_tasks
+from app.server.display_tasks import OpenedAsset
+from app.server.jobs import CLICKS, PREVIEWS, Job
+from app.server.segmenting_tasks import StoredRegion
 from model.core.errors import CommandError
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions import commands as cmd
@@ -23,7 +23,7 @@ from sessions.state import needed_jobs
 from sessions.tool_commands import ToolRegion
 
 if TYPE_CHECKING:
-    from app.open_object import OpenObject
+    from app.server.open_object import OpenObject
 
 T = TypeVar("T")
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from app.accepting import acceptance_record, asset_folder
-from app.jobs import CLICKS
-from app.judging_tasks import judge_joints
-from app.part_tasks import PartSource
-from app.scene_rows import HELD
-from app.titles import joint_title
-from app.watched import Notice
+from app.server.accepting import acceptance_record, asset_folder
+from app.server.display_names import joint_title
+from app.server.jobs import CLICKS
+from app.server.observable import Notice
+from app.server.part_tasks import PartSource
+from app.server.scene_rows import HELD
+from app.server.validation_tasks import judge_joints
 from model.io.assets.asset_folder import publish
 from model.validation.low_confidence import with_unsure
 from model.validation.report import GateReport
@@ -27,8 +27,8 @@ from sessions.document import DecisionRecord, Document
 from sessions.state import Context, apply, review_problems
 
 if TYPE_CHECKING:
-    from app.scene_desk import SceneDesk
-    from app.scene_rows import Work
+    from app.server.scene_rows import Work
+    from app.server.scene_workspace import SceneDesk
 
 Mark = Literal["", "judging", "held"]
 

@@ -1,4 +1,4 @@
-"""Saving accepted assets: what the worker for it does. See :mod:`app.tasks`.
+"""Saving accepted assets: what the worker for it does. See :mod:`app.server.tasks`.
 
 All but the record of an asset is written as a draft while the person still looks at the joints;
 accepting adds the record and moves it in place.
@@ -13,8 +13,8 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
-from app.part_tasks import PartSource, articulated_object
-from app.tasks import asset_of
+from app.server.part_tasks import PartSource, articulated_object
+from app.server.tasks import asset_of
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree

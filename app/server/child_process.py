@@ -10,8 +10,8 @@ import sys
 from multiprocessing.connection import Connection
 from typing import Any
 
-from app.job import Job, JobFailed
-from app.worker import pack, send, unpack
+from app.server.job import Job, JobFailed
+from app.server.worker import pack, send, unpack
 from model.core.errors import ArtiworldError
 from model.core.threads import with_threads
 
@@ -37,7 +37,7 @@ class Child:
         descriptor = theirs.fileno()
         paths = [os.path.abspath(p) for p in sys.path]
         code = (
-            f"import sys; sys.path[:] = {paths!r}; from app.worker import main; "
+            f"import sys; sys.path[:] = {paths!r}; from app.server.worker import main; "
             f"main({descriptor}, {os.getpid()}, {name!r})"
         )
         self.process = subprocess.Popen(
@@ -72,7 +72,7 @@ def finish(job: Job[Any], chunks: list[Any]) -> None:
 
 
 def error_of(name: str, described: dict[str, Any]) -> Exception:
-    """What went wrong, out of what :func:`app.worker.describe_error` tells of it."""
+    """What went wrong, out of what :func:`app.server.worker.describe_error` tells of it."""
     if described["kind"] != "user":
         return JobFailed(f"{name}: {described['message']}", described["text"])
     error: ArtiworldError = described["type"].__new__(described["type"], described["message"])

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from app.titles import joint_title
+from app.server.display_names import joint_title
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from model.validation.low_confidence import with_unsure
@@ -16,7 +16,7 @@ from model.validation.report import GateReport, Mend
 from sessions.document import Document
 
 if TYPE_CHECKING:
-    from app.open_object import OpenObject
+    from app.server.open_object import OpenObject
 
 KEPT = 16
 """Answers kept for undo and redo."""
@@ -51,7 +51,7 @@ class LookFirstError(CommandError):
 
 @dataclass(frozen=True, eq=False)
 class Wish:
-    """An accept that a person asks for; see :func:`app.accepting.accept`.
+    """An accept that a person asks for; see :func:`app.server.accepting.accept`.
 
     Attributes:
         again: asks anew; called once the gate has answered where it hasn't yet.

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.tasks import ReadOptions, arrays_of, stamp, working_copy
+from app.server.tasks import ReadOptions, arrays_of, stamp, working_copy
 from model.core.articulated_object import Part
 from model.core.asset import Source
 from model.core.errors import ArtiworldError

@@ -14,10 +14,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.jobs import CLICKS
-from app.part_tasks import PartSource, articulated_object
-from app.scene_report import ReportRow, write_report
-from app.scene_tasks import OpenedScene, SceneItem
+from app.server.jobs import CLICKS
+from app.server.part_tasks import PartSource, articulated_object
+from app.server.scene_report import ReportRow, write_report
+from app.server.scene_tasks import OpenedScene, SceneItem
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
@@ -36,8 +36,8 @@ from model.validation.phrases import called
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
-    from app.scene_desk import SceneDesk
-    from app.scene_rows import Work
+    from app.server.scene_rows import Work
+    from app.server.scene_workspace import SceneDesk
     from model.scenes.convert import Outcome
 
 SECONDS = 1800.0

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from app.jobs import Job
+from app.server.jobs import Job
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 

@@ -1,7 +1,7 @@
 """A whole scene that is open: what its objects are, where each one stands, the jobs they need.
 
 One :class:`SceneDesk` a server. Decisions live in sessions: the scene's own (what is articulated,
-decisions for several objects) and one for each working copy (:mod:`app.scene_tasks`), which is an
+decisions for several objects) and one for each working copy (:mod:`app.server.scene_tasks`), which is an
 object like any other and may be opened, annotated and accepted as such.
 """
 
@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app import scene_shapes, scene_tasks
-from app.jobs import CLICKS
-from app.review_order import confidence
-from app.running_jobs import RunningJobs
-from app.scene_accepting import Accepting
-from app.scene_picking import Picking
-from app.scene_rows import SHOWN, Row, Status, Work, drawn_by, names_for
-from app.scene_saving import Saving
-from app.scene_shapes import DrawnParts, Shape
-from app.scene_tasks import OpenedScene, Prepared, SceneItem
-from app.tasks import ReadOptions
-from app.watched import Notice, Watched
+from app.server import scene_shapes, scene_tasks
+from app.server.jobs import CLICKS
+from app.server.observable import Notice, Watched
+from app.server.review_order import confidence
+from app.server.running_jobs import RunningJobs
+from app.server.scene_accepting import Accepting
+from app.server.scene_picking import Picking
+from app.server.scene_rows import SHOWN, Row, Status, Work, drawn_by, names_for
+from app.server.scene_saving import Saving
+from app.server.scene_shapes import DrawnParts, Shape
+from app.server.scene_tasks import OpenedScene, Prepared, SceneItem
+from app.server.tasks import ReadOptions
 from model.core.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
 from sessions.document import Document
@@ -34,7 +34,7 @@ from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.state import SessionState
 
 if TYPE_CHECKING:
-    from app.workbench import Workbench
+    from app.server.app_state import Workbench
 
 WHO = "scene"
 """Who is written beside what was found out without a person."""

@@ -15,15 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app import display_tasks, judging_tasks, part_tasks, picking_tasks
-from app.display_tasks import OpenedAsset, PartPayload
-from app.jobs import CLICKS, EDITS, Job, JobFailed
-from app.judging import JointCheck, Judging
-from app.part_tasks import PartSource
-from app.running_jobs import RunningJobs
-from app.segmenting import SOURCE, Segmenting
-from app.tasks import ReadOptions, Stamp, stamp_if_there
-from app.watched import Watched
+from app.server import display_tasks, part_tasks, picking_tasks
+from app.server import validation_tasks as judging_tasks
+from app.server.display_tasks import OpenedAsset, PartPayload
+from app.server.jobs import CLICKS, EDITS, Job, JobFailed
+from app.server.observable import Watched
+from app.server.part_tasks import PartSource
+from app.server.running_jobs import RunningJobs
+from app.server.segmenting import SOURCE, Segmenting
+from app.server.tasks import ReadOptions, Stamp, stamp_if_there
+from app.server.validating import JointCheck, Judging
 from model.core.errors import ArtiworldError, CommandError
 from model.core.tree import KinematicTree
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
@@ -36,7 +37,7 @@ from sessions.state import Document, SessionState
 from sessions.store import Begun, ObjectRecord
 
 if TYPE_CHECKING:
-    from app.workbench import Workbench
+    from app.server.app_state import Workbench
 
 INTERRUPTED = "Its server ended on the way, or another one is still at it: Y accepts it"
 

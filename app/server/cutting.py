@@ -6,14 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app import room_tasks
-from app.jobs import CLICKS
+from app.server import room_tasks
+from app.server.jobs import CLICKS
 from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.document import Document
 
 if TYPE_CHECKING:
-    from app.open_object import OpenObject
+    from app.server.open_object import OpenObject
 
 
 def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:

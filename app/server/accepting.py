@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.judging import Wish
-from app.titles import in_words
+from app.server.display_names import in_words
+from app.server.validating import Wish
 from model.core.asset import Source
 from model.core.errors import CommandError
 from model.io.assets.asset_folder import publish
@@ -27,9 +27,9 @@ from sessions.state import Context, SessionState, apply, review_problems
 from sessions.store import Begun, Entry, ObjectRecord
 
 if TYPE_CHECKING:
-    from app.open_object import OpenObject
-    from app.part_tasks import PartSource
-    from app.workbench import Workbench
+    from app.server.app_state import Workbench
+    from app.server.open_object import OpenObject
+    from app.server.part_tasks import PartSource
 
 log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""What the worker processes do for a scene; see :mod:`app.tasks`.
+"""What the worker processes do for a scene; see :mod:`app.server.tasks`.
 
 An object that is articulated gets a *working copy*: its asset at its size in the scene, as a folder
 of part meshes in the workspace. It is opened, annotated and saved like any other object, and stands
@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app import part_tasks, room_tasks, segmenting_tasks, tasks
 from app.prompt_file import beside
+from app.server import part_tasks, room_tasks, segmenting_tasks, tasks
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import CommandError

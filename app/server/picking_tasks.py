@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.tasks import arrays_of, asset_of
+from app.server.tasks import arrays_of, asset_of
 from model.core.lru_cache import Recent
 from model.geometry.strokes import Stroke
 

@@ -10,7 +10,7 @@ import stat
 import zipfile
 from pathlib import Path, PurePosixPath
 
-from app.upload_guard import plain_name
+from app.server.upload_guard import plain_name
 from model.core.errors import InputFileError
 
 MOST_FILES = 5000

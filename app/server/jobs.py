@@ -19,9 +19,9 @@ from collections.abc import Callable, Hashable
 from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
-from app.child import Child, death, error_of, finish
-from app.job import Job, JobFailed
-from app.worker import pack, receive, send, unpack
+from app.server.child_process import Child, death, error_of, finish
+from app.server.job import Job, JobFailed
+from app.server.worker import pack, receive, send, unpack
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from app.part_tasks import PartSource, articulated_object
+from app.server.part_tasks import PartSource, articulated_object
 from model.core import codec
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets

@@ -10,22 +10,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app import part_tasks, saving_tasks
-from app.accepting import take_up
 from app.config import ServeConfig
-from app.jobs import Job, WorkerProcess
-from app.open_object import OpenObject
-from app.part_tasks import PartSource
-from app.review_order import ReviewOrder
-from app.tasks import stamp_if_there
-from app.watched import Listener
+from app.server import part_tasks, saving_tasks
+from app.server.accepting import take_up
+from app.server.jobs import Job, WorkerProcess
+from app.server.observable import Listener
+from app.server.open_object import OpenObject
+from app.server.part_tasks import PartSource
+from app.server.review_order import ReviewOrder
+from app.server.tasks import stamp_if_there
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from sessions.live import SessionHub
 from sessions.store import Begun, ObjectRecord, Store
 
 if TYPE_CHECKING:
-    from app.scene_desk import SceneDesk
+    from app.server.scene_workspace import SceneDesk
 
 log = logging.getLogger(__name__)
 FOLLOW_SECONDS = 2.0
@@ -143,7 +143,7 @@ class Workbench:
         Raises:
             InputFileError: where nothing in it can be opened, or a zip is hostile.
         """
-        from app.uploads import keep_upload
+        from app.server.uploads import keep_upload
         from model.io.readers import find_assets
 
         most = 4 * self.config.max_upload_mb * 1_000_000

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app import tasks
+from app.server import tasks
 from model.core.asset import Asset
 from model.core.errors import CommandError
 from model.core.progress import Progress, no_progress

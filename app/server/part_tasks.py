@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from app.tasks import arrays_of, asset_of
+from app.server.tasks import arrays_of, asset_of
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.inertial import Inertial
 from model.core.joint import Joint

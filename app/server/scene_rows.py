@@ -9,8 +9,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
 
-from app.scene_shapes import DrawnParts
-from app.scene_tasks import SceneItem
+from app.server.scene_shapes import DrawnParts
+from app.server.scene_tasks import SceneItem
 from model.core.errors import InputFileError
 from sessions.document import Document
 from sessions.live import LiveSession

@@ -1,0 +1,1 @@
+"""Workers and jobs, open objects and scenes, guard and login, the prediction backend."""
