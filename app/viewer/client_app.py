@@ -16,22 +16,22 @@ import viser
 from app.server.app_state import Workbench
 from app.server.display_names import in_words
 from app.server.open_object import OpenObject
-from app.viewer.annotate_panel import AnnotatePanel
-from app.viewer.commands import Commands
 from app.viewer.in_scene import InScene
-from app.viewer.joints_panel import JointsPanel
-from app.viewer.keys import add_keys
-from app.viewer.light import PLAIN, LightSwitch
-from app.viewer.motion import Motion
-from app.viewer.pointing import Pointing
-from app.viewer.queue_panel import QueuePanel
+from app.viewer.input.commands import Commands
+from app.viewer.input.decision_guard import Seen
+from app.viewer.input.keys import add_keys
+from app.viewer.input.pointing import Pointing
+from app.viewer.panels.annotate_panel import AnnotatePanel
+from app.viewer.panels.joints_panel import JointsPanel
+from app.viewer.panels.queue_panel import QueuePanel
+from app.viewer.panels.rejecting import Rejecting
+from app.viewer.panels.review_panel import ReviewPanel
+from app.viewer.panels.scene_list import SceneList
+from app.viewer.panels.source_panel import SourcePanel
+from app.viewer.picture.light import PLAIN, LightSwitch
+from app.viewer.picture.motion import Motion
+from app.viewer.picture.object_picture import SceneView
 from app.viewer.redraw import STAGES, Redraw
-from app.viewer.rejecting import Rejecting
-from app.viewer.review_panel import ReviewPanel
-from app.viewer.scene_list import SceneList
-from app.viewer.scene_view import SceneView
-from app.viewer.seen import Seen
-from app.viewer.source_panel import SourcePanel
 from app.viewer.tab_threads import TabThreads
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint

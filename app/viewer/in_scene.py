@@ -8,12 +8,12 @@ import numpy as np
 
 from app.server.scene_rows import Row, Work, decided_text
 from app.server.scene_workspace import SceneDesk
-from app.viewer.pick_panel import PickPanel
-from app.viewer.scene_card import SceneCard
-from app.viewer.scene_list import SceneList, order
-from app.viewer.scene_motion import SceneMotion
-from app.viewer.scene_picture import ScenePicture
-from app.viewer.stage import fitting_distance
+from app.viewer.panels.pick_panel import PickPanel
+from app.viewer.panels.scene_card import SceneCard
+from app.viewer.panels.scene_list import SceneList, order
+from app.viewer.picture.scene_motion import SceneMotion
+from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.picture.stage import fitting_distance
 from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason

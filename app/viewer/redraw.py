@@ -8,10 +8,10 @@ import numpy as np
 
 from app.server.display_names import in_words, moved_part
 from app.server.open_object import OpenObject
-from app.viewer import palette
-from app.viewer.joint_marks import AxisMark, axis_length
+from app.viewer.panels.widgets import put
+from app.viewer.picture import palette
+from app.viewer.picture.joint_marks import AxisMark, axis_length
 from app.viewer.text import plain
-from app.viewer.widgets import put
 from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.document import Document

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.category_guess import category_guesses, told_by
+from app.viewer.panels.category_guess import category_guesses, told_by
 from sessions.records import ObjectRecord
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from app.server.scene_shapes import Shape
-from app.viewer import ghosts
-from app.viewer.ghosts import Ghosts, before
-from app.viewer.scene_nodes import Scans, Stand
+from app.viewer.picture import ghosts
+from app.viewer.picture.ghosts import Ghosts, before
+from app.viewer.picture.scene_nodes import Scans, Stand
 
 STAND = Stand(
     np.array([[0, -1, 0, 2], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), np.full(3, 2.0)

@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from app.server import snapping_tasks
-from app.viewer.joint_editor import JointEditor, _put_vector
+from app.viewer.panels.joint_editor import JointEditor, _put_vector
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.tree import KinematicTree

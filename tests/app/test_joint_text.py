@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from app.server.display_names import in_words, joint_title, moved_part, part_title
-from app.viewer.joint_rows import joint_lines, least_sure
-from app.viewer.joint_text import joint_note, range_text, tree_text
+from app.viewer.panels.joint_rows import joint_lines, least_sure
+from app.viewer.panels.joint_text import joint_note, range_text, tree_text
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.errors import KinematicsError
 from model.core.joint import Joint, value_text

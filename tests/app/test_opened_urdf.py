@@ -21,8 +21,8 @@ from app.server.app_state import Workbench
 from app.server.open_object import OpenObject
 from app.server.part_tasks import articulated_object
 from app.server.tasks import arrays_of, stamp
-from app.viewer.joint_text import joint_note
-from app.viewer.review_panel import summary
+from app.viewer.panels.joint_text import joint_note
+from app.viewer.panels.review_panel import summary
 from model.io.assets.reader import load_object, told_entry
 from model.io.readers import read_asset
 from model.io.urdf.writer import JointDynamics

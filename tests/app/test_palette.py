@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.viewer.palette import PART_COLORS, part_color
+from app.viewer.picture.palette import PART_COLORS, part_color
 
 
 def test_many_parts_have_colours_that_can_be_told_apart():

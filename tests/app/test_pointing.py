@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from app.server.open_object import OpenObject
-from app.viewer.commands import Commands
-from app.viewer.pointing import Pointing
+from app.viewer.input.commands import Commands
+from app.viewer.input.pointing import Pointing
 from sessions.store import Store
 
 

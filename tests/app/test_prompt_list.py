@@ -4,9 +4,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.server.tool_tasks import NEXT_MASK, TOOLS
-from app.viewer.annotate_panel import TOOL_ROWS, AnnotatePanel, parts_listed
-from app.viewer.prompt_list import prompt_entries
-from app.viewer.review_panel import what_happened
+from app.viewer.panels.annotate_panel import TOOL_ROWS, AnnotatePanel, parts_listed
+from app.viewer.panels.prompt_list import prompt_entries
+from app.viewer.panels.review_panel import what_happened
 from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.commands import ClearPrompts, RemovePrompt, ResetJoint, SetJoint

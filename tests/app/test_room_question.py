@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.viewer.stage import may_be_a_room
+from app.viewer.picture.stage import may_be_a_room
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 from app.server.scene_shapes import Shape
-from app.viewer.scene_nodes import Node, Stand
-from app.viewer.scene_picture import ScenePicture
+from app.viewer.picture.scene_nodes import Node, Stand
+from app.viewer.picture.scene_picture import ScenePicture
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.viewer.pointing import shares_face
+from app.viewer.input.pointing import shares_face
 from model.segmentation.prompts import Click
 
 DOOR = Click((0.0, 0.0, 0.0), 1, True, 7)

@@ -15,7 +15,7 @@ import trimesh
 from browsing import Tab, wait_until
 
 from app.prompt_file import read_prompts
-from app.viewer.gate_view import MENDS
+from app.viewer.panels.validation_list import MENDS
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.resources import static_assets

@@ -14,7 +14,7 @@ from browsing import SceneTab, wait_until
 from scipy.spatial import KDTree
 
 from app.server import tasks
-from app.viewer.gate_view import MENDS
+from app.viewer.panels.validation_list import MENDS
 from model.geometry.picking import Picker
 from model.io.readers import read_asset
 from model.segmentation.crop import largest_piece

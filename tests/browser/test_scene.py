@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from browsing import SceneTab, wait_until
 
-from app.viewer import palette
-from app.viewer.joint_rows import joint_lines
+from app.viewer.panels.joint_rows import joint_lines
+from app.viewer.picture import palette
 from sessions import commands as cmd
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 

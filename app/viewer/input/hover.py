@@ -1,0 +1,144 @@
+"""What a click would take, shown under the pointer before it is made."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from app.server import picking_tasks, tool_tasks
+from app.server.jobs import PREVIEWS
+from app.server.open_object import OpenObject
+from app.server.pointer_messages import ArtiworldHoverMessage
+from app.server.segmenting import stored_prompts
+from app.viewer.picture import palette
+from model.core.errors import ArtiworldError
+from model.core.progress import Cancelled
+from model.segmentation.prompts import Click
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+log = logging.getLogger(__name__)
+_SECONDS = 10.0
+_AGAIN = 0.25
+"""Seconds until a place that could not be answered yet is asked again; the pointer may rest."""
+
+
+class Hover:
+    """The preview of one tab, on a thread of its own: only the newest place counts.
+
+    Attributes:
+        on: whether a person wants it.
+        seconds: from the message to the preview, of the last one; for measuring.
+    """
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self.on = True
+        self.seconds: float | None = None
+        self._place: tuple[float, float] | None = None
+        self._came = 0.0
+        self._news = threading.Event()
+        self._closed = False
+        self._shown: tuple[int, int, str] | None = None
+        self._thread: threading.Thread | None = None
+
+    def moved(self, message: ArtiworldHoverMessage) -> None:
+        """The pointer rests elsewhere. Called on the event loop: it only takes a note."""
+        inside = message.inside and math.isfinite(message.x) and math.isfinite(message.y)
+        self._place = (message.x, message.y) if inside else None
+        self._came = time.perf_counter()
+        if self._thread is None and not self._closed:
+            self._thread = threading.Thread(target=self._loop, name="hover", daemon=True)
+            self._thread.start()
+        self._news.set()
+
+    def forget(self) -> None:
+        """Show nothing until the pointer moves again."""
+        self._place = None
+        self._news.set()
+
+    def close(self) -> None:
+        """The tab is gone."""
+        self._closed = True
+        self._news.set()
+
+    def _loop(self) -> None:
+        settled = True
+        while not self._closed:
+            self._news.wait(None if settled else _AGAIN)
+            self._news.clear()
+            settled = True
+            try:
+                settled = self._show()
+            except Cancelled:
+                pass  # something newer came
+            except TimeoutError:
+                settled = False  # the workers have more urgent things to do
+            except ArtiworldError as error:
+                log.debug("no preview: %s", error)
+            except Exception:  # a preview that fails must not end the previews
+                if not self._closed:
+                    log.exception("the preview failed")
+
+    def _show(self) -> bool:
+        """Answer the newest place; False where that has to wait for the object."""
+        app, place, came = self._app, self._place, self._came
+        obj = app.object
+        if obj is None or obj.asset is None or place is None or not self._ready(obj):
+            self._clear()
+            return not (self.on and place is not None and obj is not None and obj.busy)
+        origin, direction = app.pointing.camera().ray(place)
+        hit = app.bench.geometry.submit(
+            picking_tasks.pick,
+            obj.asset.folder,
+            tuple(origin),
+            tuple(direction),
+            app.pointing.hidden_now(),
+            key=("hover", app.client.client_id),
+            priority=PREVIEWS,
+        ).result(_SECONDS)
+        if hit is None:
+            self._clear()
+            return True
+        element, part, doc = int(hit.element), app.part, obj.document
+        wanted = (element, part, doc.key)
+        if wanted == self._shown:
+            return True
+        x, y, z = (float(v) for v in hit.position)
+        answer = app.bench.segmentation.submit(
+            tool_tasks.hover,
+            obj.asset.folder,
+            app.bench.workspace,
+            app.bench.config.segmenter,
+            stored_prompts(doc),
+            Click((x, y, z), part, True, element),
+            key=("hover", app.client.client_id),
+            priority=PREVIEWS,
+            works_on=obj.asset.folder,
+        ).result(_SECONDS)
+        if self._place is None or obj is not app.object or obj.document.key != doc.key:
+            return True  # clicked or left meanwhile
+        self._shown = wanted
+        app.scene.overlays.show_hover(answer.gained, answer.lost, palette.part_color(part))
+        self.seconds = time.perf_counter() - came
+        return True
+
+    def _ready(self, obj: OpenObject) -> bool:
+        """Whether a click here and now would be a prompt that is answered at once."""
+        app = self._app
+        return (
+            self.on
+            and app.stage == "Annotate"
+            and not app.pointing.armed
+            and app.pointing.tool == "click"
+            and not {"open", "encode", "segment", "room", "tool"} & set(obj.busy)
+        )
+
+    def _clear(self) -> None:
+        if self._shown is not None:
+            self._shown = None
+            self._app.scene.overlays.show_hover(None, None, palette.BASE_COLOR)

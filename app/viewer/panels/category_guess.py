@@ -1,0 +1,133 @@
+"""What an object may be, offered as a guess: it is said with one key or click, never by itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+from app.viewer.panels.widgets import put
+from app.viewer.picture.palette import CATEGORIES
+from model.prediction.geometric.motion_lexicon import CATEGORY_ALIASES
+from model.scenes.finders import read_lexicon
+from sessions.records import ObjectRecord
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+_LISTED: Final = {c.lower(): c for c in CATEGORIES}
+_KINDS: Final = {
+    "chest of drawers": "StorageFurniture",
+    "nightstand": "StorageFurniture",
+    "shelf": "StorageFurniture",
+    "toaster oven": "Oven",
+    "dryer": "WashingMachine",
+    "computer mouse": "Mouse",
+    "usb stick": "USB",
+}
+"""The lexicon's kinds that the categories' own names don't tell."""
+_FOLDERS = 2
+"""Folders above the file whose names may tell what it is: "Oven/101773/object.obj"."""
+_ROW, _FRAME = 41, 5
+"""Letters that fit the panel side by side, and for how many a button's frame and gap take room."""
+_MARK = "?"
+
+
+def category_guesses(
+    record: ObjectRecord, queue: Sequence[ObjectRecord], who: str = ""
+) -> tuple[str, ...]:
+    """Categories that an object without one may have, likeliest first; few enough for one row.
+
+    What its file's name says comes first, or one of the folders that hold it, then what was said
+    last in the queue, by ``who`` before others.
+    """
+    path = record.path
+    texts = (path.stem, *reversed(path.parent.parts[1:][-_FOLDERS:]))
+    told = next(filter(None, map(told_by, texts)), None)
+    last: dict[str, tuple[bool, str]] = {}
+    for other in queue:
+        category = _LISTED.get((other.category or "").replace(" ", "").lower())
+        if category is not None and other.id != record.id:
+            last[category] = max(last.get(category, (False, "")), (other.who == who, other.updated))
+    found = dict.fromkeys([*filter(None, [told]), *sorted(last, key=lambda c: last[c])[::-1]])
+    out: list[str] = []
+    for category in found:
+        if out and sum(len(c) + _FRAME for c in (*out, category)) > _ROW:
+            break
+        out.append(category)
+    return tuple(out)
+
+
+@lru_cache(maxsize=4096)
+def told_by(text: str) -> str | None:
+    """The category that a file's or folder's name says: "office_chair_02" is a Chair.
+
+    As in English the thing comes last, "table_with_lamp" is a table, and words that say nothing
+    are passed over: "oven_scan_3".
+    """
+    said = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
+    if "with" in said[1:]:
+        said = said[: said.index("with", 1)]
+    for end in range(len(said), 0, -1):
+        for count in (3, 2, 1):
+            if count <= end and (found := _meant(said[end - count : end])) is not None:
+                return found
+    return None
+
+
+def _meant(phrase: Sequence[str]) -> str | None:
+    for plural in ("", "s", "es"):
+        words = " ".join(phrase).removesuffix(plural)
+        kind = _kinds().get(words, words)
+        plain = kind.replace(" ", "")
+        for meant in (words.replace(" ", ""), _KINDS.get(kind), CATEGORY_ALIASES.get(plain), plain):
+            if meant is not None and meant.lower() in _LISTED:
+                return _LISTED[meant.lower()]
+    return None
+
+
+@lru_cache(maxsize=1)
+def _kinds() -> dict[str, str]:
+    """What the lexicon of scenes calls a kind → its name."""
+    return {word: kind.name for kind in reversed(read_lexicon().kinds) for word in kind.words}
+
+
+def guesses_of(app: ClientApp) -> tuple[str, ...]:
+    """For the object that a tab shows: :func:`category_guesses`."""
+    return category_guesses(app.need_object().record, app.bench.records(), app.who)
+
+
+class CategoryGuess:
+    """A row of guesses; what is clicked is said."""
+
+    def __init__(self, app: ClientApp, said: Callable[[str], None]) -> None:
+        """Put the row where the panel is; ``said`` gets the category."""
+        self._said = said
+        self._shown: tuple[str, ...] = ()
+        self._row = app.client.gui.add_button_group(
+            "Shift+0",
+            (_MARK,),
+            hint="Guesses, by the file's name and what was said last; the key takes the first one",
+            visible=False,
+        )
+        self._row.on_click(lambda e: app.act(lambda: said(e.target.value.removesuffix(_MARK))))
+
+    @property
+    def first(self) -> str | None:
+        """The likeliest of those that are shown."""
+        return next(iter(self._shown), None)
+
+    def show(self, guesses: Sequence[str]) -> None:
+        """Show guesses; without any the row is away."""
+        self._shown = tuple(guesses)
+        if self._shown:
+            put(self._row, "options", tuple(g + _MARK for g in self._shown))
+        put(self._row, "visible", bool(self._shown))
+
+    def take_first(self) -> str | None:
+        """Say the likeliest; None where nothing is offered."""
+        category = self.first
+        if category is not None:
+            self._said(category)
+        return category

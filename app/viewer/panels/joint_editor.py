@@ -1,0 +1,260 @@
+"""The editor of the chosen joint: type, parent, axis, origin and limits, by hand or snapped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.server import snapping_tasks
+from app.server.display_names import joint_title, part_title
+from app.server.jobs import EDITS
+from app.server.open_object import OpenObject
+from app.viewer.panels.joint_text import joint_note, shown
+from app.viewer.panels.widgets import differs, put
+from model.core.errors import CommandError
+from model.core.joint import JOINT_TYPES, Joint
+from model.core.tree import KinematicTree
+from sessions import commands as cmd
+from sessions.document import Document
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+SNAP_SECONDS = 30.0
+AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_ALONG = "The axis runs along that side of the part's box"
+_THERE = {
+    "Box edge": "The axis lies on an edge of the part's box",
+    "Contact": "The axis lies where the parts touch",
+    "Centre": "The origin is the middle of the part's box",
+    "free range": "The range ends where the part would collide",
+}
+
+
+class JointEditor:
+    """The widgets for one joint, and what a person does with them.
+
+    Attributes:
+        pose_box: the place for the slider that moves it.
+    """
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        gui = app.client.gui
+        self._child = gui.add_dropdown("Moves", ("—",))
+        self.pose_box = gui.add_folder(None)
+        self._note = gui.add_markdown("")
+        self._type = gui.add_dropdown("Type", JOINT_TYPES)
+        self._parent = gui.add_dropdown("Parent", ("—",))
+        self._axis = gui.add_vector3("Axis", (0.0, 0.0, 1.0), step=0.001)
+        self._axis_to = gui.add_button_group("Axis to", ("X", "Y", "Z", "Flip (F)"))
+        self._axis_box = gui.add_button_group(
+            "Axis along", ("Long", "Middle", "Short"), hint="The sides of the part's box"
+        )
+        self._origin = gui.add_vector3("Origin [mm]", (0.0, 0.0, 0.0), step=0.1)
+        self._origin_to = gui.add_button_group("Snap to", ("Box edge", "Contact", "Centre"))
+        self._lower = gui.add_number("Lower [°]", 0.0, step=0.1)
+        self._upper = gui.add_number("Upper [°]", 0.0, step=0.1)
+        self._free = gui.add_button_group("Limits", ("Free range", "Zero is closed"))
+        self._gizmo = gui.add_button("Axis handles (G)", icon=viser.Icon.AXIS_X, color="gray")
+        self._name = gui.add_text(
+            "Name in files",
+            "",
+            hint="What URDF and simulators call the joint; screens name its part",
+        )
+        self._locked = gui.add_checkbox(
+            "Keep it", False, hint="Predicting again leaves this joint as it is"
+        )
+        self._reset = gui.add_button("Reset to the prediction", color="gray")
+        app.on_update(self._child, self._child_chosen)
+        self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
+        self._on_edit(self._type, lambda: self.set_type(self._type.value))
+        self._on_edit(self._parent, lambda: self._change(parent=self._link(self._parent.value)))
+        self._on_edit(self._axis, lambda: self._change(axis=tuple(self._axis.value)))
+        self._on_edit(
+            self._origin, lambda: self._change(origin=tuple(v / 1000 for v in self._origin.value))
+        )
+        self._on_edit(self._lower, lambda: self._limit("lower", self._lower.value))
+        self._on_edit(self._upper, lambda: self._limit("upper", self._upper.value))
+        app.on_update(self._locked, self._lock)
+        self._axis_to.on_click(lambda e: app.act(lambda: self._preset(e.target.value)))
+        self._axis_box.on_click(lambda e: app.act(lambda: self._snap(f"axis {e.target.value}")))
+        self._origin_to.on_click(lambda e: app.act(lambda: self._snap(e.target.value)))
+        self._free.on_click(lambda e: app.act(lambda: self._limits(e.target.value)))
+        self._gizmo.on_click(lambda _: app.act(app.motion.toggle_gizmo))
+        self._reset.on_click(lambda _: app.act(self._reset_joint))
+
+    # --- what a person does
+
+    def _on_edit(self, field: Any, edit: Callable[[], None]) -> None:
+        """After an edit the field shows what the joint has, even where the edit was refused."""
+
+        def edited() -> None:
+            try:
+                edit()
+            finally:
+                self._app.joints_panel.forget()
+
+        self._app.on_update(field, edited)
+
+    def _need_joint(self) -> Joint:
+        joint = self._app.joint
+        if joint is None:
+            raise CommandError("choose a joint first: click a part, or press Tab")
+        return joint
+
+    def _child_chosen(self) -> None:
+        self._app.choose_joint(self._link(self._child.value, joint_title))
+
+    def _link(self, title: str, called: Callable[[Document, str], str] = part_title) -> str:
+        """The link that, or whose joint, people call so."""
+        doc = self._app.need_object().document
+        for link in () if doc.tree is None else doc.tree.links:
+            if called(doc, link) == title:
+                return link
+        raise CommandError(f"nothing is called {title} any more: choose again")
+
+    def _change(self, **changes: Any) -> None:
+        joint = self._need_joint()
+        if any(_differs(getattr(joint, k), v) for k, v in changes.items()):
+            self._app.set_joint(replace(joint, **changes))
+
+    def set_type(self, kind: Any) -> None:
+        """Give the chosen joint another type, with the axis, origin and limits that it then has:
+        as predicted where the prediction was of that type, else as the geometry says."""
+        obj, joint = self._app.need_object(), self._need_joint()
+        doc = obj.document
+        if kind == joint.type:
+            return
+        predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
+        if predicted is not None and (predicted.type, predicted.parent) == (kind, joint.parent):
+            self._app.set_joint(replace(predicted, name=joint.name))
+            return
+        assert doc.tree is not None
+        job = self._app.bench.prediction.submit(
+            snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=EDITS
+        )
+        self._app.set_joint(job.result(SNAP_SECONDS))
+
+    def next_type(self) -> None:
+        """The next type in the list (T)."""
+        at = JOINT_TYPES.index(self._need_joint().type)
+        self.set_type(JOINT_TYPES[(at + 1) % len(JOINT_TYPES)])
+
+    def flip(self) -> None:
+        """Turn the axis round; the limits stay, so the part opens to the other side (F)."""
+        joint = self._need_joint()
+        axis = tuple(-v if v else 0.0 for v in joint.axis)
+        self._app.set_joint(replace(joint, axis=axis))
+
+    def _preset(self, which: str) -> None:
+        if which.startswith("Flip"):
+            self.flip()
+        else:
+            self._change(axis=AXES[which])
+
+    def _snap(self, to: str) -> None:
+        obj = self._app.need_object()
+        joint, tree = self._need_joint(), obj.document.tree
+        assert tree is not None
+        job = self._app.bench.prediction.submit(
+            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
+        )
+        snapped = job.result(SNAP_SECONDS)
+        if snapped == joint:
+            self._app.notify("Already there", _THERE.get(to, _ALONG), "gray")
+        else:
+            self._app.set_joint(snapped)
+
+    def _limit(self, which: str, value: float) -> None:
+        joint = self._need_joint()
+        before = getattr(joint, which)
+        if before is not None and value != round(shown(joint, before), 1):
+            self._change(**{which: math.radians(value) if joint.rotates else value / 1000})
+
+    def _limits(self, what: str) -> None:
+        joint = self._need_joint()
+        if not joint.limited:
+            raise CommandError(f"a {joint.type} joint has no limits; choose another type first")
+        assert joint.lower is not None and joint.upper is not None
+        if what == "Free range":
+            self._snap("free range")
+        elif 0.0 in (joint.lower, joint.upper):
+            self._app.notify("Already there", "Zero is an end of the range", "gray")
+        elif abs(joint.lower) < abs(joint.upper):
+            self._change(lower=0.0)
+        else:
+            self._change(upper=0.0)
+
+    def _lock(self) -> None:
+        joint = self._need_joint()
+        doc = self._app.need_object().document
+        if self._locked.value != (joint.child in doc.locked):
+            self._app.do(cmd.LockJoint(joint.child, self._locked.value))
+
+    def _reset_joint(self) -> None:
+        self._app.do(cmd.ResetJoint(self._need_joint().child))
+
+    # --- drawing
+
+    def draw(self, obj: OpenObject, tree: KinematicTree) -> None:
+        """Bring it up to date."""
+        doc = obj.document
+        titles = tuple(joint_title(doc, j.child) for j in tree.joints) or ("—",)
+        put(self._child, "options", titles)
+        joint = self._app.joint
+        if joint is None:
+            put(self._note, "content", "No joint.")
+            return
+        put(self._child, "value", joint_title(doc, joint.child))
+        put(self._name, "value", joint.name)
+        put(self._type, "value", joint.type)
+        below = tree.descendants(joint.child)
+        above = tuple(part_title(doc, k) for k in tree.links if k not in below)
+        put(self._parent, "options", above)
+        put(self._parent, "value", part_title(doc, joint.parent))
+        _put_vector(self._axis, joint.axis, 5e-4)
+        _put_vector(self._origin, tuple(v * 1000 for v in joint.origin), 0.05)
+        unit = "°" if joint.rotates else "mm"
+        for box, word, value in (
+            (self._lower, "Lower", joint.lower),
+            (self._upper, "Upper", joint.upper),
+        ):
+            put(box, "label", f"{word} [{unit}]")
+            put(box, "visible", joint.limited)
+            if value is not None:
+                put(box, "value", round(shown(joint, value), 1))
+        for widget in (
+            self._axis,
+            self._axis_to,
+            self._axis_box,
+            self._origin,
+            self._origin_to,
+            self._gizmo,
+        ):
+            put(widget, "visible", joint.moves)
+        put(self._free, "visible", joint.limited)
+        put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
+        put(self._locked, "value", joint.child in doc.locked)
+        whose = "prediction" if doc.joints_file is None else "file's joint"
+        put(self._reset, "label", f"Reset to the {whose}")
+        put(self._reset, "visible", joint.child in doc.edited_joints)
+        put(self._note, "content", joint_note(joint, doc, obj.checks))
+
+
+def _differs(a: Any, b: Any) -> bool:
+    if isinstance(a, tuple):
+        return differs(a, b, 1e-7)
+    if isinstance(a, float) and isinstance(b, float):
+        return abs(a - b) > 1e-9
+    return a != b
+
+
+def _put_vector(box: Any, value: tuple[float, ...], tolerance: float) -> None:
+    if differs(tuple(box.value), value, tolerance):
+        # A trace of the other side would be shown as "-0.000".
+        box.value = tuple(0.0 if abs(v) < tolerance else round(v, 4) for v in value)

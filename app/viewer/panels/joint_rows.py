@@ -1,0 +1,83 @@
+"""The joints of a scene's chosen object: each in the colour that its part has in the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from app.server.display_names import joint_title, moved_part
+from app.server.scene_rows import Work
+from app.viewer.panels.joint_text import range_text, sure_text, sureness
+from app.viewer.panels.widgets import put
+from app.viewer.picture import palette
+from sessions.document import Document
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+SHOWN = 12
+"""Joints with buttons, the least sure ones; the others are counted."""
+
+
+JointLine = tuple[str, str, palette.Rgb]
+"""Name, words and colour of a joint."""
+
+
+class JointRows:
+    """A button for each moving joint; a click plays it alone."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._key: Any = None
+        self._rows: list[Any] = []
+        self._folder = app.client.gui.add_folder("Joints", visible=False)
+
+    def draw(self, work: Work | None) -> None:
+        """Bring the rows up to date; nothing is sent where nothing changed."""
+        doc = None if work is None else work.document
+        key = None if doc is None or work is None else (
+            work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))  # fmt: skip
+        if key == self._key:
+            return
+        self._key = key
+        for row in self._rows:
+            row.remove()
+        self._rows = []
+        lines = [] if doc is None else joint_lines(doc)
+        put(self._folder, "visible", bool(lines))
+        gui, app = self._app.client.gui, self._app
+        with self._folder:
+            for name, line, color in [] if doc is None else least_sure(doc, lines):
+                button = gui.add_button(line, color=color, hint="Play it")
+                button.on_click(lambda _, name=name: app.act(lambda: app.in_scene.play_joint(name)))
+                self._rows.append(button)
+            if len(lines) > SHOWN:
+                self._rows.append(gui.add_markdown(f"… and {len(lines) - SHOWN} surer ones."))
+
+
+def least_sure(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
+    """The lines that are shown, in their order: what wants a look is among them."""
+    joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
+    sure = [
+        1.0 if j.child in doc.edited_joints else sureness(doc, j.child) or 0.0 for j in joints
+    ]  # fmt: skip
+    kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
+    return [lines[i] for i in sorted(kept)]
+
+
+def joint_lines(doc: Document) -> list[JointLine]:
+    """Name, words and colour of every joint that moves; a part may have several."""
+    out: list[JointLine] = []
+    if doc.tree is None:
+        return out
+    for joint in (j for j in doc.tree.joints if j.moves):
+        part = moved_part(doc.tree, joint.child)
+        sure = sure_text(doc, joint.child)
+        edited = " ✎" if joint.child in doc.edited_joints else ""
+        # "Turns freely" says the type, and a long line would be cut at its end, which counts most.
+        kind = "" if joint.type == "continuous" else joint.type
+        words = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
+        number = part.removeprefix("link_")
+        color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
+        out.append((joint.name, " · ".join(w for w in words if w), color))
+    return out

@@ -1,0 +1,309 @@
+"""The kinematic tree and its motion, with the editor of the chosen joint."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.server.display_names import joint_title, moved_part, part_title
+from app.server.open_object import OpenObject
+from app.viewer.panels.category_guess import CategoryGuess, guesses_of
+from app.viewer.panels.joint_editor import JointEditor
+from app.viewer.panels.joint_text import shown, tree_text
+from app.viewer.panels.quick_names import NUMBERED, QuickNames
+from app.viewer.panels.widgets import NONE, put
+from app.viewer.picture.palette import CATEGORIES, PART_NAMES
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
+from sessions import commands as cmd
+from sessions.document import Document, PartInfo
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+
+class JointsPanel:
+    """The second step: how the parts move.
+
+    Attributes:
+        editor: of the chosen joint.
+    """
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._drawn: Any = None
+        self._sliders: dict[str, Any] = {}
+        self._motion_key: Any = None
+        self._rows: list[Any] = []
+        self._pose: tuple[Any, list[Any]] = None, []
+        gui = app.client.gui
+        self._empty = gui.add_markdown("")
+        self._again = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
+        self._here = gui.add_button(
+            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
+        )
+        self._tree = gui.add_markdown("")
+        self._what = gui.add_markdown("")
+        self._quick = QuickNames(app, self._named)
+        self._name = gui.add_dropdown("Part is a", (NONE, *PART_NAMES), initial_value=NONE)
+        self._guess = CategoryGuess(app, self._said)
+        self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
+        self._folder = gui.add_folder("Joint")
+        with self._folder:
+            self.editor = JointEditor(app)
+        self._motion = gui.add_folder("All joints")
+        app.on_update(self._name, self._name_chosen)
+        app.on_update(self._category, self._categorised)
+        self._again.on_click(lambda _: app.act(app.commands.predict))
+        self._here.on_click(lambda _: app.act(app.commands.predict_here))
+
+    def show_q(self, q: dict[str, float], but: Any = None) -> None:
+        """Bring the sliders, ``but`` one, to ``q`` without moving anything."""
+        tree = None if self._app.object is None else self._app.object.document.tree
+        if tree is None:
+            return
+        mine = self._pose[1][:1]
+        for name, slider in [*self._sliders.items(), *((self._pose_of, s) for s in mine)]:
+            joint = tree.by_name.get(name)
+            if joint is not None and slider is not but:
+                value = round(shown(joint, q.get(name, 0.0)), 1)
+                put(slider, "value", min(max(value, slider.min), slider.max))
+
+    @property
+    def _pose_of(self) -> str:
+        """The joint that the slider in the editor moves."""
+        key = self._pose[0]
+        return "" if key is None else key[0]
+
+    # --- drawing
+
+    def forget(self) -> None:
+        """Draw everything again, as fields may hold what was refused."""
+        self._drawn = None
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the panel up to date."""
+        app, doc = self._app, obj.document
+        tree = doc.tree
+        wanted = tree is None or doc.prediction_stale
+        put(self._here, "visible", obj.backend_away and wanted)
+        checks = tuple((c.joint, c.where) for c in obj.checks)
+        now = (
+            obj.record.id,
+            doc.prediction_stale,
+            tree,
+            doc.parts,
+            doc.locked,
+            doc.prediction,
+            app.child,
+            checks,
+            app.motion.gizmo_on,
+            doc.category,
+            doc.review.state,
+        )
+        if now == self._drawn:
+            return
+        self._drawn = now
+        self._choose(doc, wanted)  # first: what is asked is about the joint that is shown
+        for widget in (self._tree, self._folder):
+            put(widget, "visible", tree is not None)
+        put(self._empty, "visible", tree is None)
+        self._draw_names(doc, wanted)
+        put(self._again, "visible", wanted)
+        if tree is None:
+            text = "No joints yet. Click the moving parts, then predict."
+            put(self._empty, "content", text)
+            self._draw_motion(None, doc)
+            self._draw_pose(None)
+            return
+        put(self._tree, "content", tree_text(tree, doc, obj.checks))
+        self._draw_motion(tree, doc)
+        self._draw_pose(app.joint)
+        self.editor.draw(obj, tree)
+
+    def _choose(self, doc: Document, wanted: bool) -> None:
+        """Where no joint is chosen: the first whose part has no name, else the first that moves."""
+        app, tree = self._app, doc.tree
+        if tree is None or app.child in tree.joint_of:
+            return
+        unnamed = [] if wanted else self._unknown(doc)[0]
+        moving = (j.child for j in tree.joints if j.moves)
+        app.child = unnamed[0].link if unnamed else next(moving, None)
+        if app.child is not None:
+            app.invalidate()  # the picture, which was drawn before, shows its axis
+
+    def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
+        """Parts without a name, the chosen joint's first, and whether there is no category."""
+        if doc.tree is None or doc.prediction is None or doc.review.state == "accepted":
+            return [], False
+        found = [p for p in doc.parts if p.name is None and p.link in doc.tree.joint_of]
+        chosen = self._chosen_part(doc.tree)
+        return sorted(found, key=lambda p: p.link != chosen), doc.category is None
+
+    def _chosen_part(self, tree: KinematicTree) -> str | None:
+        """The link of the part that the chosen joint moves: of several joints, all that move it."""
+        child = self._app.child
+        return moved_part(tree, child) if child is not None and child in tree.joint_of else None
+
+    def _draw_names(self, doc: Document, wanted: bool) -> None:
+        unnamed, uncategorised = ([], False) if wanted else self._unknown(doc)
+        put(self._what, "visible", bool(unnamed) or uncategorised)
+        put(self._category, "visible", uncategorised)
+        self._guess.show(guesses_of(self._app) if uncategorised else ())
+        put(self._category, "value", NONE)
+        self._quick.show(bool(unnamed))
+        put(self._name, "visible", bool(unnamed))
+        put(self._name, "value", NONE)  # the next one has none yet
+        what = "**What is the object?**"
+        if unnamed:
+            assert doc.tree is not None
+            what = f"**What is {part_title(doc, unnamed[0].link)}?**"
+            if unnamed[0].link != self._chosen_part(doc.tree):
+                what += " (Not the one chosen: that has a name.)"
+        why = "Joints come right more often if that is known."
+        if _settled(doc):
+            why = "It is kept for the next prediction (P)."
+        put(self._what, "content", f"{what} {why}")
+
+    def _name_chosen(self) -> None:
+        if self._name.value != NONE:
+            self._named(self._name.value)
+
+    def _categorised(self) -> None:
+        if self._category.value != NONE:
+            self._said(self._category.value)
+
+    def _said(self, category: str) -> None:
+        self._app.do(cmd.SetCategory(category))
+        self._predict_what_is_known()
+
+    def answer(self, number: int) -> str:
+        """What Shift and a number says to the question: 0 the guessed category, else a name.
+
+        Returns:
+            What came of it, for people.
+        """
+        if number == 0:
+            category = self._guess.take_first()
+            return f"The object is: {category}" if category else "There is no guess of the category"
+        doc = self._app.need_object().document
+        unnamed = [] if doc.prediction_stale else self._unknown(doc)[0]
+        if not unnamed:
+            return "Every part has a name: the Annotate step changes it"
+        if number > len(NUMBERED):
+            return ""
+        name = NUMBERED[number - 1]
+        self._named(name)
+        return f"Part {unnamed[0].id} is: {name}"
+
+    def _named(self, name: str) -> None:
+        unnamed, _ = self._unknown(self._app.need_object().document)
+        if unnamed:
+            self._app.do(cmd.NamePart(unnamed[0].id, name))
+            # Others of the same shape have the name as well now.
+            unnamed, _ = self._unknown(self._app.need_object().document)
+            if unnamed:
+                self._app.choose_joint(unnamed[0].link)
+            self._predict_what_is_known()
+
+    def _predict_what_is_known(self) -> None:
+        """Predict again once the last name, or the category after it, has been said.
+
+        Where a person has settled joints, they are not predicted in passing.
+        """
+        doc = self._app.need_object().document
+        if self._unknown(doc) == ([], False) and not _settled(doc):
+            self._app.commands.predict()
+
+    def _draw_motion(self, tree: KinematicTree | None, doc: Document) -> None:
+        moving = [] if tree is None else [j for j in tree.joints if j.moves and j.mimic is None]
+        key = tuple((j.name, j.type, j.lower, j.upper, joint_title(doc, j.child)) for j in moving)
+        if key == self._motion_key:
+            return
+        self._motion_key = key
+        for row in self._rows:
+            row.remove()
+        self._rows, self._sliders = [], {}
+        sliders: dict[str, Any] = {}
+        gui = self._app.client.gui
+        put(self._motion, "visible", len(moving) > 1)
+        with self._motion:
+            for joint in moving:
+                unit = "°" if joint.rotates else "mm"
+                slider = self._slider(f"{joint_title(doc, joint.child)} [{unit}]", joint)
+                buttons = gui.add_button_group("", ("▶ / ■", "Edit"))
+                buttons.on_click(lambda e, j=joint: self._row_clicked(e.target.value, j))
+                sliders[joint.name] = slider
+                self._rows += [slider, buttons]
+        self._sliders = sliders
+
+    def _draw_pose(self, joint: Joint | None) -> None:
+        """The slider of the chosen joint, beside what is edited."""
+        if joint is not None and (not joint.moves or joint.mimic is not None):
+            joint = None
+        key = None if joint is None else (joint.name, joint.type, joint.lower, joint.upper)
+        if key == self._pose[0]:
+            return
+        for row in self._pose[1]:
+            row.remove()
+        self._pose = key, []
+        if joint is None:
+            return
+        gui, app = self._app.client.gui, self._app
+        with self.editor.pose_box:
+            slider = self._slider("Pose [°]" if joint.rotates else "Pose [mm]", joint)
+            play = gui.add_button_group("", ("▶ / ■",))
+        play.on_click(lambda _: app.act(lambda: app.motion.play(joint.name)))
+        self._pose = key, [slider, play]
+
+    def _slider(self, label: str, joint: Joint) -> Any:
+        """A slider that moves a joint."""
+        low, high = _range(joint)
+        start = round(shown(joint, self._app.motion.q.get(joint.name, 0.0)), 1)
+        slider = self._app.client.gui.add_slider(
+            label,
+            min=low,
+            max=high,
+            step=max(round((high - low) / 400, 1), 0.1),
+            initial_value=min(max(start, low), high),
+            hint=joint.type,
+        )
+        slider.on_update(lambda e: self._slid(e, joint))
+        return slider
+
+    def _slid(self, event: Any, joint: Joint) -> None:
+        if event.client is None:
+            return
+        value, slider, app = event.target.value, event.target, self._app
+        q = math.radians(value) if joint.rotates else value / 1000
+        if joint.lower is not None and joint.upper is not None:  # the slider's ends are rounded
+            q = min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))
+
+        def moved() -> None:
+            app.motion.set_q(joint.name, q)
+            self.show_q(app.motion.q, but=slider)
+
+        app.act(moved)
+
+    def _row_clicked(self, which: str, joint: Joint) -> None:
+        app = self._app
+        if which == "Edit":
+            app.act(lambda: app.choose_joint(joint.child))
+        else:
+            app.act(lambda: app.motion.play(joint.name))
+
+
+def _settled(doc: Document) -> bool:
+    """Whether a person has changed or locked a joint, or a file tells them."""
+    return bool(doc.joints_file or doc.locked or doc.edited_joints)
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    if joint.type == "continuous":
+        return -180.0, 180.0
+    assert joint.lower is not None and joint.upper is not None
+    low, high = shown(joint, joint.lower), shown(joint, joint.upper)
+    low, high = round(min(low, 0.0), 1), round(max(high, 0.0), 1)
+    return (low, high) if high > low else (low, low + 0.1)

@@ -1,0 +1,53 @@
+"""Taking an object out of the one that is open in the scene, such as a whole room."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import viser
+
+from app.viewer.panels.widgets import put
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+_HOW = (
+    "**Pick an object out:** click it, once more where something is missing, Shift+click what is "
+    "too much; or Alt+drag a box round it. Then say what it is and take it out."
+)
+
+
+class PickPanel:
+    """Above the usual tools while an object of the scene is there to be picked from."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        gui = app.client.gui
+        self._how = gui.add_markdown(_HOW, visible=False)
+        self._back = gui.add_button(
+            "Put floor and walls back", color="gray", visible=False,
+            hint="They are left out while you pick; doors and windows may be among them",
+        )  # fmt: skip
+        self._name = gui.add_text(
+            "It is a", "", hint="refrigerator, cabinet, oven, …", visible=False
+        )
+        self._take = gui.add_button(
+            "Take it out of the room", icon=viser.Icon.SCISSORS, color="green", visible=False
+        )
+        self._back.on_click(lambda _: app.act(app.source_panel.put_back))
+        self._take.on_click(lambda _: app.act(lambda: app.in_scene.take_out(self._name.value)))
+
+    def draw(self) -> None:
+        """Bring it up to date."""
+        app = self._app
+        picking = app.in_scene.picking
+        for handle in (self._how, self._name, self._take):
+            put(handle, "visible", picking)
+        doc = None if app.object is None else app.object.document
+        put(self._back, "visible", picking and doc is not None and doc.left_out is not None)
+        ready = picking and app.object is not None and app.object.document.segmentation is not None
+        put(self._take, "disabled", not ready)
+
+    def clear(self) -> None:
+        """The next object has another name."""
+        put(self._name, "value", "")

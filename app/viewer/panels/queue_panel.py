@@ -1,0 +1,208 @@
+"""The queue at the left: which objects there are, and where each one stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.server.pointer_messages import title_buttons
+from app.viewer.panels.queue_names import clipped, queue_names
+from app.viewer.panels.scene_list import page_buttons
+from app.viewer.panels.widgets import put
+from app.viewer.picture import palette
+from app.viewer.text import plain
+from sessions import commands as cmd
+from sessions.records import ObjectRecord
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+PAGE = 14
+NAME_LENGTH = 22
+ALL = "all"
+_ICONS = {
+    "todo": viser.Icon.CIRCLE,
+    "in_progress": viser.Icon.PENCIL,
+    "predicted": viser.Icon.SPARKLES,
+    "accepted": viser.Icon.CIRCLE_CHECK,
+    "rejected": viser.Icon.CIRCLE_X,
+}
+
+
+class QueuePanel:
+    """A page of objects as buttons, a filter, and the person's name."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._first = 0
+        self._shown: tuple[Any, ...] | None = None
+        self._followed: int | None = None
+        self._held = 0
+        gui = app.client.gui
+        panel = gui.add_panel()
+        with panel.add_tab("Queue", viser.Icon.LIST_DETAILS):
+            self._summary = gui.add_markdown("")
+            self._bar = gui.add_progress_bar(0.0, color="green")
+            options = (ALL, *palette.STATE_WORDS.values())
+            self._filter = gui.add_dropdown("Show", options, initial_value=ALL)
+            self._search = gui.add_text("Find", "", hint="Part of an object's name")
+            self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
+            self._again = gui.add_button(
+                "", icon=viser.Icon.ALERT_TRIANGLE, color=palette.VERDICT_COLORS["look"],
+                visible=False,
+                hint="You wanted it accepted before its joints were judged; the gate held it back",
+            )  # fmt: skip
+            self._back = gui.add_button(
+                "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
+            )
+            self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
+            self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
+            self._upload = gui.add_upload_button(
+                "Add files",
+                icon=viser.Icon.UPLOAD,
+                color="gray",
+                hint="A mesh or a scan (GLB, PLY, STL, OBJ, PCD, XYZ); choose an OBJ together with "
+                "its materials and textures, or give a zip",
+            )
+            self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
+        panel.dock_left()
+        panel.set_width(230)
+        self._ids: list[int] = []
+        for k, button in enumerate(self._buttons):
+            button.on_click(lambda _, k=k: app.act(lambda: self._open(k)))
+        self._filter.on_update(lambda _: self._turn(None))
+        self._search.on_update(lambda _: self._turn(None))
+        self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
+        self._next.on_click(
+            lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
+        )
+        self._again.on_click(lambda _: app.act(lambda: app.open(self._held)))
+        self._back.on_click(lambda _: app.act(lambda: app.open(app.bench.put_back())))
+        app.on_update(self._name, self._renamed)
+        self._upload.on_upload(lambda e: self._uploaded(e.target.value))
+
+    def show_user(self, who: str) -> None:
+        """Put the remembered name into its box."""
+        if self._name.value != who:
+            self._name.value = who
+
+    def _renamed(self) -> None:
+        who = cmd.clean_text(self._name.value, 60, "your name")
+        if who:
+            self._app.who = who
+            self._app.remember()
+
+    def _uploaded(self, file: Any) -> None:
+        app = self._app
+        app.act(lambda: app.open(app.bench.add_upload(file.name, file.content)))
+
+    def _open(self, k: int) -> None:
+        if k < len(self._ids):
+            self._app.open(self._ids[k])
+
+    def _turn(self, by: int | None) -> None:
+        self._first = 0 if by is None else self._first + by * PAGE
+        self._app.invalidate()
+
+    def draw(self) -> None:
+        """Bring the page up to date; nothing is sent where nothing changed."""
+        app = self._app
+        records = app.bench.records()
+        current = None if app.object is None else app.object.record.id
+        words = palette.STATE_WORDS
+        names = queue_names(records)
+        chosen = [
+            r
+            for r in records
+            if self._filter.value in (ALL, words[r.state])
+            and self._search.value.lower() in names[r.id].lower()
+        ]
+        if current != self._followed:
+            self._followed = current
+            ids = [r.id for r in chosen]
+            if current in ids:
+                self._first = ids.index(current) // PAGE * PAGE
+        self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
+        page = chosen[self._first : self._first + PAGE]
+
+        at_it = {r.id: "being judged, then accepted" for r in page if app.bench.judging_now(r.id)}
+        at_it |= {r.id: "being saved" for r in page if app.bench.saving_now(r.id)}
+        held = [r.id for r in records if app.bench.held(r)]
+        now = (
+            tuple((r.id, names[r.id], r.state, self._alarm(r)) for r in page),
+            current,
+            len(chosen),
+            self._first,
+            tuple(r.state for r in records),
+            app.bench.taken_off,
+            at_it,
+            held,
+        )
+        if now == self._shown:
+            return
+        self._shown = now
+
+        def stands(record: ObjectRecord) -> str:
+            return at_it.get(record.id) or self._alarm(record) or words[record.state]
+
+        done = sum(r.state == "accepted" for r in records)
+        self._summary.content = f"**{done} of {len(records)}** accepted"
+        self._bar.value = round(100 * done / max(len(records), 1), 1)
+        self._ids = [r.id for r in page]
+        off = app.bench.taken_off
+        put(self._back, "visible", bool(off))
+        if off:
+            name = app.bench.store.object(off[-1]).name
+            put(self._back, "label", f"Put {clipped(name, NAME_LENGTH - 6)} back")
+        self._draw_held([i for i in held if i != current], names)
+        put(self._pages, "visible", len(chosen) > PAGE)
+        put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
+        for k, button in enumerate(self._buttons):
+            if k >= len(page):
+                if button.visible:
+                    button.visible = False
+                continue
+            record = page[k]
+            here = record.id == current
+            button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
+            button.icon = viser.Icon.ALERT_TRIANGLE if self._alarm(record) else _ICONS[record.state]
+            if record.id in at_it:
+                button.icon = viser.Icon.DEVICE_FLOPPY
+            button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
+            if record.id in held:
+                button.color = palette.VERDICT_COLORS["look"]
+            button.hint = f"{plain(names[record.id])}: {stands(record)}"
+            button.visible = True
+        title_buttons(
+            app.client,
+            {
+                button._impl.uuid: f"{names[record.id]}: {stands(record)}"
+                for button, record in zip(self._buttons, page, strict=False)
+            },
+        )
+
+    def _alarm(self, record: ObjectRecord) -> str:
+        """What a person has to know of an object before all else, or ""."""
+        bench = self._app.bench
+        if record.id in bench.broken:
+            return "can't be read"
+        if why := bench.held(record):
+            return f"look again: {why}"
+        return "was being accepted" if bench.was_interrupted(record) else ""
+
+    def _draw_held(self, held: list[int], names: Mapping[int, str]) -> None:
+        """The way back to what the gate held back after a person went on."""
+        put(self._again, "visible", bool(held))
+        if held:
+            more = f" (+{len(held) - 1})" if len(held) > 1 else ""
+            name = clipped(names[held[0]], NAME_LENGTH - 10)
+            put(self._again, "label", f"Look again: {name}{more}")
+            self._held = held[0]
+
+
+def _pale(state: str) -> palette.Rgb:
+    r, g, b = palette.STATE_COLORS[state]
+    grey = 0.45
+    return tuple(int(c * (1 - grey) + 120 * grey) for c in (r, g, b))  # type: ignore[return-value]

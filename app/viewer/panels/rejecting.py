@@ -1,0 +1,106 @@
+"""Rejecting asks for a reason and never makes one up: X, then a number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.viewer.panels.widgets import put
+from model.core.errors import CommandError
+from sessions.review import RejectReason
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+REASONS: dict[str, RejectReason] = {
+    "range": "range",
+    "axis": "axis",
+    "type": "type",
+    "parts": "parts",
+    "not articulated": "not_articulated",
+    "other": "other",
+}
+_NUMBERED = tuple(f"{k} {word}" for k, word in enumerate(REASONS, 1))
+_ROWS = (_NUMBERED[:4], _NUMBERED[4:])
+
+
+class Rejecting:
+    """The question of one tab, about what it shows.
+
+    Args:
+        about: what would be rejected now; a question about something else is off.
+        reject: gets the reason.
+    """
+
+    def __init__(
+        self, app: ClientApp, about: Callable[[], Any], reject: Callable[[RejectReason], None]
+    ) -> None:
+        self._app, self._about, self._reject = app, about, reject
+        self._asked: Any = None
+        self._note: Any = None
+
+    @property
+    def asking(self) -> bool:
+        """Whether the next number is a reason."""
+        if self._asked is not None and self._asked != self._about():
+            self.cancel()
+        return self._asked is not None
+
+    def ask(self) -> None:
+        """Ask what is wrong; asked already, it is taken back."""
+        if self.asking:
+            self.cancel()
+            return
+        self._asked = self._about()
+        self._note = self._app.client.add_notification(
+            "What is wrong?", f"{' · '.join(_NUMBERED)} · Esc: nothing", color="red"
+        )
+        self._app.invalidate()
+
+    def answer(self, number: int) -> None:
+        """Reject for the reason with that number, from 1.
+
+        Raises:
+            CommandError: where no reason has that number.
+        """
+        if not 1 <= number <= len(REASONS):
+            raise CommandError(f"choose a reason: 1 to {len(REASONS)}, or Esc")
+        self.cancel()
+        self._reject(tuple(REASONS.values())[number - 1])
+
+    def cancel(self) -> None:
+        """Nothing is rejected."""
+        note, self._note, self._asked = self._note, None, None
+        if note is not None:
+            note.remove()
+            self._app.invalidate()
+
+
+class RejectButtons:
+    """A button that asks, and one for each reason while it is asked."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        gui = app.client.gui
+        self._reject = gui.add_button("Reject (X)", icon=viser.Icon.X, color="red")
+        self._rows = [
+            gui.add_button_group("What is wrong" if k == 0 else "", row, visible=False)
+            for k, row in enumerate(_ROWS)
+        ]
+        self._reject.on_click(lambda _: app.decide(app.commands.reject))
+        for row in self._rows:
+            row.on_click(lambda e: self._chosen(e.target.value))
+
+    def _chosen(self, label: str) -> None:
+        app, number = self._app, int(label.partition(" ")[0])
+        app.act(lambda: app.rejecting.answer(number) if app.rejecting.asking else None)
+
+    def draw(self, visible: bool) -> None:
+        """Bring them up to date; ``visible`` where there is something to reject."""
+        asking = visible and self._app.rejecting.asking
+        put(self._reject, "visible", visible)
+        put(self._reject, "label", "Don't reject (Esc)" if asking else "Reject (X)")
+        for row in self._rows:
+            put(row, "visible", asking)

@@ -1,0 +1,241 @@
+"""Accept, reject, and what happened so far."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.server.display_names import in_words, joint_title, part_title
+from app.server.open_object import INTERRUPTED, OpenObject
+from app.viewer.panels.joint_text import range_text, sure_text
+from app.viewer.panels.prompt_list import tool_label
+from app.viewer.panels.rejecting import RejectButtons
+from app.viewer.panels.validation_list import GateView
+from app.viewer.panels.widgets import put
+from app.viewer.picture import palette
+from app.viewer.text import plain
+from model.core.errors import CommandError
+from sessions import commands as cmd
+from sessions.describe import describe
+from sessions.document import Document
+from sessions.tool_commands import ApplyTool
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+HISTORY_SHOWN = 12
+DOWNLOAD_BYTES = 400_000_000
+DECIDED = ("accepted", "rejected")
+
+
+class ReviewPanel:
+    """The third step: is it right?"""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._drawn: Any = None
+        self._asked: tuple[int, int] | None = None  # the object, and its state at that time
+        gui = app.client.gui
+        self.gate = GateView(app)
+        self._override = gui.add_text(
+            "Right all the same, because", "", visible=False,
+            hint="The gate calls a joint broken: say why it may be accepted",
+        )  # fmt: skip
+        self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green")
+        self._reject = RejectButtons(app)
+        self.gate.build_list()
+        self._summary = gui.add_markdown("")
+        self._comment = gui.add_text("Comment", "", multiline=True)
+        self._go_on = gui.add_checkbox(
+            "Go on to the next object", True, hint="After a decision: the least sure one first"
+        )
+        self._reopen = gui.add_button("Reopen", color="gray", visible=False)
+        self._saved = gui.add_markdown("", visible=False)
+        self._download = gui.add_button(
+            "Download the asset", icon=viser.Icon.DOWNLOAD, color="gray", visible=False
+        )
+        with gui.add_folder("History", expand_by_default=False):
+            self._history = gui.add_markdown("")
+        self._accept.on_click(lambda _: app.decide(app.commands.accept))
+        self._reopen.on_click(lambda _: app.act(lambda: app.do(cmd.Reopen(self.comment_text))))
+        self._download.on_click(lambda _: app.act(self._send))
+
+    @property
+    def comment_text(self) -> str:
+        """What stands in the comment box."""
+        return self._comment.value
+
+    @property
+    def override_text(self) -> str:
+        """Why the object is right although the gate calls a joint broken."""
+        return self._override.value if self._override.visible else ""
+
+    @contextmanager
+    def deciding(self) -> Iterator[None]:
+        """Go on once what is asked for within is decided; not where it is refused.
+
+        Told beforehand: the tab may draw the decision before asking for it returns.
+        """
+        obj = self._app.need_object()
+        self._asked = (obj.record.id, obj.state.seq)
+        try:
+            yield
+        except BaseException:
+            self._asked = None
+            raise
+
+    def refused(self, obj: OpenObject) -> None:
+        """What was asked for isn't decided: another one's decision later is none to go on after."""
+        if self._asked is not None and self._asked[0] == obj.record.id:
+            self._asked = None
+
+    def clear(self) -> None:
+        """Empty what was typed."""
+        self._comment.value = ""
+        self._override.value = ""
+
+    def _say_again(self, obj: OpenObject) -> None:
+        """What was typed for an acceptance that was cut off."""
+        begun = obj.begun
+        if begun is not None:
+            self._comment.value = begun.comment
+            self._override.value = begun.override
+
+    def _send(self) -> None:
+        saved = self._app.need_object().document.saved
+        if saved is None or not Path(saved.folder).is_dir():
+            raise CommandError("the saved asset isn't on this server's disk; accept again")
+        folder = Path(saved.folder)
+        files = sorted(p for p in folder.rglob("*") if p.is_file())
+        if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
+            raise CommandError(f"too large to send through the browser; it lies in {folder}")
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in files:
+                archive.write(path, Path(folder.name) / path.relative_to(folder))
+        self._app.client.send_file_download(f"{folder.name}.zip", buffer.getvalue())
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the panel up to date."""
+        doc = obj.document
+        self.gate.draw(obj, doc)
+        self._reject.draw(True)
+        report = obj.judging.report
+        now = (
+            obj.record.id,
+            obj.state.seq,
+            doc.tree,
+            doc.review,
+            doc.saved,
+            report,
+            "save" in obj.busy,
+            self.gate.looked_at(obj) is not None,
+            obj.interrupted,
+            obj.held,
+            obj.judging.waiting,
+        )
+        if now == self._drawn:
+            return
+        if self._drawn is None or self._drawn[0] != obj.record.id:
+            if self._drawn is not None:
+                self.clear()
+            self._say_again(obj)
+        self._drawn = now
+        begun = ""
+        if obj.judging.waiting:
+            begun = (
+                "**Accepted as soon as the joints are judged, if the gate has nothing against it.**"
+                " Esc takes that back."
+            )
+        elif obj.held:
+            begun = f"**Look again:** {plain(obj.held, 500)}"
+        elif obj.interrupted and "save" not in obj.busy:
+            begun = f"**{INTERRUPTED}.**"
+        put(self._summary, "content", (f"{begun}\n\n" if begun else "") + summary(doc))
+        decided = doc.review.state in DECIDED
+        broken = report is not None and report.verdict == "broken" and not decided
+        put(self._override, "visible", broken)
+        words = "Accept with your edits" if doc.edited_joints else "Accept"
+        looked = report is not None and self.gate.looked_at(obj) is report and not decided
+        if looked and not broken:
+            words = "Accept as it is"
+        put(self._accept, "label", f"{words} against the gate (Y)" if broken else f"{words} (Y)")
+        put(self._accept, "color", "yellow" if broken else "green")
+        put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
+        put(self._accept, "visible", doc.review.state != "accepted")
+        put(self._reopen, "visible", decided)
+        put(self._download, "visible", doc.saved is not None)
+        put(self._saved, "visible", doc.saved is not None)
+        if doc.saved is not None:
+            put(self._saved, "content", f"Saved in {plain(doc.saved.folder, 200)}")
+        self._draw_history()
+        id, before = self._asked or (None, 0)
+        saving = "save" in obj.busy
+        # Nobody need wait for the gate's answer, nor for the asset to be written.
+        done = saving or obj.judging.waiting
+        if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
+            self._asked = None
+            if self._go_on.value:
+                self._app.act(self._app.commands.go_on)
+
+    def _draw_history(self) -> None:
+        app = self._app
+        obj = app.need_object()
+        entries = app.bench.store.history(obj.record.id)[-HISTORY_SHOWN:]
+        lines = [
+            f"- {plain(e.at[11:19])} {plain(e.who, 24)}: "
+            f"{plain(what_happened(obj.document, e.command), 80)}"
+            for e in reversed(entries)
+        ]
+        put(self._history, "content", "\n".join(lines) or "Nothing yet.")
+
+
+def what_happened(doc: Document, command: cmd.Command) -> str:
+    """One line of the history, in the words of the screens."""
+    if isinstance(command, cmd.SetJoint):
+        return f"change the joint of {part_title(doc, command.joint.child)}"
+    if isinstance(command, ApplyTool):
+        command = replace(command, tool=tool_label(command.tool).lower())
+    return in_words(doc, describe(command))
+
+
+def summary(doc: Document) -> str:
+    """What a reviewer must know before deciding."""
+    review = doc.review
+    said = f"**{palette.STATE_WORDS[review.state]}**" + (
+        f" by {plain(review.by)}" if review.by else ""
+    )
+    if review.state == "predicted" and doc.joints_file is not None:
+        said = f"**as {plain(doc.joints_file)} tells it**"
+    lines = [said]
+    if review.reason:
+        lines.append(f"Reason: {plain(review.reason.replace('_', ' '))}")
+    if review.comment:
+        lines.append(f"“{plain(review.comment, 500)}”")
+    if review.override:
+        lines.append(f"Accepted against the gate: “{plain(review.override, 500)}”")
+    if doc.tree is None:
+        lines.append("No joints yet: there is nothing to accept.")
+        return "\n\n".join(lines)
+    rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
+    for joint in doc.tree.joints:
+        edited = " ✎" if joint.child in doc.edited_joints else ""
+        rows.append(
+            f"| {plain(joint_title(doc, joint.child), 40)}{edited} | {joint.type} "
+            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
+        )
+    lines.append("\n".join(rows))
+    found = () if doc.prediction is None else doc.prediction.problems
+    problems = [plain(in_words(doc, p), 300) for p in found]
+    if doc.prediction_stale:
+        problems.append("the parts changed since the prediction")
+    if problems:
+        lines.append("**Look at:**\n" + "\n".join(f"- {p}" for p in problems))
+    return "\n\n".join(lines)

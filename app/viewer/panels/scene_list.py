@@ -1,0 +1,188 @@
+"""The left side of a scene: what the colours mean, and its objects, the least sure ones first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from app.server.scene_rows import SHOWN, Row, Shown
+from app.server.scene_workspace import SceneDesk
+from app.viewer.panels.widgets import put
+from app.viewer.picture import palette
+from app.viewer.text import plain
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+PAGE = 13
+ALL = "all"
+_ICONS = {
+    "predicted": viser.Icon.SPARKLES,
+    "held": viser.Icon.ALERT_TRIANGLE,
+    "judging": viser.Icon.HOURGLASS,
+    "todo": viser.Icon.PENCIL,
+    "rejected": viser.Icon.CIRCLE_X,
+    "accepted": viser.Icon.CIRCLE_CHECK,
+    "static": viser.Icon.LOCK,
+    "failed": viser.Icon.ALERT_TRIANGLE,
+    "missing": viser.Icon.QUESTION_MARK,
+}
+
+
+class SceneList:
+    """Legend with counts, and a page of objects as buttons."""
+
+    def __init__(self, app: ClientApp, desk: SceneDesk) -> None:
+        self._app, self._desk = app, desk
+        self._first = 0
+        self._shown: Any = None
+        self._followed: str | None = None
+        self._ids: list[str] = []
+        gui = app.client.gui
+        panel = gui.add_panel()
+        with panel.add_tab("Scene", viser.Icon.HOME):
+            self._title = gui.add_markdown("")
+            self._legend = gui.add_html("")
+            self._own = gui.add_checkbox(
+                "Own colours",
+                False,
+                hint="All objects as their source has them; else only what is static looks so, "
+                "and the others have the colour of their state",
+            )
+            self._filter = gui.add_dropdown(
+                "Show", (ALL, *palette.SCENE_WORDS.values()), initial_value=ALL
+            )
+            self._search = gui.add_text("Find", "", hint="Part of an object's id or description")
+            self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
+            self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
+            self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
+        panel.dock_left()
+        panel.set_width(250)
+        for k, button in enumerate(self._buttons):
+            button.on_click(lambda _, k=k: app.act(lambda: self._choose(k)))
+        self._own.on_update(lambda _: app.act(self._recolor))
+        self._filter.on_update(lambda _: self._turn(None))
+        self._search.on_update(lambda _: self._turn(None))
+        self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
+        app.on_update(self._name, self._renamed)
+
+    def show_user(self, who: str) -> None:
+        """Put the remembered name into its box."""
+        put(self._name, "value", who)
+
+    def _renamed(self) -> None:
+        who = cmd.clean_text(self._name.value, 60, "your name")
+        if who:
+            self._app.who = who
+            self._app.remember()
+
+    def _recolor(self) -> None:
+        self._app.in_scene.picture.own = self._own.value
+
+    def _choose(self, k: int) -> None:
+        if k < len(self._ids):
+            self._app.in_scene.choose(self._ids[k], look=True)
+
+    def _turn(self, by: int | None) -> None:
+        self._first = 0 if by is None else self._first + by * PAGE
+        self._app.invalidate()
+
+    def draw(self) -> None:
+        """Bring the list up to date; nothing is sent where nothing changed."""
+        scene = self._app.in_scene
+        rows = scene.rows
+        chosen = [r for r in rows if self._fits(r)]
+        current = scene.selected
+        if current != self._followed:
+            self._followed = current
+            ids = [r.id for r in chosen]
+            if current in ids:
+                self._first = ids.index(current) // PAGE * PAGE
+        self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
+        page = chosen[self._first : self._first + PAGE]
+        counts = Counter(r.shown for r in rows)
+        own = scene.picture.own
+        now = (tuple(page), current, len(chosen), self._first, tuple(counts.items()), own)
+        if now == self._shown:
+            return
+        self._shown = now
+        name = self._desk.record.name if self._desk.scene is None else self._desk.scene.name
+        put(self._title, "content", f"**{plain(name, 60)}** · {_number(len(rows))}")
+        put(self._legend, "content", legend(counts, own))
+        self._ids = [r.id for r in page]
+        put(self._pages, "visible", len(chosen) > PAGE)
+        put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
+        for k, button in enumerate(self._buttons):
+            put(button, "visible", k < len(page))
+            if k < len(page):
+                self._show(button, page[k], page[k].id == current)
+
+    def _fits(self, row: Row) -> bool:
+        words = palette.SCENE_WORDS[row.shown]
+        item = self._desk.items[row.id]
+        text = f"{row.id} {item.obj.description} {item.category or ''}".lower()
+        return self._filter.value in (ALL, words) and self._search.value.lower() in text
+
+    def _show(self, button: Any, row: Row, here: bool) -> None:
+        sure = f" · {100 * row.confidence:.0f} %" if row.status == "predicted" else ""
+        put(button, "label", ("▸ " if here else "") + _short(row.id, 16 if sure else 22) + sure)
+        put(button, "icon", _ICONS[row.shown])
+        color = palette.SCENE_COLORS[row.shown]
+        put(button, "color", color if here else _deep(color))
+        put(button, "hint", f"{plain(row.id)}: {palette.SCENE_WORDS[row.shown]}")
+
+
+def page_buttons(page: int, count: int) -> tuple[str, str, str]:
+    """Where the list is, and the arrows that lead on from there; ``page`` counts from 0."""
+    return ("◀" if page > 0 else "·", f"{page + 1}/{count}", "▶" if page + 1 < count else "· ")
+
+
+def legend(counts: Counter[Any], own: bool) -> str:
+    """Squares in the colours of those states that give their objects one, hollow ones for the
+    others, with their counts; our own words and numbers only."""
+
+    def square(state: Shown) -> str:
+        if own or state in ("static", "failed", "missing"):
+            return "border:1.5px dashed #98a0a8"
+        return f"background:rgb{palette.SCENE_COLORS[state]}"
+
+    cells = "".join(
+        f'<div style="display:flex;align-items:center;gap:6px">'
+        f'<span style="width:12px;height:12px;border-radius:3px;flex:none;box-sizing:border-box;'
+        f'{square(s)}"></span>'
+        f"<span>{palette.SCENE_WORDS[s]}</span>"
+        f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
+        for s in SHOWN
+        if s not in ("failed", "missing", "held", "judging") or counts[s]
+    )
+    return (
+        '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'
+        f'margin:2px 12px 6px">{cells}</div>'
+    )
+
+
+def _number(count: int) -> str:
+    return f"{count} object{'s'[: count != 1]}"
+
+
+def _short(text: str, limit: int) -> str:
+    """The beginning and the end, which tells one "cabinet (kitchen) 1" from the next."""
+    if len(text) <= limit:
+        return text
+    tail = limit // 3
+    return f"{text[: limit - tail - 1]}…{text[-tail:]}"
+
+
+def _deep(color: palette.Rgb) -> palette.Rgb:
+    """Towards grey: the chosen object alone has the full colour."""
+    grey = 0.45
+    return tuple(int(c * (1 - grey) + 120 * grey) for c in color)  # type: ignore[return-value]
+
+
+def order(rows: Sequence[Row]) -> list[str]:
+    """Ids in the order of a review: what wants a decision, the least sure first."""
+    return [r.id for r in rows if r.undecided]

@@ -1,0 +1,124 @@
+"""How the source is read, and what of a room is looked at."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from app.server.cutting import cut_out, leave_out
+from app.server.open_object import OpenObject
+from app.viewer.panels.widgets import put
+from app.viewer.text import plain
+from model.core.errors import CommandError
+from model.geometry.units import UNITS
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+
+class SourcePanel:
+    """Two folders below the annotation tools, closed until somebody needs them."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._drawn: Any = None
+        gui = app.client.gui
+        with gui.add_folder("Room or table top", expand_by_default=False):
+            self._room_note = gui.add_markdown("")
+            self._leave_out = gui.add_button_group(
+                "Leave out",
+                ("Floor, walls", "This part"),
+                hint="What is left out is not looked at; undo, or Put back, brings it back",
+            )
+            self._back = gui.add_button("Put everything back", color="gray", visible=False)
+            self._cut_out = gui.add_button(
+                "Cut this part out as an object",
+                color="gray",
+                hint="It becomes an entry of the queue and keeps its place in this scan",
+                visible=app.bench.desk is None,
+            )
+        with gui.add_folder("Source", expand_by_default=False):
+            self._source = gui.add_markdown("")
+            self._up = gui.add_dropdown("Up axis", ("z", "y", "x", "-z", "-y", "-x"))
+            self._unit = gui.add_dropdown("File's unit", tuple(UNITS))
+            self._frame = gui.add_button("Read again with these", color="gray")
+            self._touch = gui.add_checkbox(
+                "Touch screen", False, hint="A tap adds a prompt; keys are not needed"
+            )
+        self._leave_out.on_click(lambda e: app.act(lambda: self.leave_out(e.target.value)))
+        self._back.on_click(lambda _: app.act(self.put_back))
+        self._cut_out.on_click(lambda _: app.act(self.cut_out))
+        self._frame.on_click(lambda _: app.act(self._read_again))
+        app.on_update(self._touch, self._touched)
+
+    def leave_out(self, what: str = "Floor, walls") -> None:
+        """Look no more at the floor and the walls, or at the chosen part."""
+        app, obj = self._app, self._app.need_object()
+        if what == "This part" and not app.part:
+            raise CommandError("choose the part to leave out; the base is what stays")
+        leave_out(obj, "part" if what == "This part" else "floor and walls", app.part, app.who)
+
+    def put_back(self) -> None:
+        """Look at the whole source again."""
+        self._app.do(cmd.LeaveOut(None))
+
+    def cut_out(self) -> None:
+        """Make the chosen part an object of its own and open it."""
+        app = self._app
+        if app.bench.desk is not None:
+            raise CommandError("in a scene, go back and press “Pick an object out of it”")
+        if not app.part:
+            raise CommandError("choose the part to cut out; part 0 is the rest of the scan")
+
+        def open_it(object_id: int) -> None:
+            app.act(lambda: app.open(object_id))
+
+        cut_out(app.need_object(), app.part, app.who, open_it)
+
+    def _read_again(self) -> None:
+        app, obj = self._app, self._app.need_object()
+        app.do(cmd.SetFrame(self._up.value, UNITS[self._unit.value]))
+        obj.ensure_open()
+
+    def _touched(self) -> None:
+        self._app.touch_wanted = self._touch.value
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the folders up to date."""
+        doc, asset = obj.document, obj.asset
+        now = (obj.record.id, id(asset), doc.left_out, doc.crops, doc.placement, self._app.part)
+        if now == self._drawn:
+            return
+        before, self._drawn = self._drawn, now
+        put(self._room_note, "content", _room_note(obj))
+        put(self._back, "visible", doc.left_out is not None)
+        if before is not None and before[:2] == now[:2]:
+            return
+        lines = [plain(str(obj.record.path), 200)]
+        if asset is not None:
+            lines += [f"⚠ {plain(w, 300)}" for w in asset.warnings]
+            self._up.value = asset.up_axis
+        for word, scale in UNITS.items():
+            if abs(scale - doc.unit_scale) < 1e-9:
+                self._unit.value = word
+        lines.append("Reading again starts this object afresh (undo brings it back).")
+        self._source.content = "\n\n".join(lines)
+
+
+def _room_note(obj: OpenObject) -> str:
+    doc = obj.document
+    if doc.placement is not None:
+        x, y, z = doc.placement.position
+        scene = plain(doc.placement.scene.rpartition("/")[2])
+        return f"Cut out of {scene}; its origin lies at {x:.3f}, {y:.3f}, {z:.3f} m there."
+    lines = []
+    if doc.left_out is not None:
+        lines.append(f"Left out: {plain(doc.left_out.what)}, {doc.left_out.count:,} elements.")
+    if doc.crops:
+        lines.append("Cut out: " + ", ".join(plain(c.name) for c in doc.crops) + ".")
+    if obj.bench.desk is not None:
+        return "\n\n".join(lines)
+    return "\n\n".join(lines) or (
+        "For a scan of several things: leave out the floor and the walls, click or box one thing, "
+        "and cut it out."
+    )

@@ -1,0 +1,40 @@
+"""An object of an unlikely size: the question, and a button that sets the unit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.server.open_object import OpenObject
+from app.viewer.panels.widgets import put
+from model.geometry.units import UNITS, OddSize, odd_size
+from sessions import commands as cmd
+
+if TYPE_CHECKING:
+    from app.viewer.client_app import ClientApp
+
+
+class UnitHint:
+    """A button that is there only where the size is odd and nothing was clicked yet."""
+
+    def __init__(self, app: ClientApp) -> None:
+        self._app = app
+        self._odd: OddSize | None = None
+        self._button = app.client.gui.add_button("Set the unit", color="gray", visible=False)
+        self._button.on_click(lambda _: app.act(self._set))
+
+    def draw(self, obj: OpenObject) -> str | None:
+        """Bring the button up to date; the question, or None."""
+        asset, doc = obj.asset, obj.document
+        untouched = not doc.prompts and doc.left_out is None and doc.placement is None
+        self._odd = odd_size(asset.bounds, asset.unit_scale) if asset and untouched else None
+        unit = None if self._odd is None else self._odd.unit
+        put(self._button, "visible", unit is not None)
+        if unit is not None:
+            put(self._button, "label", f"Yes, it is in {unit}")
+        return None if self._odd is None else self._odd.question
+
+    def _set(self) -> None:
+        obj = self._app.need_object()
+        if self._odd is not None and self._odd.unit is not None and obj.asset is not None:
+            self._app.do(cmd.SetFrame(obj.asset.up_axis, UNITS[self._odd.unit]))
+            obj.ensure_open()

@@ -1,0 +1,214 @@
+"""What is drawn about joints: their axes, where they run into something, the worst moment."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+from viser import transforms as vtf
+
+from app.server.display_tasks import PartPayload
+from app.server.validating import JointCheck
+from app.viewer.picture import palette
+from model.core.tree import KinematicTree
+
+Poses = Mapping[str, npt.NDArray[np.float64]]
+"""Link → posed_from_rest."""
+
+NEAR_TURN, NEAR_SHIFT = np.radians(4.0), 0.025
+"""How near to the pose of a contact its mark shows: radians, and diagonals at the contact."""
+
+
+@dataclass(frozen=True)
+class AxisMark:
+    """One axis to draw: an arrow through ``origin`` along ``axis`` in its parent's pose."""
+
+    key: str
+    parent: str
+    origin: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    length: float
+    color: palette.Rgb
+    thick: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Contact:
+    """The mark of a contact.
+
+    Attributes:
+        where: (3,) in the pose in which it was found.
+        moved, held: the links that meet, and ``rest_from_posed`` of each there.
+    """
+
+    ball: Any
+    where: npt.NDArray[np.float64]
+    moved: tuple[str, npt.NDArray[np.float64]]
+    held: tuple[str, npt.NDArray[np.float64]]
+
+
+class JointMarks:
+    """The marks of one object in one client's scene.
+
+    Args:
+        diagonal: of the object, metres; None where none is drawn, and no mark is either.
+    """
+
+    def __init__(self, client: viser.ClientHandle, diagonal: float | None = None) -> None:
+        self._client = client
+        self._diagonal = diagonal
+        self._lock = threading.Lock()  # animations pose from a thread of their own
+        self._axes: dict[str, tuple[AxisMark, Any]] = {}
+        self._contacts: list[_Contact] = []
+        self._contact_key: Any = None
+        self._moment: list[Any] = []
+        self._directions: list[Any] = []
+
+    def show_axes(self, marks: Iterable[AxisMark]) -> None:
+        """Draw joint axes as arrows; only those that changed are sent."""
+        if self._diagonal is None:
+            return
+        wanted = {m.key: m for m in marks}
+        with self._lock:
+            for key in [k for k, (m, _) in self._axes.items() if wanted.get(k) != m]:
+                self._axes.pop(key)[1].remove()
+            for key, mark in wanted.items():
+                if key not in self._axes:
+                    self._axes[key] = (mark, self._arrow(mark, self._diagonal))
+
+    def _arrow(self, mark: AxisMark, diagonal: float) -> Any:
+        origin, axis = np.asarray(mark.origin), np.asarray(mark.axis)
+        width = diagonal * (0.0042 if mark.thick else 0.0026)
+        ends = np.stack([origin - 0.5 * mark.length * axis, origin + 0.62 * mark.length * axis])
+        return self._client.scene.add_arrows(
+            f"/axis/{mark.key}",
+            ends[None].astype(np.float32),
+            mark.color,
+            shaft_radius=width,
+            head_radius=2.6 * width,
+            head_length=6.5 * width,
+        )
+
+    def show_directions(self, corner: npt.NDArray[np.float64] | None) -> None:
+        """Arrows called X, Y and Z beside the corner (3,) of the object, for what is told in
+        numbers; None takes them away."""
+        if self._diagonal is None or (corner is None) == (not self._directions):
+            return
+        gone, self._directions = self._directions, []
+        for handle in gone:
+            handle.remove()
+        if corner is None:
+            return
+        at, length = corner - 0.04 * self._diagonal, 0.12 * self._diagonal
+        for axis, name, color in zip(np.eye(3), "XYZ", palette.DIRECTIONS, strict=True):
+            way, middle = tuple(axis), tuple(at + 0.5 * length * axis)
+            arrow = self._arrow(
+                AxisMark(f"of-{name}", "", middle, way, length, color, False), self._diagonal
+            )
+            label = self._client.scene.add_label(
+                f"/direction/{name}", name, position=at + 1.3 * length * axis
+            )
+            self._directions += [arrow, label]
+
+    def _ball(
+        self, name: str, at: tuple[float, float, float], radius: float, opacity: float
+    ) -> Any:
+        return self._client.scene.add_icosphere(
+            name,
+            radius=radius,
+            color=palette.CONTACT,
+            subdivisions=2,
+            opacity=opacity,
+            position=at,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def show_contacts(self, checks: Sequence[JointCheck], tree: KinematicTree | None) -> None:
+        """Mark where a sweep hits something; without a tree nothing is marked."""
+        hits = [c for c in checks if tree is not None and c.joint in tree.by_name]
+        key = (tree, tuple((c.joint, c.q, c.where, c.other) for c in hits))
+        if key == self._contact_key or self._diagonal is None:
+            return
+        self._contact_key = key
+        with self._lock:
+            for contact in self._contacts:
+                contact.ball.remove()
+            self._contacts = [
+                self._contact(f"/contact/{k}", check, tree, 0.009 * self._diagonal)
+                for k, check in enumerate(hits)
+                if tree is not None
+            ]
+
+    def _contact(
+        self, name: str, check: JointCheck, tree: KinematicTree, radius: float
+    ) -> _Contact:
+        joint, then = tree.by_name[check.joint], tree.pose({check.joint: check.q})
+        other = check.other if check.other in then else joint.parent
+        ball = self._ball(name, check.where, radius, 0.85)
+        ball.visible = False
+        back = {k: np.asarray(np.linalg.inv(then[k]), np.float64) for k in (joint.child, other)}
+        moved, held = (joint.child, back[joint.child]), (other, back[other])
+        return _Contact(ball, np.array(check.where), moved, held)
+
+    def pose(self, poses: Poses) -> None:
+        """Move the axes with their parents, and show the contacts that belong to the pose."""
+        with self._lock:
+            turned: dict[str, Any] = {}
+            for mark, handle in self._axes.values():
+                transform = poses.get(mark.parent, np.eye(4))
+                if mark.parent not in turned:
+                    turned[mark.parent] = vtf.SO3.from_matrix(transform[:3, :3]).wxyz
+                handle.wxyz, handle.position = turned[mark.parent], transform[:3, 3]
+            for contact in self._contacts:
+                self._pose_contact(contact, poses)
+
+    def _pose_contact(self, contact: _Contact, poses: Poses) -> None:
+        assert self._diagonal is not None
+        moved, held = (
+            poses.get(link, np.eye(4)) @ back for link, back in (contact.moved, contact.held)
+        )
+        at = (held @ [*contact.where, 1.0])[:3]
+        apart = float(np.linalg.norm((moved @ [*contact.where, 1.0])[:3] - at))
+        cosine = (float(np.trace(held[:3, :3].T @ moved[:3, :3])) - 1.0) / 2.0
+        contact.ball.position = at
+        near = apart <= NEAR_SHIFT * self._diagonal and cosine >= np.cos(NEAR_TURN)
+        contact.ball.visible = bool(near)
+
+    def show_moment(self, where: tuple[float, float, float] | None, text: str) -> None:
+        """Mark one contact so that it is seen through the parts; None takes the mark away."""
+        gone, self._moment = self._moment, []
+        for handle in gone:
+            handle.remove()
+        if where is None or self._diagonal is None:
+            return
+        radius = 0.016 * self._diagonal
+        ball = self._ball("/moment", where, radius, 0.9)
+        # Labels are drawn over everything, the ball is inside of what meets there.
+        cross = self._client.scene.add_label("/moment/cross", "✖", anchor="center-center")
+        label = self._client.scene.add_label(
+            "/moment/label", text, position=(0.0, 0.0, 2.5 * radius), anchor="bottom-center"
+        )
+        self._moment = [cross, label, ball]
+
+
+def axis_length(
+    payloads: Sequence[PartPayload] | None,
+    link: str,
+    axis: tuple[float, float, float],
+    diagonal: float,
+) -> float:
+    """A length that lets the arrow along ``axis`` stand out of a link's part at both ends."""
+    part = link.removeprefix("link_")
+    for payload in payloads or ():
+        if str(payload.part) == part:
+            points = payload.vertices if payload.vertices is not None else payload.points
+            if points is not None and len(points):
+                along = points @ np.asarray(axis, np.float32)
+                return float(np.clip(1.25 * np.ptp(along), 0.12 * diagonal, 1.1 * diagonal))
+    return 0.3 * diagonal

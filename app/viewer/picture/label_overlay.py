@@ -1,0 +1,184 @@
+"""The parts' colours laid over the scan of an object, and what of it is hidden.
+
+Only what changed is sent: of hidden parts one bit a displayed face or point.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+
+from app.server.display_tasks import OpenedAsset
+from app.server.pointer_messages import hide_on_page
+from app.viewer.picture import palette
+
+OPACITY = 0.5
+CLOUD_TINT = 0.55
+
+Labels = npt.NDArray[np.int16]
+
+
+class Tints:
+    """The tints of one object in one client's scene.
+
+    Args:
+        scan: the drawn object; of a cloud it is the scan itself that is coloured.
+
+    Attributes:
+        labels: (D,) those that were drawn last, or None.
+    """
+
+    def __init__(self, client: viser.ClientHandle, asset: OpenedAsset, scan: Any) -> None:
+        self.labels: Labels | None = None
+        self._client = client
+        self._asset = asset
+        self._scan = scan
+        self._tints: dict[int, Any] = {}
+        self._tint_vertices: dict[int, npt.NDArray[np.int32]] = {}
+        self._hidden: frozenset[int] = frozenset()
+        self._left_out: npt.NDArray[np.bool_] | None = None
+        self._visible = True
+        self._offset: npt.NDArray[np.float32] | None = None
+        if asset.glb is not None:
+            self._offset = _pushed_out(asset, 4e-4 * asset.diagonal)
+        hide_on_page(client, None)  # what the page hid was of another object
+
+    def show(self, labels: Labels | None, hidden: frozenset[int]) -> None:
+        """Tint the parts and leave out the hidden ones. Sends only the parts that changed."""
+        same = self._same(labels)
+        if not same or hidden != self._hidden:
+            self._hidden = hidden
+            if self._asset.display_points is None:
+                self._tint_meshes(labels, hidden)
+            elif not same:
+                self._tint_cloud(labels)
+            self._leave_out(labels, hidden)
+        self.labels = labels  # last: whoever waits for them sees them drawn
+
+    def set_visible(self, visible: bool) -> None:
+        """Show the tints of a mesh, but for the hidden parts, or none."""
+        self._visible = visible
+        for part, tint in self._tints.items():
+            tint.visible = visible and part not in self._hidden
+
+    def _same(self, labels: Labels | None) -> bool:
+        if labels is None or self.labels is None:
+            return labels is self.labels
+        return labels is self.labels or np.array_equal(labels, self.labels)
+
+    def _tint_meshes(self, labels: Labels | None, hidden: frozenset[int]) -> None:
+        before = self.labels
+        now = set() if labels is None else {int(i) for i in np.unique(labels)}
+        with self._client.atomic():
+            for part in set(self._tints) | now:
+                same = (
+                    before is not None
+                    and labels is not None
+                    and part in self._tints
+                    and np.array_equal(before == part, labels == part)
+                )
+                if not same:
+                    self._tint_mesh(part, labels)
+                if part in self._tints:
+                    self._tints[part].visible = part not in hidden and self._visible
+
+    def _tint_cloud(self, labels: Labels | None) -> None:
+        assert self._asset.display_colors is not None
+        self._scan.colors = tinted(self._asset.display_colors, labels)
+
+    def _leave_out(self, labels: Labels | None, hidden: frozenset[int]) -> None:
+        """Let the page draw the scan without the hidden parts."""
+        out = None
+        if labels is not None and hidden:
+            out = np.isin(labels, list(hidden))
+            if self._asset.glb_order is not None:
+                out = out[self._asset.glb_order]
+            out = out if out.any() else None
+        before, self._left_out = self._left_out, out
+        if out is not before and not (
+            out is not None and before is not None and np.array_equal(out, before)
+        ):
+            hide_on_page(self._client, out)
+
+    def _tint_mesh(self, part: int, labels: Labels | None) -> None:
+        asset = self._asset
+        assert asset.display_faces is not None
+        faces = None if labels is None or part == 0 else asset.display_faces[labels == part]
+        known = self._tint_vertices.get(part)
+        if faces is not None and len(faces) and known is not None:
+            place = known[faces]
+            if (place >= 0).all():
+                # Its vertices are in the browser already: only the faces are sent.
+                self._tints[part].faces = place.astype(np.uint32)
+                return
+        if part in self._tints:
+            self._tints.pop(part).remove()
+            del self._tint_vertices[part]
+        if faces is None or not len(faces):
+            return
+        assert self._offset is not None
+        used, inverse = np.unique(faces, return_inverse=True)
+        place = np.full(len(self._offset), -1, np.int32)
+        place[used] = np.arange(len(used))
+        self._tint_vertices[part] = place
+        self._tints[part] = add_tint(
+            self._client.scene,
+            f"/tint/{part}",
+            part,
+            self._offset[used],
+            inverse.reshape(-1, 3),
+            OPACITY,
+        )
+
+
+def add_tint(
+    scene: viser.SceneApi,
+    name: str,
+    part: int,
+    vertices: npt.NDArray[np.float32],
+    faces: npt.NDArray[Any],
+    opacity: float,
+) -> Any:
+    """Lay a part's colour over its (F, 3) faces; the handle."""
+    return scene.add_mesh_simple(
+        name,
+        vertices,
+        faces.astype(np.uint32),
+        color=palette.part_color(part),
+        opacity=opacity,
+        side="double",
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+
+def tinted(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.NDArray[np.uint8]:
+    """Scan colours with the parts' colours laid over; (N, 3) uint8. The base keeps its own."""
+    if labels is None:
+        return np.array(colors)
+    top = int(labels.max()) + 1 if len(labels) else 1
+    table = np.array([palette.part_color(i) for i in range(top)], np.float32)
+    weight = np.full(top, CLOUD_TINT, np.float32)
+    weight[0] = 0.0
+    w = weight[labels][:, None]
+    # Brightness of the scan is kept, so that its texture shows through the tint.
+    shade = 0.55 + 0.45 * (colors.mean(axis=1, keepdims=True) / 160.0)
+    return np.clip(colors * (1 - w) + table[labels] * w * shade, 0, 255).astype(np.uint8)
+
+
+def _pushed_out(asset: OpenedAsset, distance: float) -> npt.NDArray[np.float32]:
+    """(V, 3) displayed vertices moved along their normals, so that tints win over the surface."""
+    assert asset.display_vertices is not None and asset.display_faces is not None
+    v, f = asset.display_vertices, asset.display_faces
+    t = v[f]
+    normal = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+    total = np.zeros_like(v)
+    for corner in range(3):
+        for k in range(3):
+            total[:, k] += np.bincount(f[:, corner], normal[:, k], len(v)).astype(np.float32)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    unit = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return (v + distance * unit).astype(np.float32)

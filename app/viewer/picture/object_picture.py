@@ -1,0 +1,204 @@
+"""What one browser tab draws of an object. Draws differences only; decides nothing.
+
+Node names are flat (``/part/<id>``), since viser's node names are its scene tree: link poses come
+from forward kinematics on the server, not from nesting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+
+from app.server.display_tasks import OpenedAsset, PartPayload
+from app.viewer.picture import palette
+from app.viewer.picture.joint_marks import JointMarks
+from app.viewer.picture.label_overlay import Tints
+from app.viewer.picture.moving_parts import MovingParts
+from app.viewer.picture.overlays import Overlays
+from app.viewer.picture.stage import (
+    LIGHT_ROOT,
+    SCENE_ROOT,
+    aim,
+    fitting_distance,
+    may_be_a_room,
+    seen_from,
+    set_stage,
+)
+from model.geometry.display import spacing
+from model.segmentation.prompts import Click
+
+PROMPT_RADIUS = 0.0075
+
+
+class SceneView:
+    """The 3D scene of one client: the object as a whole, or its parts while joints move.
+
+    Attributes:
+        parts: of the object, as they move.
+        marks: of its joints.
+        overlays: short-lived marks over it.
+        touch: the box for fingers, or None.
+    """
+
+    def __init__(self, client: viser.ClientHandle, in_scene: bool = False) -> None:
+        self._client = client
+        self._scene = client.scene
+        self._in_scene = in_scene
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing is drawn."""
+        self._asset: OpenedAsset | None = None
+        self._scan: Any = None
+        self._tints: Tints | None = None
+        self._prompts: dict[int, tuple[Click, Any]] = {}
+        self._moving = False
+        self.parts = MovingParts(self._client)
+        self.marks = JointMarks(self._client)
+        self.overlays = Overlays(self._client)
+        self.touch: Any = None
+
+    # --- the object
+
+    def clear(self) -> None:
+        """Take the object off the picture; a scene around it stays."""
+        for name in list(self._scene._handle_from_node_name):
+            if not name.startswith((SCENE_ROOT, LIGHT_ROOT)):
+                self._scene.remove_by_name(name)
+        self._forget()
+
+    def show_asset(self, asset: OpenedAsset, *, keep_view: bool = False) -> None:
+        """Draw a newly opened object and aim the camera at it, unless the view is to stay."""
+        self.clear()
+        self._asset, size = asset, 0.0
+        scene = self._scene
+        set_stage(scene)
+        if not self._in_scene:  # which has a floor of its own
+            self._show_ground(asset)
+        if asset.glb is not None:
+            self._scan = scene.add_glb("/scan", asset.glb, cast_shadow=False)
+        else:
+            assert asset.display_points is not None and asset.display_colors is not None
+            size = spacing(asset.display_points)
+            self._scan = scene.add_point_cloud(
+                "/scan",
+                asset.display_points,
+                asset.display_colors,
+                point_size=size,
+                point_shape="circle",
+                precision="float32",
+            )
+        self._tints = Tints(self._client, asset, self._scan)
+        self.parts = MovingParts(self._client, size)
+        self.marks = JointMarks(self._client, asset.diagonal)
+        self.overlays = Overlays(self._client, asset.diagonal)
+        if not keep_view:
+            self.frame_camera()
+
+    def _show_ground(self, asset: OpenedAsset) -> None:
+        diagonal = asset.diagonal
+        low, high = asset.bounds
+        span = float(max(high[0] - low[0], high[1] - low[1], 0.2 * diagonal))
+        cell = 10.0 ** np.floor(np.log10(span)) / 2
+        self._scene.add_grid(
+            "/ground",
+            width=4 * span,
+            height=4 * span,
+            position=(*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal),
+            cell_size=float(cell),
+            section_size=float(2 * cell),
+            cell_color=(205, 210, 216),
+            section_color=(184, 190, 198),
+            infinite_grid=True,
+            fade_distance=8 * span,
+        )
+
+    def frame_camera(self) -> None:
+        """Aim from the front, the side and above, with the whole object in the picture."""
+        if self._asset is None:
+            return
+        asset, camera = self._asset, self._client.camera
+        low, high = asset.bounds
+        center = (low + high) / 2
+        # Into a room one looks from above: its walls are in the way.
+        above = 1.2 if may_be_a_room(asset.bounds) else 0.45
+        direction = seen_from(asset.front, above=above)
+        distance = 1.08 * fitting_distance(camera, asset.diagonal)
+        aim(self._client, center + distance * direction, center, least_near=1e-4)
+
+    # --- labels and parts
+
+    def show_labels(self, labels: npt.NDArray[np.int16] | None, hidden: frozenset[int]) -> None:
+        """Tint the parts. Sends only the parts that changed."""
+        if self._tints is not None:
+            self._tints.show(labels, hidden)
+
+    @property
+    def labels(self) -> npt.NDArray[np.int16] | None:
+        """The labels that were drawn last."""
+        return None if self._tints is None else self._tints.labels
+
+    def show_parts(
+        self, payloads: list[PartPayload] | None, moving: bool, hidden: frozenset[int]
+    ) -> None:
+        """Draw the parts one by one where they are ``moving``, else the scan as a whole."""
+        if self._tints is None:
+            return
+        if moving and payloads is not None and self.parts.draw(payloads):
+            self._moving = False
+        moving = moving and payloads is not None
+        with self._client.atomic():
+            if moving != self._moving:
+                self._moving = moving
+                self._scan.visible = not moving
+                self._tints.set_visible(not moving)
+            self.parts.set_visible(moving, hidden)
+
+    # --- prompts
+
+    def show_prompts(self, clicks: Sequence[tuple[int, Click]], visible: bool) -> None:
+        """Draw prompt points: part colour where positive, black where negative."""
+        asset = self._asset
+        if asset is None:
+            return
+        wanted = dict(clicks) if visible else {}
+        for index in [i for i, (c, _) in self._prompts.items() if wanted.get(i) != c]:
+            self._prompts.pop(index)[1].remove()
+        radius = PROMPT_RADIUS * asset.diagonal
+        for index, click in wanted.items():
+            if index in self._prompts:
+                continue
+            handle = self._scene.add_icosphere(
+                f"/prompt/{index}",
+                radius=radius if click.positive else 0.8 * radius,
+                color=palette.part_color(click.part) if click.positive else palette.NEGATIVE,
+                subdivisions=2,
+                position=click.position,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            self._prompts[index] = (click, handle)
+
+    def show_touch_pad(self, wanted: bool) -> Any:
+        """An invisible box that a finger can tap, since scene clicks don't fire on touch."""
+        if wanted and self.touch is None and self._asset is not None:
+            low, high = self._asset.bounds
+            margin = 0.02 * self._asset.diagonal
+            size = high - low + 2 * margin
+            self.touch = self._scene.add_box(
+                "/touch",
+                dimensions=size,
+                position=(low + high) / 2,
+                opacity=0.0,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        elif not wanted and self.touch is not None:
+            self.touch.remove()
+            self.touch = None
+        return self.touch

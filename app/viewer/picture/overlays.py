@@ -1,0 +1,90 @@
+"""What is drawn over an object for a moment: the preview of a click, places of a cut."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+
+from app.viewer.picture import palette
+
+_TOWARD_CAMERA = 0.006
+_DOT = 0.0032
+_MARK = 0.006
+
+
+class Overlays:
+    """Short-lived marks in one client's scene.
+
+    Args:
+        diagonal: of the object, metres; None where none is drawn, and no mark is either.
+    """
+
+    def __init__(self, client: viser.ClientHandle, diagonal: float | None = None) -> None:
+        self._client = client
+        self._diagonal = diagonal
+        self._dots: dict[str, Any] = {}
+        self._places: list[Any] = []
+
+    def show_hover(
+        self,
+        gained: npt.NDArray[np.float32] | None,
+        lost: npt.NDArray[np.float32] | None,
+        color: palette.Rgb,
+    ) -> None:
+        """Dots on what a click would give to the part, dark ones on what it would take away."""
+        if self._diagonal is None:
+            return
+        with self._client.atomic():
+            self._put("gained", gained, _light(color), self._diagonal)
+            self._put("lost", lost, palette.NEGATIVE, self._diagonal)
+
+    def _put(
+        self,
+        name: str,
+        points: npt.NDArray[np.float32] | None,
+        color: palette.Rgb,
+        diagonal: float,
+    ) -> None:
+        if points is None or not len(points):
+            if name in self._dots:
+                self._dots.pop(name).remove()
+            return
+        # A little nearer to the camera, so that the dots win over the surface they lie on.
+        camera = np.asarray(self._client.camera.position, np.float32)
+        near = points + _TOWARD_CAMERA * (camera - points)
+        self._dots[name] = self._client.scene.add_point_cloud(
+            f"/hover/{name}",
+            near.astype(np.float32),
+            color,
+            point_size=_DOT * diagonal,
+            point_shape="circle",
+            precision="float32",
+        )
+
+    def show_places(self, places: tuple[tuple[float, float, float], ...]) -> None:
+        """Marks where a cut goes through."""
+        if self._diagonal is None:
+            return
+        for handle in self._places:
+            handle.remove()
+        self._places = [
+            self._client.scene.add_icosphere(
+                f"/place/{k}",
+                radius=_MARK * self._diagonal,
+                color=palette.CONTACT,
+                subdivisions=2,
+                position=place,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for k, place in enumerate(places)
+        ]
+
+
+def _light(color: palette.Rgb) -> palette.Rgb:
+    """Between the colour and white: a preview is no decision yet."""
+    r, g, b = (int(c + 0.45 * (255 - c)) for c in color)
+    return (r, g, b)

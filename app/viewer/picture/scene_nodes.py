@@ -1,0 +1,396 @@
+"""What of a scene was sent to a browser: merged surroundings, instances of assets, scans.
+
+Each can look three ways: as the source does, in the colours of states, and as a ghost around the
+object that is worked on. What a look needs is sent when it is first wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+from viser import transforms as vtf
+
+from app.server.scene_rows import Work
+from app.server.scene_shapes import Shape
+from app.viewer.picture import palette
+from app.viewer.picture.scene_rays import hit_distance, meets_boxes, nearly_hit, within_tolerance
+from model.core.mesh import Material, Mesh
+from model.geometry.picking import TOLERANCE
+from model.io.write.glb import mesh_to_glb
+
+GHOST_OPACITY = 0.14
+TINT = 0.6
+"""Share of a state's colour in the points of a scan."""
+Array = npt.NDArray[np.float64]
+Ids = tuple[str, ...]
+
+CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float32) - 0.5
+
+
+@dataclass(eq=False)
+class Stand:
+    """Where an object stands: a vertex v is at ``world @ (scale * v)``."""
+
+    world: Array
+    scale: Array
+
+
+@dataclass(frozen=True)
+class Look:
+    """How the scene is drawn.
+
+    Attributes:
+        status: object → where it stands.
+        own: everything as the source has it; else the static objects alone.
+        ghosted: the object that is worked on among ghosts, or None.
+        chosen: the object whose parts have colours of their own, or None.
+    """
+
+    status: Mapping[str, str]
+    own: bool
+    ghosted: str | None
+    chosen: str | None = None
+
+    def part(self, id: str, link: str) -> palette.Rgb | None:
+        """The colour of the chosen object's part; None of everything else."""
+        number = link.removeprefix("link_")
+        if id != self.chosen or self.ghosted is not None or not number.isdigit():
+            return None
+        return palette.part_color(int(number))
+
+
+class Node:
+    """Something that was sent, with the objects that it draws.
+
+    Attributes:
+        rest: where they are while nothing moves. now: where they are.
+        work, link: whose part it is; None and "" of a whole object.
+    """
+
+    def __init__(
+        self, ids: Ids, shape: Shape, stands: Sequence[Stand], work: Work | None, link: str
+    ) -> None:
+        self.ids, self.shape, self.work, self.link = ids, shape, work, link
+        self.rest, self.now = list(stands), list(stands)
+
+    @property
+    def handles(self) -> list[Any]:
+        """All that was sent."""
+        raise NotImplementedError
+
+    def paint(self, look: Look) -> None:
+        """Give it this look."""
+        raise NotImplementedError
+
+    def _place(self) -> None:
+        raise NotImplementedError
+
+    def move(self, posed: Array | None) -> None:
+        """Pose it by ``posed_from_rest``, or let it rest."""
+        if posed is None and all(a is b for a, b in zip(self.rest, self.now, strict=True)):
+            return
+        self.now = [s if posed is None else Stand(s.world @ posed, s.scale) for s in self.rest]
+        self._place()
+
+    def remove(self) -> None:
+        """Take it off the picture."""
+        for handle in self.handles:
+            handle.remove()
+
+    def boxes(self) -> npt.NDArray[Any]:
+        """(N, 2, 3) where each of its objects is."""
+        at = np.stack([corners_of(self.shape, s) for s in self.now])
+        return np.stack([at.min(1), at.max(1)], axis=1)
+
+    def hit(self, k: int, origin: Array, direction: Array) -> float:
+        """How far along a ray object ``k`` is met; infinity where it isn't."""
+        local, along = self._seen_by(k, origin, direction)
+        return hit_distance(local, along, self.shape.vertices, self._faces(k))
+
+    def nearly_hit(self, k: int, origin: Array, direction: Array) -> tuple[int, float]:
+        """By how many pixels a ray passes object ``k``, and how far along; see the function."""
+        local, along = self._seen_by(k, origin, direction)
+        return nearly_hit(local, along, self.shape.vertices, self._faces(k))
+
+    def _seen_by(self, k: int, origin: Array, direction: Array) -> tuple[Array, Array]:
+        stand = self.now[k]
+        turn = stand.world[:3, :3]
+        local = ((origin - stand.world[:3, 3]) @ turn) / stand.scale
+        return local, (direction @ turn) / stand.scale
+
+    def _faces(self, k: int) -> npt.NDArray[np.uint32] | None:
+        return self.shape.faces
+
+
+class Surroundings(Node):
+    """Static meshes in one: a browser draws few nodes faster than many."""
+
+    def __init__(
+        self, client: viser.ClientHandle, name: str, solid: Sequence[tuple[str, Shape, Stand]]
+    ) -> None:
+        vertices, faces, colors, boxes = [], [], [], []
+        self._slices: list[slice] = []
+        count = start = 0
+        for _, shape, stand in solid:
+            assert shape.faces is not None
+            at = (shape.vertices * stand.scale) @ stand.world[:3, :3].T + stand.world[:3, 3]
+            vertices.append(at.astype(np.float32))
+            boxes.append([at.min(0), at.max(0)])
+            faces.append(shape.faces + np.uint32(count))
+            colors.append(_colors(shape, len(shape.faces)))
+            self._slices.append(slice(start, start + len(shape.faces)))
+            count, start = count + len(at), start + len(shape.faces)
+        whole = Shape(
+            np.zeros((2, 3)), np.concatenate(vertices), np.concatenate(faces),
+            np.concatenate(colors),
+        )  # fmt: skip
+        here = [Stand(np.eye(4), np.ones(3)) for _ in solid]
+        super().__init__(tuple(i for i, _, _ in solid), whole, here, None, "")
+        self.solid = list(solid)
+        self._client, self._name, self._boxes = client, name, np.array(boxes)
+        self._own = client.scene.add_glb(
+            f"{name}/own", colored_glb(whole), cast_shadow=False, receive_shadow=False
+        )
+        self._ghost: Any = None
+
+    @property
+    def handles(self) -> list[Any]:
+        """See :class:`Node`."""
+        return [self._own, *([] if self._ghost is None else [self._ghost])]
+
+    @property
+    def ghost(self) -> Any:
+        """What is shown while an object is worked on, or None where that never was."""
+        return self._ghost
+
+    def paint(self, look: Look) -> None:
+        """See :class:`Node`."""
+        ghost = look.ghosted is not None
+        if ghost and self._ghost is None:
+            assert self.shape.faces is not None
+            self._ghost = self._client.scene.add_mesh_simple(
+                f"{self._name}/ghost", self.shape.vertices, self.shape.faces,
+                color=palette.SCENE_GHOST, opacity=GHOST_OPACITY, flat_shading=True,
+                side="double", cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+        self._own.visible = not ghost
+        if self._ghost is not None:
+            self._ghost.visible = ghost
+
+    def boxes(self) -> npt.NDArray[Any]:
+        """See :class:`Node`."""
+        return self._boxes
+
+    def _faces(self, k: int) -> npt.NDArray[np.uint32] | None:
+        assert self.shape.faces is not None
+        return self.shape.faces[self._slices[k]]
+
+    def _place(self) -> None:
+        raise AssertionError("what is static doesn't move")
+
+
+class Instances(Node):
+    """A mesh that is sent once however often it stands there."""
+
+    def __init__(
+        self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
+        stands: Sequence[Stand], work: Work | None, link: str,
+    ) -> None:  # fmt: skip
+        super().__init__(ids, shape, stands, work, link)
+        self._client, self._name = client, name
+        self._own: Any = None
+        self._flat: Any = None
+        self._painted: Any = None
+        self._hidden: str | None = None
+
+    @property
+    def handles(self) -> list[Any]:
+        """See :class:`Node`."""
+        return [h for h in (self._own, self._flat) if h is not None]
+
+    def paint(self, look: Look) -> None:
+        """See :class:`Node`."""
+        ghost = look.ghosted is not None
+        own = look.own and not ghost
+        if own and self._own is None:
+            self._own = self._send_own()
+        if not own and self._flat is None:
+            self._flat = self._send_flat()
+        for handle, wanted in ((self._own, own), (self._flat, not own)):
+            if handle is not None:
+                handle.visible = wanted
+        if not own:
+            tones = [palette.SCENE_GHOST if ghost else self._tone(look, i) for i in self.ids]
+            if (tones, ghost) != self._painted:
+                self._painted = tones, ghost
+                self._flat.batched_colors = np.array(tones, np.uint8)
+                self._flat.opacity = GHOST_OPACITY if ghost else None
+        if look.ghosted != self._hidden:
+            self._hidden = look.ghosted
+            scales = self._scales()
+            for handle in self.handles:
+                handle.batched_scales = scales
+
+    def _tone(self, look: Look, id: str) -> palette.Rgb:
+        part = look.part(id, self.link)
+        return palette.SCENE_ALBEDO[look.status[id]] if part is None else palette.albedo(part)
+
+    def _send_own(self) -> Any:
+        return self._client.scene.add_batched_glb(
+            f"{self._name}/own", colored_glb(self.shape), self._turns(), self._positions(),
+            batched_scales=self._scales(), lod="off", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _send_flat(self) -> Any:
+        assert self.shape.faces is not None
+        return self._client.scene.add_batched_meshes_simple(
+            f"{self._name}/flat", self.shape.vertices, self.shape.faces, self._turns(),
+            self._positions(), batched_scales=self._scales(),
+            batched_colors=np.full((len(self.ids), 3), 180, np.uint8), lod="off",
+            flat_shading=True, side="double", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _place(self) -> None:
+        for handle in self.handles:
+            handle.batched_wxyzs = self._turns()
+            handle.batched_positions = self._positions()
+
+    def _turns(self) -> npt.NDArray[np.float32]:
+        return np.array([wxyz_of(s.world) for s in self.now], np.float32)
+
+    def _positions(self) -> npt.NDArray[np.float32]:
+        return np.array([s.world[:3, 3] for s in self.now], np.float32)
+
+    def _scales(self) -> npt.NDArray[np.float32]:
+        scales = [s.scale * (i != self._hidden) for i, s in zip(self.ids, self.now, strict=True)]
+        return np.array(scales, np.float32)
+
+
+class Scans(Node):
+    """Point clouds, one for each object."""
+
+    def __init__(
+        self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
+        stands: Sequence[Stand], work: Work | None, link: str,
+    ) -> None:  # fmt: skip
+        super().__init__(ids, shape, stands, work, link)
+        self._colors = _colors(shape, len(shape.vertices))
+        self._painted: list[Any] = ["own"] * len(stands)
+        self._handles: list[Any] = []
+        for k, stand in enumerate(stands):
+            self._handles.append(
+                client.scene.add_point_cloud(
+                    f"{name}/{k}", (shape.vertices * stand.scale).astype(np.float32), self._colors,
+                    precision="float32", point_size=self.point_size(k), point_shape="circle",
+                    wxyz=wxyz_of(stand.world), position=stand.world[:3, 3],
+                )
+            )  # fmt: skip
+
+    @property
+    def handles(self) -> list[Any]:
+        """See :class:`Node`."""
+        return self._handles
+
+    def paint(self, look: Look) -> None:
+        """See :class:`Node`."""
+        for k, (id, handle) in enumerate(zip(self.ids, self._handles, strict=True)):
+            status = look.status[id]
+            part = look.part(id, self.link)
+            wanted = "own" if look.own or status == "static" else part or status
+            handle.visible = look.ghosted is None  # their ghosts are one cloud, see ghosts.py
+            if handle.visible and wanted != self._painted[k]:
+                self._painted[k] = wanted
+                handle.colors = self._toned(wanted)
+
+    def point_size(self, k: int) -> float:
+        """Diameter of a point of object ``k``, metres."""
+        return self.shape.spacing * float(np.abs(self.rest[k].scale).max())
+
+    def points_in_place(self, k: int) -> Array:
+        """(N, 3) object ``k``'s points in the scene's frame."""
+        stand = self.now[k]
+        points = self.shape.vertices * stand.scale
+        return np.asarray(points @ stand.world[:3, :3].T + stand.world[:3, 3])
+
+    def _toned(self, wanted: Any) -> npt.NDArray[np.uint8]:
+        if wanted == "own":
+            return self._colors
+        color = palette.SCENE_COLORS[wanted] if isinstance(wanted, str) else wanted
+        tone = np.asarray(color, np.float64)
+        return (TINT * tone + (1 - TINT) * self._colors).astype(np.uint8)
+
+    def _place(self) -> None:
+        for handle, stand in zip(self._handles, self.now, strict=True):
+            handle.wxyz = wxyz_of(stand.world)
+            handle.position = stand.world[:3, 3]
+
+
+def send(
+    client: viser.ClientHandle, name: str, ids: Ids, shape: Shape, stands: Sequence[Stand],
+    work: Work | None, link: str,
+) -> Node:  # fmt: skip
+    """Send a shape as it stands here and there."""
+    kind: Callable[..., Node] = Scans if shape.faces is None else Instances
+    return kind(client, name, ids, shape, stands, work, link)
+
+
+def first_under(nodes: Sequence[Node], origin: Array, direction: Array) -> str | None:
+    """The object that a ray meets first, or None.
+
+    What the ray itself passes by counts within a few pixels where it meets nothing.
+    """
+    best, hit = np.inf, None
+    for node in nodes:
+        for k in np.flatnonzero(meets_boxes(origin, direction, node.boxes())):
+            t = node.hit(int(k), origin, direction)
+            if t < best:
+                best, hit = t, node.ids[k]
+    if hit is not None:
+        return hit
+    nearest = TOLERANCE + 1, np.inf
+    for node in nodes:
+        boxes = within_tolerance(origin, node.boxes())
+        for k in np.flatnonzero(meets_boxes(origin, direction, boxes)):
+            passed = node.nearly_hit(int(k), origin, direction)
+            if passed < nearest:
+                nearest, hit = passed, node.ids[k]
+    return hit
+
+
+def colored_glb(shape: Shape) -> bytes:
+    """A shape with faces in their own colours; a vertex is there once for each of its colours."""
+    assert shape.faces is not None
+    rgb = _colors(shape, len(shape.faces)).astype(np.int64)
+    packed = (rgb[:, 0] << 16) | (rgb[:, 1] << 8) | rgb[:, 2]
+    key = (shape.faces.astype(np.int64) << 24) | packed[:, None]
+    unique, corner = np.unique(key, return_inverse=True)
+    rgba = np.stack([unique >> 16 & 255, unique >> 8 & 255, unique & 255, 0 * unique + 255], 1)
+    mesh = Mesh(
+        shape.vertices[unique >> 24].astype(np.float64), corner.reshape(-1, 3).astype(np.int32),
+        materials=(Material("own", (255, 255, 255, 255)),), vertex_colors=rgba.astype(np.uint8),
+    )  # fmt: skip
+    return mesh_to_glb(mesh, smooth=False)
+
+
+def _colors(shape: Shape, count: int) -> npt.NDArray[np.uint8]:
+    if shape.colors is not None:
+        return shape.colors
+    return np.tile(np.asarray(palette.SCENE_COLORS["static"], np.uint8), (count, 1))
+
+
+def corners_of(shape: Shape, stand: Stand, margin: float = 0.0) -> npt.NDArray[Any]:
+    """(8, 3) corners of an object's box in the scene's frame, ``margin`` of its size around it."""
+    low, high = np.sort(shape.bounds * stand.scale, axis=0)
+    reach = margin * float(np.linalg.norm(high - low))
+    local = (low + high) / 2 + CORNERS.astype(np.float64) * (high - low + 2 * reach)
+    return np.asarray(local @ stand.world[:3, :3].T + stand.world[:3, 3])
+
+
+def wxyz_of(transform: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+    """The rotation as a quaternion."""
+    return np.asarray(vtf.SO3.from_matrix(transform[:3, :3]).wxyz, np.float64)
