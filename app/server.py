@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import viser
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from app.server.app_state import Workbench
 from app.server.guard import guarded_server
 from app.server.network import url

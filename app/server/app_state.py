@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from app.server import part_tasks, saving_tasks
 from app.server.accepting import take_up
 from app.server.jobs import Job, WorkerProcess

@@ -1,4 +1,4 @@
-"""viser's page with our title and the scripts of ``app/scripts``."""
+"""viser's page with our title and the scripts of ``app/server/scripts``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SCRIPTS = ("upload.js", "focus.js", "panels.js", "pointer.js", "light.js")
 
 
 def _script(max_upload_bytes: int) -> str:
-    texts = [(files("app") / "scripts" / name).read_text() for name in _SCRIPTS]
+    texts = [(files("app.server") / "scripts" / name).read_text() for name in _SCRIPTS]
     whole = "\n".join(f"<script>\n{text}</script>" for text in texts)
     return whole.replace("__LIMIT__", json.dumps(max_upload_bytes))
 

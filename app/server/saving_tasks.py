@@ -33,7 +33,7 @@ def prepare_asset(
     Raises:
         ArtiworldError: where what was written doesn't load as it should.
     """
-    from app.headless import part_of
+    from app.cli.headless import part_of
     from model.io.assets.asset_folder import write_draft
     from model.io.assets.reload import reload_check
     from model.physics.simulation_values import physics_of

@@ -25,8 +25,8 @@ pytest.importorskip("uvicorn", reason="needs the extra backend")
 
 from starlette.requests import Request
 
-from app.cli import make_parser
-from app.serve_command import make_config
+from app.cli.main import make_parser
+from app.cli.serve_command import make_config
 from app.server.backend_server import Backend, BackendSettings
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from app.server.app_state import Workbench
 from sessions.store import Store
 from tests.app.run_cli import cupboard

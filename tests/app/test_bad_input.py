@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.cli import main
+from app.cli.main import main
 from app.server.display_tasks import open_asset
 from app.server.tasks import ReadOptions
 from sessions.commands import AddPart, SetCategory

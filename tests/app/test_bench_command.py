@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from app import bench_predict
-from app.cli import main
+from app.cli.benchmarks import predict as bench_predict
+from app.cli.main import main
 from model.prediction.registry import load_predictor
 from tests.app.run_cli import artiworld, assert_users_mistake
 

@@ -10,9 +10,9 @@ pytest.importorskip("torch", reason="needs the extra network")
 for _name in ("transformers", "accelerate", "peft"):
     pytest.importorskip(_name, reason="needs the extra train")
 
-from app import bench_networks  # noqa: E402
-from app.bench_networks import NetworksConfig, measure, tables  # noqa: E402
-from app.cli import main  # noqa: E402
+from app.cli.benchmarks import networks as bench_networks  # noqa: E402
+from app.cli.benchmarks.networks import NetworksConfig, measure, tables  # noqa: E402
+from app.cli.main import main  # noqa: E402
 from model.prediction.arti4urdf.language_model import DecoderConfig  # noqa: E402
 from model.prediction.arti4urdf.point_bert import PointBertConfig  # noqa: E402
 from model.segmentation.adapters.point_sam_network import PointSamConfig  # noqa: E402

@@ -17,9 +17,9 @@ import pytest
 import trimesh
 import yourdfpy
 
-from app import headless, printing
-from app.batch import Crashed, run_all
-from app.cli import main, make_parser
+from app.cli import headless, printing
+from app.cli.batch import Crashed, run_all
+from app.cli.main import main, make_parser
 from app.server.crash_log import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
@@ -88,7 +88,7 @@ def parts(tmp_path) -> Path:
 @pytest.mark.parametrize("words", [["--help"], ["serve", "--help"], ["predict", "--help"]])
 def test_help_imports_nothing_heavy(words):
     code = (
-        "import sys\nfrom app.cli import main\n"
+        "import sys\nfrom app.cli.main import main\n"
         f"assert main({words!r}) == 0\n"
         f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
     )
@@ -575,7 +575,7 @@ def test_our_fault_is_code_1_with_details_in_a_file(monkeypatch, tmp_path, capsy
     def broken(*_, **__):
         raise ZeroDivisionError("deep inside")
 
-    monkeypatch.setattr("app.headless.predict", broken)
+    monkeypatch.setattr("app.cli.headless.predict", broken)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["artiworld", "serve", "--token", "secret", "--database=pw"])
     assert main(["predict", "x", "--out", "y"]) == 1
@@ -612,7 +612,7 @@ def test_debug_shows_the_traceback(monkeypatch, capsys):
     def broken(*_, **__):
         raise ZeroDivisionError("deep inside")
 
-    monkeypatch.setattr("app.headless.predict", broken)
+    monkeypatch.setattr("app.cli.headless.predict", broken)
     for words in (["--debug", "predict"], ["predict", "--debug"]):
         assert main([*words, "x", "--out", "y"]) == 1
         assert "in broken" in capsys.readouterr().err
@@ -622,7 +622,7 @@ def test_several_problems_are_still_one_line(monkeypatch, capsys):
     def broken(*_, **__):
         raise KinematicsError(["first\nproblem", "second"])
 
-    monkeypatch.setattr("app.headless.predict", broken)
+    monkeypatch.setattr("app.cli.headless.predict", broken)
     assert main(["predict", "x", "--out", "y"]) == 2
     assert capsys.readouterr().err == "artiworld: first problem; second\n"
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from app import doctor
-from app.cli import main
+from app.cli import doctor
+from app.cli.main import main
 from model.core.errors import ConfigurationError
 from sessions.store import Store
 from tests.app.run_cli import artiworld

@@ -74,7 +74,7 @@ def test_plug_ins_of_the_documents_segment_predict_and_export(
     scan, prompts = EXAMPLES / "cabinet.glb", EXAMPLES / "cabinet.prompts.json"
 
     def artiworld(*words: str | Path) -> None:
-        run(["-m", "app.cli", *map(str, words)], tmp_path, plug_ins)
+        run(["-m", "app.cli.main", *map(str, words)], tmp_path, plug_ins)
 
     artiworld("segment", scan, "--prompts", prompts, "--segmenter", "balls", "--out", "parts")
     artiworld("predict", "parts", "--predictor", "drawers", "--out", "made")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from app.annotator import BY_HAND, AnnotatorConfig, annotate
-from app.cli import main
-from app.person_report import run_person
+from app.cli.annotator import BY_HAND, AnnotatorConfig, annotate
+from app.cli.main import main
+from app.cli.person_report import run_person
 from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
 

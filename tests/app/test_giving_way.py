@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from app.server.app_state import Workbench
 from app.server.segmenting import Segmenting
 from app.server.tasks import arrays_of

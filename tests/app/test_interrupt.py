@@ -36,7 +36,7 @@ def in_group(group: int) -> list[int]:
 def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path: Path) -> None:
     jobs = ["--jobs", "2"]
     if command == "evaluate":
-        words = ["app.cli", command, "--data", "procedural", "--family", "Oven", "--n", "50"]
+        words = ["app.cli.main", command, "--data", "procedural", "--family", "Oven", "--n", "50"]
     elif command == "train":
         skipped = ["edges", "parts", "rooms", "moving", "mending"]
         words = ["model.training.segmentation", *(f"--skip-{s}" for s in skipped)]
@@ -46,7 +46,7 @@ def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path:
         for i in data.ids():
             (tmp_path / i).mkdir()
             UrdfExporter().export(data.load(i).object, tmp_path / i)
-        words = ["app.cli", command, str(tmp_path), "--no-cache"]
+        words = ["app.cli.main", command, str(tmp_path), "--no-cache"]
     run = subprocess.Popen(
         [sys.executable, "-m", *words, *jobs],
         start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
@@ -70,7 +70,7 @@ def test_an_interrupt_does_not_wait_for_a_language_model(tmp_path: Path) -> None
     model = write_tiny_qwen3(tmp_path / "qwen3")
     scene = scenes_made.write_scene(tmp_path / "layout.json", scenes_made.mesatask())
     run = subprocess.Popen(
-        [sys.executable, "-m", "app.cli", "scene", "inspect", str(scene), "--finder",
+        [sys.executable, "-m", "app.cli.main", "scene", "inspect", str(scene), "--finder",
          f"qwen3:{model}", "--finder-cache", str(tmp_path / "cache")],
         start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
@@ -93,7 +93,7 @@ def test_an_interrupt_does_not_wait_for_a_server_that_is_silent(tmp_path: Path) 
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(120)
         run = subprocess.Popen(
-            [sys.executable, "-m", "app.cli", "scene", "inspect", str(scene), "--finder",
+            [sys.executable, "-m", "app.cli.main", "scene", "inspect", str(scene), "--finder",
              "openai:model", "--finder-url", f"http://127.0.0.1:{server.getsockname()[1]}/v1",
              "--finder-cache", str(tmp_path / "cache")],
             start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from app.server import validation_tasks as judging_tasks
 from app.server.accepting import accept, asset_folder, take_back
 from app.server.app_state import Workbench

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import trimesh
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from app.server import app_state as workbench
 from app.server import display_tasks
 from app.server.app_state import Workbench

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from app.cli import main
-from app.serve_command import _scene_of
+from app.cli.main import main
+from app.cli.serve_command import _scene_of
 from app.server.display_tasks import open_asset
 from app.server.tasks import ReadOptions, stamp
 from app.server.uploads import keep_upload

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.config import ServeConfig
-from app.headless import predict
-from app.serve_command import _scene_of
+from app.cli.config import ServeConfig
+from app.cli.headless import predict
+from app.cli.serve_command import _scene_of
 from app.server.accepting import accept
 from app.server.app_state import Workbench
 from app.server.open_object import OpenObject

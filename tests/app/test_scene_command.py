@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app.cli import main
+from app.cli.main import main
 from model.core.point_cloud import PointCloud
 from model.io.assets.asset_folder import load_object
 from model.io.readers import read_asset, read_part_files
@@ -282,7 +282,7 @@ def test_killed_in_the_middle_it_goes_on(assets: Path, tmp_path: Path) -> None:
     scene = made.write_scene(tmp_path / "layout.json", made.mesatask(objects))
     out = tmp_path / "out"
     words = ["scene", "convert", str(scene), "--assets", str(assets), "--out", str(out)]
-    words = [sys.executable, "-m", "app.cli", *words, "--jobs", "2"]
+    words = [sys.executable, "-m", "app.cli.main", *words, "--jobs", "2"]
     run = subprocess.Popen(words, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
     done = out / "work" / "assets"
 

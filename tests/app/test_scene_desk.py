@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app.cli import make_parser
-from app.config import ServeConfig
-from app.serve_command import make_config
+from app.cli.config import ServeConfig
+from app.cli.main import make_parser
+from app.cli.serve_command import make_config
 from app.server import app_state as workbench
 from app.server import scene_accepting, scene_tasks, tasks
 from app.server.accepting import accept

@@ -275,7 +275,7 @@ def test_what_was_scanned_stays_where_it_was(tmp_path: Path) -> None:
 def test_clicks_for_nobody_or_beside_it_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from app.cli import main
+    from app.cli.main import main
 
     path = made.write_scan(tmp_path / "room.ply")
     far = {"clicks": [{"position": [30, 0, 0], "part": 1}]}

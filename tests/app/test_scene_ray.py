@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from app.cli import main
+from app.cli.main import main
 from tests.model.scenes import scenes_made as made
 
 COUNT = 6
@@ -65,7 +65,7 @@ def test_a_killed_worker_costs_nothing(tmp_path: Path) -> None:
         "PYTHONPATH": f"{tmp_path / 'site'}{os.pathsep}{root}", "RAY_USAGE_STATS_ENABLED": "0",
     }  # fmt: skip
     run = subprocess.Popen(
-        [sys.executable, "-m", "app.cli", *write_scene(tmp_path), "--json"],
+        [sys.executable, "-m", "app.cli.main", *write_scene(tmp_path), "--json"],
         cwd=root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

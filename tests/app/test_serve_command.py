@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import make_parser
-from app.config import ServeConfig
-from app.serve_command import make_config
+from app.cli.config import ServeConfig
+from app.cli.main import make_parser
+from app.cli.serve_command import make_config
 from app.server.app_state import Workbench
 from app.server.network import url
 from app.server.server import paths_to_open

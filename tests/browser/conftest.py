@@ -30,7 +30,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Start servers in this process: ``start(paths, **ServeConfig fields)``."""
-    from app.config import ServeConfig
+    from app.cli.config import ServeConfig
     from app.server.server import Server
 
     running: list[Any] = []

@@ -20,8 +20,8 @@ from browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from app.config import ServeConfig
-from app.prompt_file import read_prompts
+from app.cli.config import ServeConfig
+from app.cli.prompt_file import read_prompts
 from app.server.server import Server
 from model.core.resources import static_assets
 

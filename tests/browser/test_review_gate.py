@@ -14,7 +14,7 @@ import pytest
 import trimesh
 from browsing import Tab, wait_until
 
-from app.prompt_file import read_prompts
+from app.cli.prompt_file import read_prompts
 from app.viewer.panels.validation_list import MENDS
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint

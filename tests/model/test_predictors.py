@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import main
+from app.cli.main import main
 from model.core.errors import ConfigurationError
 from model.prediction import registry as predictors
 from model.prediction.geometric.predictor import GeometricPredictor

@@ -9,7 +9,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from app.prompt_file import read_prompts
+from app.cli.prompt_file import read_prompts
 from model.core.errors import ConfigurationError
 from model.core.resources import static_assets
 from model.data.partnet_mobility import PartNetMobility

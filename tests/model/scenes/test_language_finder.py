@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import main
+from app.cli.main import main
 from model.core.errors import ConfigurationError
 from model.scenes.finder_registry import FinderOptions, load_finder
 from model.scenes.finders import LexiconFinder

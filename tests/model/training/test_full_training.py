@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch", reason="needs the extra network")
 for _name in ("transformers", "accelerate"):
     pytest.importorskip(_name, reason="needs the extra train")
 
-from app.cli import main  # noqa: E402
+from app.cli.main import main  # noqa: E402
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
 from model.data.procedural.generate import GenerateSettings, generate  # noqa: E402
 from model.data.registry import recognised  # noqa: E402

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from app.bench_ui import LoopWatch, PretendedBrowser, wait_for
-from app.config import ServeConfig
+from app.cli.benchmarks.ui import LoopWatch, PretendedBrowser, wait_for
+from app.cli.config import ServeConfig
 
 FACES = 2000
 """Triangles of each block, and of each cabinet."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.config import ServeConfig
+from app.cli.config import ServeConfig
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.options import add_json, count
+from app.cli.options import add_json, count
 from model.core.errors import ConfigurationError
 from model.prediction.registry import DEFAULT
 
 if TYPE_CHECKING:
-    from app.printing import Show
+    from app.cli.printing import Show
     from model.core.progress import Progress
     from model.data.registry import DatasetOptions
     from model.evaluation.report import Report
@@ -78,8 +78,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out."""
-    from app import printing
-    from app.headless import check_output
+    from app.cli import printing
+    from app.cli.headless import check_output
 
     if args.out is not None:
         check_output(args.out)
@@ -121,7 +121,7 @@ def _progress(as_json: bool) -> Iterator[Progress]:
 
 
 def _score(args: argparse.Namespace, progress: Progress) -> Answer:
-    from app.headless import part_of
+    from app.cli.headless import part_of
     from model.evaluation.run import evaluate
     from model.evaluation.table import print_reports
 
@@ -206,7 +206,7 @@ def _data(args: argparse.Namespace) -> DatasetOptions:
 def _export(args: argparse.Namespace, progress: Progress) -> Answer:
     import numpy as np
 
-    from app.headless import check_output
+    from app.cli.headless import check_output
     from model.data.part_export import export_parts
     from model.data.registry import open_dataset
     from model.evaluation.run import chosen_ids
@@ -234,9 +234,9 @@ def _export(args: argparse.Namespace, progress: Progress) -> Answer:
 
 
 def _person(args: argparse.Namespace, progress: Progress) -> Answer:
-    from app.annotator import AnnotatorConfig
-    from app.headless import write_json
-    from app.person_report import COLUMNS, run_person
+    from app.cli.annotator import AnnotatorConfig
+    from app.cli.headless import write_json
+    from app.cli.person_report import COLUMNS, run_person
     from model.evaluation.run import TRUTH, chosen_ids, require_predictor
     from model.evaluation.table import print_table
     from model.segmentation.registry import load_segmenter
@@ -266,8 +266,8 @@ SEGMENTATION_SETS = ("procedural", "procedural-noisy", "procedural-one-sided")
 
 
 def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
-    from app.bench_command import bench_segment
-    from app.headless import write_json
+    from app.cli.bench_command import bench_segment
+    from app.cli.headless import write_json
 
     sets: list[str] = list(SEGMENTATION_SETS)
     if args.root is not None:
@@ -282,7 +282,7 @@ def _segmentation(args: argparse.Namespace, progress: Progress) -> Answer:
 
 
 def _compare(args: argparse.Namespace, _: Progress) -> Answer:
-    from app.headless import write_json
+    from app.cli.headless import write_json
     from model.evaluation.compare import compare
     from model.evaluation.report import read_report
     from model.evaluation.table import print_comparison

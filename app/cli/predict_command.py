@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from app.backend_command import add_client_options, chosen_predictor
-from app.options import add_json, add_reading, count
+from app.cli.backend_command import add_client_options, chosen_predictor
+from app.cli.options import add_json, add_reading, count
 from model.prediction.registry import DEFAULT
 
 
@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Predict the joints, and say what they are."""
-    from app import headless, printing
+    from app.cli import headless, printing
 
     with printing.session(args.json) as show:
         report = headless.predict(

@@ -6,9 +6,9 @@ import argparse
 import os
 from pathlib import Path
 
-from app.backend_command import add_client_options, chosen_predictor, greet
-from app.config import TOKEN_VARIABLE, ServeConfig
-from app.options import add_point_sam, add_reading
+from app.cli.backend_command import add_client_options, chosen_predictor, greet
+from app.cli.config import TOKEN_VARIABLE, ServeConfig
+from app.cli.options import add_point_sam, add_reading
 from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from model.core.errors import ConfigurationError, InputFileError

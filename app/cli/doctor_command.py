@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from app.options import add_json
+from app.cli.options import add_json
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +18,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look at everything, and tell it; 1 where something is wrong."""
-    from app import doctor, printing
+    from app.cli import doctor, printing
 
     with printing.session(args.json) as show:
         checks = doctor.examine(args.workspace, args.database, args.port)

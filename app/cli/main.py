@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Sequence
 from typing import NoReturn
 
-from app import (
+from app.cli import (
     backend_command,
     bench_command,
     check_command,
@@ -31,7 +31,7 @@ from app import (
     serve_command,
     train_command,
 )
-from app.options import joined_axes
+from app.cli.options import joined_axes
 from model.core.errors import ArtiworldError
 
 _DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."

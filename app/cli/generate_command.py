@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from app.options import add_json, count
+from app.cli.options import add_json, count
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -21,8 +21,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the objects, and say where they are."""
-    from app import printing
-    from app.headless import check_output
+    from app.cli import printing
+    from app.cli.headless import check_output
     from model.data.procedural.generate import GenerateSettings, generate
 
     check_output(args.out)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.options import add_json, count
+from app.cli.options import add_json, count
 from model.prediction.registry import DEFAULT
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ _jobs.__name__ = "number from 1"
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from app import printing
+    from app.cli import printing
 
     if args.dry_run:
         with printing.session(args.json) as show:
@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _convert(args: argparse.Namespace, show: Any) -> dict[str, Any]:
-    from app.headless import check_output
+    from app.cli.headless import check_output
     from model.core.errors import ConfigurationError
     from model.prediction.registry import check_predictor
     from model.scenes.convert import ConvertSettings, convert_scene
@@ -174,7 +174,7 @@ def _assets(scene: Scene, folders: Sequence[Path]) -> AssetIndex:
 
 def _kept(segmenter: str, asset: Path) -> ObjectClicks | None:
     """The clicks that are kept beside an asset."""
-    from app.prompt_file import beside, read_prompts
+    from app.cli.prompt_file import beside, read_prompts
     from model.scenes.clicked import ObjectClicks
 
     kept = beside(asset)
@@ -188,7 +188,7 @@ def _clicked(args: argparse.Namespace) -> dict[str, Any]:
     """Object → its clicks."""
     if not args.clicks:
         return {}
-    from app.prompt_file import read_prompts
+    from app.cli.prompt_file import read_prompts
     from model.core.errors import ConfigurationError
     from model.scenes.clicked import ObjectClicks
 
@@ -286,7 +286,7 @@ def _print_inspection(report: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from app import printing
+    from app.cli import printing
 
     table = Table(title=Text(f"{report['scene']} ({report['reader']})"))
     for column in ("object", "articulable", "parts", "why", "asset found"):
@@ -304,7 +304,7 @@ def _print_inspection(report: dict[str, Any]) -> None:
 def _print_figures(found: dict[str, Any], works: dict[str, Any] | None = None) -> None:
     from rich.text import Text
 
-    from app import printing
+    from app.cli import printing
 
     if not found["articulable"]:
         return
@@ -319,7 +319,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from app import printing
+    from app.cli import printing
 
     title = (
         f"{summary['scene']}: {summary['objects']} objects, {summary['articulable']} articulable"
@@ -344,7 +344,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
 def _print_problems(report: dict[str, Any]) -> None:
     from rich.text import Text
 
-    from app import printing
+    from app.cli import printing
 
     for problem in report["problems"]:
         left = "left out: " if problem["skipped"] else ""

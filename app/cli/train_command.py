@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigurationError: for a mistake in the options.
     """
-    from app.headless import check_output
+    from app.cli.headless import check_output
     from model.core.errors import ConfigurationError
     from model.training.arti4urdf.config import CONFIDENCE
     from model.training.arti4urdf.full_config import full_presets

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from app.options import add_json, count
+from app.cli.options import add_json, count
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 
@@ -49,7 +49,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, and show what came of it."""
-    from app import printing
+    from app.cli import printing
 
     runs: dict[str, Callable[[], Bench]] = {
         "ui": lambda: bench_ui(args.points, args.faces, args.clicks, (args.segmenter or [None])[0]),
@@ -77,7 +77,7 @@ def bench_ui(
     points: list[int] | None, faces: int | None, clicks: int | None, segmenter: str | None
 ) -> Bench:
     """The screen: open to first picture, click to labels, bytes a click, animation ticks."""
-    from app.bench_ui import BenchUiConfig, run
+    from app.cli.benchmarks.ui import BenchUiConfig, run
 
     asked = {
         "points": tuple(points) if points else None,
@@ -91,7 +91,7 @@ def bench_ui(
 
 def bench_scene(objects: int | None) -> Bench:
     """A large scene: until its first picture, and until the whole of it is sent."""
-    from app.bench_scene import run, show
+    from app.cli.benchmarks.scene import run, show
 
     figures = run(200 if objects is None else objects)
     return Bench([asdict(f) for f in figures], lambda: show(figures))
@@ -130,8 +130,8 @@ def bench_segment(
 
 
 def bench_predict(progress: Progress = no_progress) -> Bench:
-    """Prediction by number of parts, see :mod:`app.bench_predict`."""
-    from app.bench_predict import measure, upright
+    """Prediction by number of parts, see :mod:`app.cli.benchmarks.predict`."""
+    from app.cli.benchmarks.predict import measure, upright
 
     report = measure(progress)
     title = "Prediction, a chest of drawers (milliseconds, medians; forward passes)"
@@ -141,11 +141,11 @@ def bench_predict(progress: Progress = no_progress) -> Bench:
 def bench_networks(
     sizes: list[str] | None, train: bool | None, progress: Progress = no_progress
 ) -> Bench:
-    """The paper-size networks, see :mod:`app.bench_networks`."""
+    """The paper-size networks, see :mod:`app.cli.benchmarks.networks`."""
     from model.training.arti4urdf.full_config import LORA_RANK, FullConfig, require_extras
 
     require_extras(FullConfig(lora_rank=LORA_RANK))
-    from app.bench_networks import NetworksConfig, measure, tables
+    from app.cli.benchmarks.networks import NetworksConfig, measure, tables
     from model.prediction.arti4urdf.language_model import QWEN3
 
     for name in sizes or ():
@@ -168,7 +168,7 @@ def _nothing() -> None:
 def _show(title: str, rows: list[dict[str, Any]]) -> None:
     from rich.table import Table
 
-    from app.printing import console
+    from app.cli.printing import console
 
     table = Table(title=title)
     for column in rows[0] if rows else ():

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from app.prompt_file import PromptFile, check_prompts, read_prompts
+from app.cli.prompt_file import PromptFile, check_prompts, read_prompts
 from model.core.articulated_object import (
     ArticulatedObject,
     Part,

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from app.annotator import BY_HAND, AnnotatorConfig, PersonScore, annotate
+from app.cli.annotator import BY_HAND, AnnotatorConfig, PersonScore, annotate
 from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.mending import WHO, Mender
+from app.cli.corrections import WHO, Mender
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError

@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from app.batch import asset_names, find_assets, run_all
-from app.options import add_json
-from app.physics_options import add_physics, physics_settings, store_folder
+from app.cli.batch import asset_names, find_assets, run_all
+from app.cli.options import add_json
+from app.cli.physics_options import add_physics, physics_settings, store_folder
 from model.core.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
     That is what can't be read back, and what the gate calls broken unless that is allowed.
     """
-    from app import printing
+    from app.cli import printing
 
     formats = _readable_formats(args.format)
     assets = find_assets(args.assets)
@@ -88,7 +88,7 @@ def _readable_formats(given: list[str]) -> list[str]:
     Raises:
         ConfigurationError: where one of these is asked for by its name.
     """
-    from app.export_command import named_formats
+    from app.cli.export_command import named_formats
     from model.io.export.registry import BUILT_IN
 
     formats = named_formats(given or ["all"])
@@ -204,7 +204,7 @@ def _collision(
 
 
 def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
-    from app.headless import predicted_sure
+    from app.cli.headless import predicted_sure
     from model.validation.low_confidence import with_unsure
     from model.validation.runner import run_gate
 
@@ -254,7 +254,7 @@ def _print(report: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from app.printing import console
+    from app.cli.printing import console
 
     table = Table()
     for column in ("asset", "read back", "shapes", "free kept", "one hull", "rest mm", "range mm",

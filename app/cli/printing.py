@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from app.doctor import Check
+    from app.cli.doctor import Check
 
 FILES_TOLD = 10
 """Files of one folder that get a row each; of more the folder gets one."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.batch import ASSET_FILES, asset_names, find_assets, run_all
-from app.options import add_json
-from app.physics_options import add_physics, physics_settings, store_folder
+from app.cli.batch import ASSET_FILES, asset_names, find_assets, run_all
+from app.cli.options import add_json
+from app.cli.physics_options import add_physics, physics_settings, store_folder
 from model.core.errors import ArtiworldError, ConfigurationError
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ class ExportTask:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return the exit code: 2 where an asset could not be written."""
-    from app import printing
-    from app.headless import check_output
+    from app.cli import printing
+    from app.cli.headless import check_output
 
     formats = named_formats(args.format)
     assets = find_assets(args.assets)
@@ -105,7 +105,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     Raises:
         ArtiworldError: where the asset can't be read or written.
     """
-    from app.headless import part_of
+    from app.cli.headless import part_of
     from model.core.progress import no_progress
     from model.io.assets.reader import load_object, reading_notes
     from model.io.export.manifest import write_about
@@ -164,7 +164,7 @@ def _batch(tasks: list[ExportTask], jobs: int | None, progress: Progress) -> dic
 
 
 def _print_one(report: dict[str, Any]) -> None:
-    from app import printing
+    from app.cli import printing
 
     for entry in report["formats"]:
         printing.files_table(entry | {"asset": report["asset"]}, Path(entry["folder"]))
@@ -178,7 +178,7 @@ def _print_batch(report: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from app.printing import console
+    from app.cli.printing import console
 
     table = Table()
     for column in ("asset", "formats", "collision shapes", "files", "wrong"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from app.options import add_json, add_point_sam, add_reading
+from app.cli.options import add_json, add_point_sam, add_reading
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Cut the scan into parts, and say what they are."""
-    from app import headless, printing
+    from app.cli import headless, printing
 
     with printing.session(args.json) as show:
         report = headless.segment(

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.bench_predict import chest
+from app.cli.benchmarks.predict import chest
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.language_model import QWEN3, DecoderConfig
