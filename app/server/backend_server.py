@@ -1,7 +1,8 @@
 """The HTTP side of ``artiworld backend``: one machine predicts for many annotators.
 
 ``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes what
-:mod:`model.prediction.remote.wire` describes. Refusals have a status of their own (400 no request, 401 wrong
+:mod:`model.prediction.remote.wire` describes. Refusals have a status of their own (400 no request,
+401 wrong
 token, 413 too large, 415 another type, 429 too many wrong tokens, 503 too many wait) and a JSON
 body ``{"error": text}``; what goes wrong later is told in the stream.
 """

@@ -1,7 +1,8 @@
 """A whole scene that is open: what its objects are, where each one stands, the jobs they need.
 
 One :class:`SceneDesk` a server. Decisions live in sessions: the scene's own (what is articulated,
-decisions for several objects) and one for each working copy (:mod:`app.server.scene_tasks`), which is an
+decisions for several objects) and one for each working copy (:mod:`app.server.scene_tasks`), which
+is an
 object like any other and may be opened, annotated and accepted as such.
 """
 

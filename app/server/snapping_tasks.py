@@ -66,7 +66,8 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
 
 
 def retype_joint(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:
-    """The joint of ``child`` as one of another type: :func:`model.prediction.geometric.type_change.retyped`."""
+    """The joint of ``child`` as one of another type:
+    :func:`model.prediction.geometric.type_change.retyped`."""
     from model.prediction.geometric.type_change import retyped
 
     return retyped(segmented_object(source), tree, child, kind)

@@ -1,9 +1,11 @@
-"""The child's side of :mod:`app.server.jobs`: reads jobs from a pipe, runs them one at a time, answers.
+"""The child's side of :mod:`app.server.jobs`: reads jobs from a pipe, runs them one at a time,
+answers.
 
 What comes while a job runs is run between its steps: the parent sends nothing that it may not give
 way to.
 
-Started by :class:`app.server.jobs.WorkerProcess` with one end of a pipe; imports nothing heavy itself.
+Started by :class:`app.server.jobs.WorkerProcess` with one end of a pipe; imports nothing heavy
+itself.
 """
 
 from __future__ import annotations

@@ -62,7 +62,8 @@ class Joint:
         lower, upper: radians or metres; None for continuous and fixed.
         mimic: the joint that this one follows, or None.
         give_way: whether collision shapes are cut back over the whole range however deep they
-            meet there; else only grazes are (see :mod:`model.physics.collision.overlap_resolution`).
+            meet there; else only grazes are (see
+            :mod:`model.physics.collision.overlap_resolution`).
         dynamics: what the source tells of the joint's own, else None; exporters write it.
     """
 

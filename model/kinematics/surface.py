@@ -142,7 +142,8 @@ class Surface:
 
     @cached_property
     def met(self) -> Recent[tuple[int, bytes], Any]:
-        """What its samples met lately of other surfaces, see :mod:`model.kinematics.penetration`."""
+        """What its samples met lately of other surfaces, see
+        :mod:`model.kinematics.penetration`."""
         return Recent(MET, MET_ROWS)
 
     @property

@@ -3,7 +3,8 @@
 What the predictors work with are scores: a softmax over them, or a product of experts, is far surer
 than it is right. Here a joint's evidence (log-odds of each decision, and what makes such decisions
 go wrong) is weighed by a logistic regression that was fitted to how often joints of procedural
-objects are right: type, parent, axis, line and range together (:mod:`model.training.arti4urdf.confidence`).
+objects are right: type, parent, axis, line and range together
+(:mod:`model.training.arti4urdf.confidence`).
 """
 
 from __future__ import annotations

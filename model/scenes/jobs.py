@@ -59,7 +59,8 @@ class AssetJob:
         scale, fit: as in :class:`~model.scenes.scene.SceneObject`.
         articulate: whether joints are wanted.
         category: hint for the predictor.
-        predictor, seed: as :func:`model.prediction.registry.load_predictor` and ``predict`` take them.
+        predictor, seed: as :func:`model.prediction.registry.load_predictor` and ``predict`` take
+        them.
         collision: whether collision shapes are made, which takes most of the time.
         seconds: time limit.
         formats: further ones that the asset is written in: "sdf", "usd".

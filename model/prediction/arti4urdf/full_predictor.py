@@ -47,7 +47,8 @@ class FullPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """As :meth:`model.prediction.protocol.Predictor.predict`. The likeliest choices are taken."""
+        """As :meth:`model.prediction.protocol.Predictor.predict`. The likeliest choices are
+        taken."""
         start = time.perf_counter()
         progress(0.0, "Reading shapes")
         example = make_example(segmented, self._reader.encoder.config.points, seed=seed)

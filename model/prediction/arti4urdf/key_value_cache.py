@@ -1,4 +1,5 @@
-"""Keys and values of a :class:`~model.prediction.arti4urdf.language_model.Decoder`, kept between passes."""
+"""Keys and values of a :class:`~model.prediction.arti4urdf.language_model.Decoder`, kept between
+passes."""
 
 from __future__ import annotations
 

@@ -64,7 +64,8 @@ def write_random_qwen3(
 
 
 def write_random_ulip2(path: Path, config: PointBertConfig = ULIP2, *, seed: int = 0) -> Path:
-    """A file that :func:`~model.prediction.arti4urdf.published_weights.load_point_bert` reads; gives it."""
+    """A file that :func:`~model.prediction.arti4urdf.published_weights.load_point_bert` reads;
+    gives it."""
     torch.manual_seed(seed)
     state = PointBert(config).state_dict()
     path.parent.mkdir(parents=True, exist_ok=True)

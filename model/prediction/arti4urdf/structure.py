@@ -3,7 +3,8 @@
 For every part the geometric builders propose the joints that each mechanism could have there. The
 language model reads where these candidates lie, how parts touch and what they look like, and
 chooses; the numbers of the URDF follow from the choice (the paper's "potential motion axes").
-All lengths are in the working frame of :mod:`model.prediction.geometric.assembly` (diagonal 1, +z up).
+All lengths are in the working frame of :mod:`model.prediction.geometric.assembly` (diagonal 1, +z
+up).
 """
 
 from __future__ import annotations

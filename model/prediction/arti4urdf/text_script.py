@@ -1,7 +1,9 @@
 """The answer as text, step by step: what is settled is forced, the rest are small choices.
 
-The steps follow :func:`model.prediction.arti4urdf.answer.write_answer` to the letter. Which part may come
-where is the business of :class:`model.prediction.arti4urdf.grammar.Grammar`, so whatever is chosen the answer
+The steps follow :func:`model.prediction.arti4urdf.answer.write_answer` to the letter. Which part
+may come
+where is the business of :class:`model.prediction.arti4urdf.grammar.Grammar`, so whatever is chosen
+the answer
 is one tree with every part once, its URDF has axes that are not zero and limits in order, and it
 parses.
 """

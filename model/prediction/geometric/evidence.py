@@ -1,4 +1,5 @@
-"""What makes a joint's decisions go wrong, for its confidence: see :mod:`model.prediction.confidence`."""
+"""What makes a joint's decisions go wrong, for its confidence: see
+:mod:`model.prediction.confidence`."""
 
 from __future__ import annotations
 

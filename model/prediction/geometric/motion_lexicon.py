@@ -1,6 +1,7 @@
 """What part names and categories say about motion: readable tables.
 
-A *mechanism* is a way to move; :mod:`model.prediction.geometric.mechanisms` builds the joint for each:
+A *mechanism* is a way to move; :mod:`model.prediction.geometric.mechanisms` builds the joint for
+each:
 
 ==============  =====================================================================
 hinge           panel that turns about one of its edges, usually upright (doors)

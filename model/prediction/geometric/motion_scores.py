@@ -1,6 +1,7 @@
 """How much a part without a name looks like each mechanism.
 
-Explicit scores of explicit cues (:mod:`model.prediction.geometric.part_features`), in the groups that people would
+Explicit scores of explicit cues (:mod:`model.prediction.geometric.part_features`), in the groups
+that people would
 think in: round things, things on top of others, panels, drawers, arms.
 """
 

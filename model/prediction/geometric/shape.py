@@ -1,6 +1,7 @@
 """What one part looks like: a deterministic surface sample, its box, and how round it is.
 
-All lengths are in the working frame of :mod:`model.prediction.geometric.assembly`: the object's diagonal is 1
+All lengths are in the working frame of :mod:`model.prediction.geometric.assembly`: the object's
+diagonal is 1
 and its dominant horizontal directions lie along x and y.
 """
 

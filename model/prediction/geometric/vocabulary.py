@@ -1,4 +1,5 @@
-"""How the words of part names and categories reach :mod:`model.prediction.geometric.motion_lexicon`."""
+"""How the words of part names and categories reach
+:mod:`model.prediction.geometric.motion_lexicon`."""
 
 from __future__ import annotations
 

@@ -114,7 +114,8 @@ class HttpPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """As :meth:`model.prediction.protocol.Predictor.predict`; cancelling closes the connection, which
+        """As :meth:`model.prediction.protocol.Predictor.predict`; cancelling closes the
+        connection, which
         stops the backend.
 
         Raises:

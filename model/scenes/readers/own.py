@@ -1,4 +1,5 @@
-"""ArtiWorld's own scene file, ``scene.json``; :mod:`model.scenes.native_format` writes it and tells the
+"""ArtiWorld's own scene file, ``scene.json``; :mod:`model.scenes.native_format` writes it and
+tells the
 format."""
 
 from __future__ import annotations

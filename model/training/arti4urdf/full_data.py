@@ -203,7 +203,8 @@ def varied(
 ) -> tuple[SegmentedObject, KinematicTree]:
     """The parts in a random order, numbered anew, some without their names; and their true tree.
 
-    The motions are said as :func:`model.prediction.arti4urdf.text_script.as_written` says them, and children
+    The motions are said as :func:`model.prediction.arti4urdf.text_script.as_written` says them,
+    and children
     stand in the order of their numbers: no name and no order is left to be guessed.
     """
     order = [int(k) for k in rng.permutation(len(obj.parts))]

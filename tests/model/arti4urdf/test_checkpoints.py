@@ -18,7 +18,7 @@ pytest.importorskip("safetensors", reason="needs the extra network")
 from safetensors.torch import load_file, save_file  # noqa: E402
 
 from model.core.errors import InputFileError  # noqa: E402
-from model.prediction.arti4urdf.checkpoints import (
+from model.prediction.arti4urdf.checkpoints import (  # noqa: E402
     from_config,
     load_checkpoint,
     save_checkpoint,
@@ -26,7 +26,7 @@ from model.prediction.arti4urdf.checkpoints import (
 )
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig  # noqa: E402
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert, group_points  # noqa: E402
-from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_point_bert, load_qwen3
+from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_point_bert, load_qwen3  # noqa: E402
 from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 SMALL = DecoderConfig(97, 64, 160, 2, 4, 2, head_dim=32)

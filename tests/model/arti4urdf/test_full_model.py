@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="needs the extra network")
 pytest.importorskip("transformers", reason="needs the extra network")
 
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
-from model.prediction.arti4urdf.full_model import (
+from model.prediction.arti4urdf.full_model import (  # noqa: E402
     SPECIAL_TOKENS,
     Example,
     FullModel,

@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra network")
 
-from model.prediction.arti4urdf.point_bert import (
+from model.prediction.arti4urdf.point_bert import (  # noqa: E402
     NANO,
     POINT_LLM,
     ULIP2,

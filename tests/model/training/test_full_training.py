@@ -25,7 +25,7 @@ from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
 from model.prediction.arti4urdf.text_script import Author  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
-from model.training.arti4urdf.full_config import (
+from model.training.arti4urdf.full_config import (  # noqa: E402
     FullConfig,
     check_size,
     full_presets,
