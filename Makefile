@@ -44,7 +44,7 @@ format: $(VENV)/.lint
 # All, or ARGS="joints review"; the gallery is the same again unless generated objects changed.
 pictures: $(VENV)/.test
 	@.ci/need 'command -v chromium || command -v chromium-browser || command -v google-chrome' chromium
-	$(BIN)/python tests/browser/pictures.py $(ARGS)
+	$(BIN)/python -m tests.browser.pictures $(ARGS)
 	$(BIN)/python -m model.data.procedural.gallery --out docs/gallery
 
 clean:

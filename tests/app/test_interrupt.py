@@ -14,7 +14,7 @@ import pytest
 
 from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
-from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3
+from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3
 from tests.model.scenes import scenes_made
 
 

@@ -30,7 +30,7 @@ from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.test_open_objects import wait
-from tests.model.geometry.test_named_meshes import glb
+from tests.model.io.test_named_meshes import glb
 
 NOW = "2026-01-01T00:00:00.000000Z"
 URDF = """<robot name="r"><link name="body"><visual><geometry>

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from browsing import CHROMIUM_FLAGS, COARSE, Tab, find_chromium
+from tests.browser.browsing import CHROMIUM_FLAGS, COARSE, Tab, find_chromium
 
 
 @pytest.fixture(scope="session")

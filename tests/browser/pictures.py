@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -24,6 +23,7 @@ from app.cli.config import ServeConfig
 from app.cli.prompt_file import read_prompts
 from app.server.server import Server
 from model.core.resources import static_assets
+from tests.browser.browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
 
 EXAMPLES = static_assets() / "examples"
 SIZE = (1400, 850)

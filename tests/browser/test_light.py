@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 import trimesh
-from browsing import COARSE, Tab, wait_until
+
+from tests.browser.browsing import COARSE, Tab, wait_until
 
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import Tab, wait_until
-from objects import write_cabinet, write_cloud
 
 from model.core.joint import motion
 from sessions.commands import SetCategory
+from tests.browser.browsing import Tab, wait_until
+from tests.browser.objects import write_cabinet, write_cloud
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]

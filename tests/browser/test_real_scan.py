@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import Tab, wait_until
+
+from tests.browser.browsing import Tab, wait_until
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]

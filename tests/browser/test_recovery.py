@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from objects import write_cabinet
 
 from sessions.store import Begun, Store
+from tests.browser.objects import write_cabinet
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]

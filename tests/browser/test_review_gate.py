@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from browsing import Tab, wait_until
 
 from app.cli.prompt_file import read_prompts
 from app.viewer.panels.validation_list import MENDS
@@ -21,6 +20,7 @@ from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from sessions import commands as cmd
+from tests.browser.browsing import Tab, wait_until
 
 pytestmark = [
     pytest.mark.browser,

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import SceneTab, wait_until
 from scipy.spatial import KDTree
 
 from app.server import tasks
@@ -19,6 +18,7 @@ from model.geometry.picking import Picker
 from model.io.readers import read_asset
 from model.segmentation.crop import largest_piece
 from model.segmentation.simulated_clicks import iou, next_click
+from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.saved import points_in_place
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import SceneTab, wait_until
 
 from app.viewer.panels.joint_rows import joint_lines
 from app.viewer.picture import palette
 from sessions import commands as cmd
+from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import Tab, wait_until
-from objects import write_cabinet, write_cloud, write_flush
 from PIL import Image
 
 from app.server.tasks import asset_of
+from tests.browser.browsing import Tab, wait_until
+from tests.browser.objects import write_cabinet, write_cloud, write_flush
 
 OVEN = Path(__file__).parents[2] / "static_assets" / "examples" / "oven_scan.ply"
 

@@ -20,7 +20,7 @@ from model.scenes.language_finder import (
     question,
 )
 from model.scenes.protocol import ArticulableFinder, ObjectDescription
-from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3
+from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3
 from tests.model.scenes import scenes_made as made
 from tests.model.scenes.chat_server import (
     ChatServer,

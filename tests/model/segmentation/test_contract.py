@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 import tempfile
 from pathlib import Path
 
@@ -17,8 +16,6 @@ from model.segmentation.adapters.example import BallSegmenter
 from model.segmentation.prompts import BASE, Click, Prompts, Region
 from model.segmentation.protocol import SegmentationSession, Segmenter
 from model.segmentation.registry import load_segmenter, segmenter_names
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 NAMES = [*segmenter_names(), "point-sam", "balls"]
 """The registered ones, Point-SAM with random weights, and the example of a plug-in."""

@@ -36,7 +36,7 @@ from model.training.arti4urdf.full_data import Draws, ObjectSet, positions, vari
 from model.training.arti4urdf.full_loop import LEFT_OUT, Sources, train_full  # noqa: E402
 from model.training.arti4urdf.samples import training_families, write_dataset  # noqa: E402
 from tests.app.run_cli import artiworld, assert_users_mistake  # noqa: E402
-from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
+from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 SMALL = FullConfig(
     samples=6,

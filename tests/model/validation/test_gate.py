@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabinets import DOOR, DRAWER, W, box, cabinet, part, two
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError, KinematicsError
@@ -18,6 +17,7 @@ from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
 from model.validation.runner import run_gate
+from tests.model.validation.cabinets import DOOR, DRAWER, W, box, cabinet, part, two
 
 
 def judge(obj: ArticulatedObject, **options):

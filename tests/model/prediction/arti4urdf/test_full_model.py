@@ -22,7 +22,7 @@ from model.prediction.arti4urdf.full_model import (  # noqa: E402
 )
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
-from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
+from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 ANSWER = '<json_start>{"part": "link_0"}<json_end><urdf_start><robot/><urdf_end>'
 

@@ -1,4 +1,4 @@
-"""Small objects that several tests of the geometry use."""
+"""Small objects, and a working folder for each test."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
+
+
+@pytest.fixture(autouse=True)
+def _in_temporary_folder(tmp_path_factory, monkeypatch):
+    """MuJoCo writes its warnings into a file of the working folder."""
+    monkeypatch.chdir(tmp_path_factory.mktemp("cwd"))
 
 
 @pytest.fixture

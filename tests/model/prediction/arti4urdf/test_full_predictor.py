@@ -29,7 +29,7 @@ from model.prediction.arti4urdf.text_engine import Generated, LocalEngine, VllmE
 from model.prediction.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
 from model.prediction.arti4urdf.text_script import Author  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
-from tests.model.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
+from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from archetypes import box, join, rod
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from model.prediction.geometric.assembly import make_scene
 from model.prediction.geometric.outline import roundness
 from model.prediction.geometric.shape import fit_box, rotation
 from model.prediction.geometric.sweep import free_range
+from tests.model.prediction.geometric.archetypes import box, join, rod
 
 
 def part(link: str, mesh) -> Part:

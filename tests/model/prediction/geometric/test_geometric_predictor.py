@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 import trimesh
-from archetypes import THINGS, cabinet
 
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
 from model.core.joint import Joint
@@ -19,6 +18,7 @@ from model.prediction.geometric.mechanisms import BUILDERS
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.protocol import Predictor
 from model.prediction.registry import load_predictor
+from tests.model.prediction.geometric.archetypes import THINGS, cabinet
 
 PREDICTOR = GeometricPredictor()
 

@@ -21,7 +21,7 @@ from model.io.mjcf import reader as mjcf_reader
 from model.io.readers import find_assets, read_asset
 from model.physics.collision.shapes import Primitive
 from model.physics.simulation_values import physics_of
-from tests.model.exporters.demos import demo_object
+from tests.model.demos import demo_object
 
 BOX = '<geom type="box" size="0.1 0.2 0.3"/>'
 

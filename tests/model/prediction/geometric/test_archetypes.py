@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from archetypes import THINGS, Thing
 
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.joint import Joint
 from model.evaluation.joint_metrics import axis_angle, point_to_line
 from model.prediction.geometric.predictor import GeometricPredictor
+from tests.model.prediction.geometric.archetypes import THINGS, Thing
 
 PREDICTOR = GeometricPredictor()
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
-
-from demos import demo_object
 
 from model.core import codec
 from model.core.articulated_object import ArticulatedObject
@@ -23,6 +18,7 @@ from model.physics.collision import build
 from model.physics.collision import narrow_phase as touching
 from model.validation import drives, physics
 from model.validation.runner import run_gate
+from tests.model.demos import demo_object
 
 
 def edits_of(joint: Joint) -> list[Joint]:

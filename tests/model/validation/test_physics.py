@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cabinets import DOOR, DRAWER, box, cabinet, part
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
@@ -17,6 +16,7 @@ from model.physics.simulation_values import Physics, physics_of
 from model.validation import physics
 from model.validation.physics import run_physics
 from model.validation.runner import run_gate
+from tests.model.validation.cabinets import DOOR, DRAWER, box, cabinet, part
 
 pytest.importorskip("mujoco")
 

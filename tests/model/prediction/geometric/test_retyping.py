@@ -7,12 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from archetypes import THINGS, Thing, Truth, box, carcass, join, tray
 
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
 from model.prediction.geometric.type_change import retyped
+from tests.model.prediction.geometric.archetypes import (
+    THINGS,
+    Thing,
+    Truth,
+    box,
+    carcass,
+    join,
+    tray,
+)
 
 SWUNG = Joint("j", "revolute", "link_base", "link", (0, 0, 1), (0.3, 0.2, 0.0), 0.0, 1.57)
 SLID = Joint("j", "prismatic", "link_base", "link", (1, 0, 0), (0.0, 0.0, 0.0), 0.0, 0.3)

@@ -16,7 +16,7 @@ from model.io.assets.asset_folder import write_asset
 from model.io.export.mjcf import MjcfExporter
 from model.physics.collision.shapes import hull_of_shape
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of
-from tests.model.exporters.demos import DEMOS, demo_object
+from tests.model.demos import DEMOS, demo_object
 
 FORCE = 3.0
 """N at a door's edge: what a finger does without thinking."""
