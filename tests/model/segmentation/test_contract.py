@@ -27,7 +27,7 @@ def load(name: str) -> Segmenter:
         return BallSegmenter()
     if name == "point-sam":
         pytest.importorskip("torch", reason="PyTorch is not installed")
-        from test_point_sam import write_weights
+        from tests.model.segmentation.test_point_sam import write_weights
 
         path = Path(tempfile.mkdtemp()) / "model.safetensors"
         write_weights(path)
