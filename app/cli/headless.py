@@ -144,11 +144,11 @@ def predict(
         ArtiworldError: where the input can't be used.
         NothingPredicted: where the predictor found no tree.
     """
+    from model.core.part_names import category_remark
     from model.io.assets.asset_folder import write_asset
     from model.io.readers import read_part_files
     from model.physics.collision.store import default_store
     from model.physics.simulation_values import physics_of, plain_physics
-    from model.prediction.geometric.vocabulary import category_remark
     from model.prediction.registry import load_predictor
 
     reading = reading or ReadOptions()

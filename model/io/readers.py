@@ -236,7 +236,7 @@ def _asset(path: Path, name: str, loaded: Loaded, sha256: str, up: UpAxis, scale
 
 def _named_parts(loaded: Loaded) -> tuple[npt.NDArray[np.int32] | None, tuple[str, ...]]:
     """Part of each face and names by part, where the file's meshes are called after parts."""
-    from model.prediction.geometric.vocabulary import named_parts
+    from model.core.part_names import named_parts
 
     names, sizes = zip(*loaded.pieces, strict=True) if loaded.pieces else ((), ())
     numbers = named_parts(names)

@@ -13,6 +13,7 @@ from model.core.articulated_object import Part, SegmentedObject, remarks_of
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError
 from model.core.inertial import Inertial
+from model.core.part_names import MOST_NAMED
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.data.partnet_mobility import read_partnet_mobility
@@ -28,7 +29,6 @@ from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
 from model.io.urdf.model import MOBILITY
 from model.io.urdf.reader import read_urdf_model
 from model.physics.collision.shapes import Shape, moved_shape
-from model.prediction.geometric.vocabulary import MOST_NAMED
 from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = MOST_NAMED

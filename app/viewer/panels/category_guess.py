@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.viewer.panels.widgets import put
 from app.viewer.picture.palette import CATEGORIES
-from model.prediction.geometric.motion_lexicon import CATEGORY_ALIASES
+from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.finders import read_lexicon
 from sessions.records import ObjectRecord
 

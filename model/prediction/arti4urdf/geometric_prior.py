@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.core.motion_lexicon import CATEGORY_MOTIONS
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
-from model.prediction.geometric.motion_lexicon import CATEGORY_MOTIONS
 from model.prediction.geometric.motion_scores import motion_scores
 from model.prediction.geometric.roles import CATEGORY_BONUS, named_mechanism
 

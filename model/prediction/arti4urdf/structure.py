@@ -17,19 +17,19 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import SegmentedObject
+from model.core.motion_lexicon import MECHANISMS as ALL_MECHANISMS
+from model.core.motion_lexicon import Mechanism
+from model.core.part_names import mechanism_of
 from model.core.progress import Progress, no_progress
 from model.prediction.geometric.assembly import SAMPLE_BUDGET, Scene, make_scene
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.hypothesis import Hypothesis
 from model.prediction.geometric.mechanisms import BUILDERS, SWEPT, find_front
-from model.prediction.geometric.motion_lexicon import MECHANISMS as ALL_MECHANISMS
-from model.prediction.geometric.motion_lexicon import Mechanism
 from model.prediction.geometric.motion_scores import motion_scores
 from model.prediction.geometric.part_features import Looks, look
 from model.prediction.geometric.roles import guess_mechanisms
 from model.prediction.geometric.shape import rotation
 from model.prediction.geometric.tree import root_scores, spanning_parents
-from model.prediction.geometric.vocabulary import mechanism_of
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]

@@ -10,8 +10,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from model.core.part_names import category_key, known_word, words
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS
-from model.prediction.geometric.vocabulary import category_key, known_word, words
 
 TYPES = ("revolute", "continuous", "prismatic", "screw", "fixed")
 """``screw`` stands for two joints: it turns and slides along one axis, with a helper link."""

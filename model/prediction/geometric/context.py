@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from model.core.part_names import category_key, words
 from model.prediction.geometric.assembly import TOUCHING, Scene
 from model.prediction.geometric.hypothesis import UP, unit
 from model.prediction.geometric.shape import Protrusion, Shape
-from model.prediction.geometric.vocabulary import category_key, words
 
 Array = npt.NDArray[np.float64]
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from model.core.part_names import mechanism_of
 from model.prediction.geometric.context import PartContext
 from model.prediction.geometric.hypothesis import Hypothesis
 from model.prediction.geometric.sweep import free_turn
-from model.prediction.geometric.vocabulary import mechanism_of
 
 OPENING: dict[str, float] = {
     "hinge": 1.65,

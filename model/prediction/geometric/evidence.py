@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.core.motion_lexicon import Mechanism
+from model.core.part_names import mechanism_of
 from model.prediction.geometric.assembly import TOUCHING
 from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.motion_lexicon import Mechanism
-from model.prediction.geometric.vocabulary import mechanism_of
 
 GROUPS: dict[str, tuple[Mechanism, ...]] = {
     "panel": ("hinge", "flap", "drop"),

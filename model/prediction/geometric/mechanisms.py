@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from model.core.motion_lexicon import Mechanism
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_hinges import edge_hypotheses
 from model.prediction.geometric.edge_limits import with_swept_limits
 from model.prediction.geometric.hypothesis import Hypothesis, unit
-from model.prediction.geometric.motion_lexicon import Mechanism
 from model.prediction.geometric.pins import (
     lever_hypotheses,
     pivot_hypotheses,

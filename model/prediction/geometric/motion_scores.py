@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model.core.motion_lexicon import Mechanism
 from model.prediction.geometric.assembly import TOUCHING
 from model.prediction.geometric.context import PartContext
 from model.prediction.geometric.hypothesis import UP, unit
-from model.prediction.geometric.motion_lexicon import Mechanism
 from model.prediction.geometric.part_features import Looks
 from model.prediction.geometric.pins import alike
 from model.prediction.geometric.shape import blades

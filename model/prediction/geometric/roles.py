@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.core.motion_lexicon import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
+from model.core.part_names import mechanism_of
 from model.prediction.geometric.context import Assembly, PartContext
-from model.prediction.geometric.motion_lexicon import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
 from model.prediction.geometric.motion_scores import Scores, motion_scores, passes_sibling
 from model.prediction.geometric.part_features import Looks, look
-from model.prediction.geometric.vocabulary import mechanism_of
 
 CATEGORY_BONUS = 1.2
 """Score for what parts of the object's category usually do."""

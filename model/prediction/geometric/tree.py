@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.core.motion_lexicon import CATEGORY_PARENTS
+from model.core.part_names import base_score, category_key, known_word, mechanism_of, words
 from model.prediction.geometric.assembly import TOUCHING, Scene
-from model.prediction.geometric.motion_lexicon import CATEGORY_PARENTS
 from model.prediction.geometric.shape import blades
-from model.prediction.geometric.vocabulary import (
-    base_score,
-    category_key,
-    known_word,
-    mechanism_of,
-    words,
-)
 
 Array = npt.NDArray[np.float64]
 

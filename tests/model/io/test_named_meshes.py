@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 from model.core.errors import InputFileError
+from model.core.part_names import MOST_NAMED, named_parts
 from model.io.readers import read_asset, read_part_files
-from model.prediction.geometric.vocabulary import MOST_NAMED, named_parts
 
 
 def glb(path: Path, *names: str) -> Path:

@@ -1,0 +1,150 @@
+"""How the words of part names and categories reach
+:mod:`model.core.motion_lexicon`."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+
+from model.core.motion_lexicon import (
+    BASE_WORDS,
+    CATEGORY_ALIASES,
+    CATEGORY_WORDS,
+    OTHER_CATEGORIES,
+    PRESS_PREFIX,
+    SLIDE_PREFIX,
+    SLIDING,
+    SYNONYMS,
+    TURN_PREFIX,
+    TURNING,
+    WORDS,
+    Mechanism,
+)
+
+
+def words(name: str | None) -> tuple[str, ...]:
+    """Lower-case words of a name: ``"Rotation_Door-2"`` → ("rotation", "door")."""
+    if not name:
+        return ()
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    found: list[str] = re.findall(r"[a-z]+", spaced.lower())
+    return tuple(SYNONYMS.get(w, w) for w in found)
+
+
+_CATEGORIES = (*CATEGORY_WORDS, *OTHER_CATEGORIES, *CATEGORY_ALIASES)
+_SAME, _ALIKE = 0.85, 0.72
+"""Likeness from which a category is taken for a known one, and from which one is asked for."""
+
+
+@lru_cache(maxsize=4096)
+def known_word(word: str, vocabulary: tuple[str, ...]) -> str | None:
+    """The word of the vocabulary that ``word`` means: itself, its singular, or a near spelling."""
+    for candidate in (word, word.removesuffix("s"), word.removesuffix("es")):
+        if candidate in vocabulary:
+            return candidate
+    if len(word) >= 4:
+        close = difflib.get_close_matches(word, vocabulary, n=1, cutoff=0.84)
+        if close:
+            return close[0]
+    return None
+
+
+def category_key(category: str | None) -> str:
+    """``"Kitchen Pot"`` → ``"kitchenpot"``; the nearest known category, "" where none is near."""
+    plain = re.sub(r"[^a-z]", "", (category or "").lower())
+    found = plain if plain in _CATEGORIES else _nearest(plain, _SAME)
+    return CATEGORY_ALIASES.get(found, found)
+
+
+def category_remark(category: str | None) -> str | None:
+    """What to tell who misspelt a category; None where it is known, or like none that is."""
+    plain = re.sub(r"[^a-z]", "", (category or "").lower())
+    near = "" if plain in _CATEGORIES else _nearest(plain, _ALIKE)
+    if not near:
+        return None
+    if near == _nearest(plain, _SAME):
+        return f"category {category!r} is taken for {near!r}"
+    return f"category {category!r} is none that is known; did you mean {near!r}?"
+
+
+def _nearest(word: str, cutoff: float) -> str:
+    close = difflib.get_close_matches(word, _CATEGORIES, n=1, cutoff=cutoff)
+    return close[0] if close else ""
+
+
+def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | None, str]:
+    """What a part's name says about how it moves, and the word that said it.
+
+    Returns:
+        (None, "") where the name says nothing.
+    """
+    found = words(name)
+    if not found:
+        return None, ""
+    key = category_key(category)
+    special = CATEGORY_WORDS.get(key, {})
+    mechanism: Mechanism | None = None
+    said = ""
+    # English puts the thing last: in "drawer handle" it is the handle.
+    for word in reversed(found):
+        if (hit := known_word(word, tuple(special))) is not None:
+            mechanism, said = special[hit], hit
+        elif (hit := known_word(word, tuple(WORDS))) is not None:
+            mechanism, said = WORDS[hit], hit
+        if mechanism is not None:
+            break
+    if mechanism is None:
+        return None, ""
+    if any(w in TURN_PREFIX for w in found):
+        mechanism = TURNING.get(mechanism, mechanism)
+    if any(w in SLIDE_PREFIX for w in found):
+        mechanism = SLIDING.get(mechanism, mechanism)
+    if any(w in PRESS_PREFIX for w in found[:-1]):
+        mechanism = "press"
+    if "toggle" in found or "rocker" in found:
+        mechanism = "toggle"
+    return mechanism, said
+
+
+def base_score(name: str | None, category: str | None) -> float:
+    """How strongly a name says "this is the base"; negative for names of things that move."""
+    found = words(name)
+    if not found:
+        return 0.0
+    if any(w in TURN_PREFIX | SLIDE_PREFIX for w in found):
+        return -3.0
+    hit = known_word(found[-1], tuple(BASE_WORDS))
+    score = BASE_WORDS.get(hit or "", 0.0)
+    if score and hit != "leg":
+        return score
+    mechanism, _ = mechanism_of(name, category)
+    if mechanism is None:
+        return score
+    return score if mechanism == "fixed" else score - 2.0
+
+
+MOST_NAMED = 12
+"""Meshes of one file that their names can make parts of; more are screws and panels."""
+
+
+def named_parts(names: Sequence[str]) -> tuple[int, ...] | None:
+    """Part numbers of the meshes of one file, where a name says that one of them moves.
+
+    Without such a name they may be materials or boards.
+
+    Args:
+        names: of its meshes, in order.
+
+    Returns:
+        A number for each: 0 for the one that is most likely the base, unless all move, the others
+        from 1 on in order. None where the names don't tell parts.
+    """
+    tells = {mechanism_of(name, None)[0] for name in names} - {None, "fixed"}
+    if not tells or not 2 <= len(names) <= MOST_NAMED:
+        return None
+    scores = [base_score(name, None) for name in names]
+    base = scores.index(max(scores)) if max(scores) >= 0 else None
+    others = iter(range(1, len(names) + 1))
+    return tuple(0 if i == base else next(others) for i in range(len(names)))
