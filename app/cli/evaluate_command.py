@@ -121,14 +121,14 @@ def _progress(as_json: bool) -> Iterator[Progress]:
 
 
 def _score(args: argparse.Namespace, progress: Progress) -> Answer:
-    from app.cli.headless import part_of
+    from model.core.progress import scaled_progress
     from model.evaluation.run import evaluate
     from model.evaluation.table import print_reports
 
     configs = configurations(args)
     reports: list[Report] = []
     for i, config in enumerate(configs):
-        own = part_of(progress, i / len(configs), (i + 1) / len(configs))
+        own = scaled_progress(progress, i / len(configs), (i + 1) / len(configs))
         reports.append(evaluate(config, progress=own))
     if args.out is not None:
         _write(args, configs, reports, progress)

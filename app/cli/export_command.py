@@ -105,8 +105,7 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     Raises:
         ArtiworldError: where the asset can't be read or written.
     """
-    from app.cli.headless import part_of
-    from model.core.progress import no_progress
+    from model.core.progress import no_progress, scaled_progress
     from model.io.assets.reader import load_object, reading_notes
     from model.io.export.manifest import write_about
     from model.io.export.registry import BUILT_IN, load_exporter, losses_of, write_object
@@ -116,13 +115,15 @@ def export_one(task: ExportTask, progress: Progress | None = None) -> dict[str, 
     progress = progress or no_progress
     progress(0.0, f"reading {task.asset}")
     obj = load_object(task.asset)
-    physics = physics_of(obj, task.physics, store=task.store, progress=part_of(progress, 0.05, 0.5))
+    physics = physics_of(
+        obj, task.physics, store=task.store, progress=scaled_progress(progress, 0.05, 0.5)
+    )
     whose = whose_shapes(obj, physics)
     notes = [*reading_notes(task.asset, obj), *([whose] if whose else ())]
     written: list[dict[str, Any]] = []
     for i, (name, folder) in enumerate(task.folders):
         start = 0.5 + 0.5 * i / len(task.folders)
-        span = part_of(progress, start, 0.5 + 0.5 * (i + 1) / len(task.folders))
+        span = scaled_progress(progress, start, 0.5 + 0.5 * (i + 1) / len(task.folders))
         files = write_object(obj, load_exporter(name), folder, physics=physics, progress=span)
         said = [*notes, *(losses_of(name, obj))]
         about = write_about(folder, task.asset, name, said)

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from app.cli.prompt_file import PromptFile, check_prompts, read_prompts
+from app.server.prompt_file import PromptFile, check_prompts, read_prompts
 from model.core.articulated_object import (
     ArticulatedObject,
     Part,
@@ -22,7 +22,7 @@ from model.core.articulated_object import (
 from model.core.asset import Asset, UpAxis
 from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.joint import Joint
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.prediction.registry import DEFAULT
 
@@ -38,7 +38,7 @@ class NothingPredicted(RuntimeError):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How files are read: see :func:`model.io.readers.read_asset`."""
+    """How files are read: see :func:`model.io.open_asset.read_asset`."""
 
     up_axis: UpAxis | None = None
     unit_scale: float = 1.0
@@ -65,7 +65,7 @@ def segment(
         ArtiworldError: naming the file and the place of the mistake.
     """
     from model.geometry.parts import split
-    from model.io.readers import read_asset
+    from model.io.open_asset import read_asset
     from model.segmentation.registry import load_segmenter
 
     reading = reading or ReadOptions()
@@ -76,7 +76,7 @@ def segment(
     progress(0.0, f"reading {scan.name}")
     asset = read_asset(scan, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
     check_prompts(file, asset)
-    session = chosen.encode(asset, part_of(progress, 0.1, 0.7))
+    session = chosen.encode(asset, scaled_progress(progress, 0.1, 0.7))
     progress(0.7, "segmenting")
     answer = session.segment(file.prompts)
     parts = split(asset, answer.labels, file.names)
@@ -146,7 +146,7 @@ def predict(
     """
     from model.core.part_names import category_remark
     from model.io.assets.asset_folder import write_asset
-    from model.io.readers import read_part_files
+    from model.io.open_asset import read_part_files
     from model.physics.collision.store import default_store
     from model.physics.simulation_values import physics_of, plain_physics
     from model.prediction.registry import load_predictor
@@ -160,7 +160,7 @@ def predict(
     if category:
         segmented = replace(segmented, category=category)
     near = category_remark(category)
-    answer = chosen.predict(segmented, seed=seed, progress=part_of(progress, 0.1, 0.7))
+    answer = chosen.predict(segmented, seed=seed, progress=scaled_progress(progress, 0.1, 0.7))
     report = prediction_json(segmented, answer)
     report["problems"][:0] = [near] if near else []
     if answer.tree is None:
@@ -173,7 +173,9 @@ def predict(
         segmented.name, segmented.parts, answer.tree, segmented.category, told, shapes
     )
     if collision or all(p.link in shapes for p in made.parts):
-        physics = physics_of(made, store=default_store(), progress=part_of(progress, 0.7, 0.8))
+        physics = physics_of(
+            made, store=default_store(), progress=scaled_progress(progress, 0.7, 0.8)
+        )
     else:
         physics = plain_physics(made)
     report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
@@ -186,7 +188,7 @@ def predict(
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
     write_asset(
         made, out.absolute(), provenance=provenance, physics=physics,
-        progress=part_of(progress, 0.8, 1.0),
+        progress=scaled_progress(progress, 0.8, 1.0),
     )  # fmt: skip
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
@@ -264,15 +266,6 @@ def _same_joint(told: dict[str, Any], joint: Joint | None) -> bool:
     return len(numbers) == len(have) and all(
         abs(a - b) < 1e-5 for a, b in zip(numbers, have, strict=True)
     )
-
-
-def part_of(progress: Progress, start: float, end: float) -> Progress:
-    """A progress whose 0..1 is ``start``..``end`` of ``progress``."""
-
-    def scaled(fraction: float, message: str) -> None:
-        progress(start + (end - start) * fraction, message)
-
-    return scaled
 
 
 def check_output(out: Path, *inputs: Path, option: str = "--out") -> None:

@@ -174,7 +174,7 @@ def _assets(scene: Scene, folders: Sequence[Path]) -> AssetIndex:
 
 def _kept(segmenter: str, asset: Path) -> ObjectClicks | None:
     """The clicks that are kept beside an asset."""
-    from app.cli.prompt_file import beside, read_prompts
+    from app.server.prompt_file import beside, read_prompts
     from model.scenes.clicked import ObjectClicks
 
     kept = beside(asset)
@@ -188,7 +188,7 @@ def _clicked(args: argparse.Namespace) -> dict[str, Any]:
     """Object → its clicks."""
     if not args.clicks:
         return {}
-    from app.cli.prompt_file import read_prompts
+    from app.server.prompt_file import read_prompts
     from model.core.errors import ConfigurationError
     from model.scenes.clicked import ObjectClicks
 

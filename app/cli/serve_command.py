@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from app.cli.backend_command import add_client_options, chosen_predictor, greet
-from app.cli.config import TOKEN_VARIABLE, ServeConfig
 from app.cli.options import add_point_sam, add_reading
+from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from model.core.errors import ConfigurationError, InputFileError
 from model.prediction.registry import DEFAULT
 from model.prediction.remote import is_backend
+
+if TYPE_CHECKING:
+    from app.server.server import Server
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -60,10 +64,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the options while nothing is running yet, then serve until interrupted."""
     config = make_config(args)
-    from app.server.server import serve  # viser, only now that the options are right
+    from app.server.server import run_until_interrupted
 
-    serve(config, open_browser=args.open)
+    run_until_interrupted(start_server(config), open_browser=args.open)
     return 0
+
+
+def start_server(config: ServeConfig) -> Server:
+    """Start a server that shows the application in each browser tab; ``close()`` ends it."""
+    from app.server.server import Server  # imports viser
+    from app.viewer.client_app import ClientApp
+
+    return Server(config, ClientApp)
 
 
 def make_config(args: argparse.Namespace) -> ServeConfig:
@@ -125,7 +137,7 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
         ConfigurationError, InputFileError: where ``--assets`` can't belong to what is named.
     """
     from model.io.model_files import is_model
-    from model.io.readers import SUFFIXES
+    from model.io.geometry_files import SUFFIXES
     from model.scenes.registry import recognised
 
     first: Path | None = args.paths[0] if args.paths else None

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.config import ServeConfig
 from app.server import part_tasks, saving_tasks
 from app.server.accepting import take_up
+from app.server.config import ServeConfig
 from app.server.jobs import Job, WorkerProcess
 from app.server.observable import Listener
 from app.server.open_object import OpenObject
@@ -80,7 +80,7 @@ class Workbench:
         return ids
 
     def _enter(self, paths: list[Path]) -> list[int]:
-        from model.io.readers import asset_name, refusal
+        from model.io.find_assets import asset_name, refusal
 
         records = self.store.open_objects((p, None, asset_name(p)) for p in paths)
         ids = [r.id for r in records]
@@ -144,7 +144,7 @@ class Workbench:
             InputFileError: where nothing in it can be opened, or a zip is hostile.
         """
         from app.server.uploads import keep_upload
-        from model.io.readers import find_assets
+        from model.io.find_assets import find_assets
 
         most = 4 * self.config.max_upload_mb * 1_000_000
         kept = keep_upload(self.workspace / "uploads", name, content, most)

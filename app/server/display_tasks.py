@@ -101,7 +101,7 @@ def open_asset(
 
 
 def _source_joints(asset: Asset, path: Path) -> Prediction | None:
-    from model.io.readers import model_of
+    from model.io.find_assets import model_of
 
     if asset.tree is None:
         return None

@@ -16,7 +16,7 @@ from pathlib import Path
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.tasks import asset_of
 from model.core.errors import ArtiworldError, InputFileError
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 
 DRAFTS_KEPT = 4
@@ -33,7 +33,6 @@ def prepare_asset(
     Raises:
         ArtiworldError: where what was written doesn't load as it should.
     """
-    from app.cli.headless import part_of
     from model.io.assets.asset_folder import write_draft
     from model.io.assets.reload import reload_check
     from model.physics.simulation_values import physics_of
@@ -48,13 +47,17 @@ def prepare_asset(
     asset = asset_of(source.folder)
     obj = articulated_object(source, tree)
     physics = physics_of(
-        obj, store=source.workspace / "collision", progress=part_of(progress, 0.05, 0.7)
+        obj, store=source.workspace / "collision", progress=scaled_progress(progress, 0.05, 0.7)
     )
     fresh = target.with_name(f".{target.name}.{secrets.token_hex(6)}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_draft(
-            obj, fresh, original=asset, physics=physics, progress=part_of(progress, 0.7, 0.85)
+            obj,
+            fresh,
+            original=asset,
+            physics=physics,
+            progress=scaled_progress(progress, 0.7, 0.85),
         )
         progress(0.85, "Reading it back")
         problems = reload_check(fresh)

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app.cli.prompt_file import beside
 from app.server import part_tasks, room_tasks, segmenting_tasks, tasks
+from app.server.prompt_file import beside
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import CommandError
@@ -292,7 +292,7 @@ def _with(prepared: Prepared, **changes: Any) -> Prepared:
 def _cut_by_prompts(
     file: Path, item: SceneItem, asset: Asset, folder: Path, workspace: Path, segmenter: str
 ) -> Prepared:
-    from app.cli.prompt_file import read_prompts
+    from app.server.prompt_file import read_prompts
     from model.scenes.asset_parts import size_factors, whole
 
     assert item.path is not None

@@ -1,4 +1,4 @@
-"""The server: guard, workbench, one application a tab."""
+"""The server: guard, application state, one user interface a browser tab."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import logging
 import signal
 import threading
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 from urllib.parse import quote
 
 import viser
 
-from app.cli.config import ServeConfig
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.guard import guarded_server
 from app.server.network import url
 from app.server.scene_workspace import SceneDesk
-from app.viewer.client_app import ClientApp
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
 from sessions.store import Store
@@ -24,11 +25,26 @@ from sessions.store import Store
 log = logging.getLogger(__name__)
 
 
-class Server:
-    """A running ArtiWorld server; ``close()`` ends it."""
+class Tab(Protocol):
+    """The user interface of one browser tab."""
 
-    def __init__(self, config: ServeConfig) -> None:
+    def close(self) -> None:
+        """Stop drawing: the browser is gone."""
+        ...
+
+
+class Server:
+    """A running ArtiWorld server; ``close()`` ends it.
+
+    Args:
+        open_tab: makes the user interface of a browser that connects.
+    """
+
+    def __init__(
+        self, config: ServeConfig, open_tab: Callable[[viser.ClientHandle, Workbench], Tab]
+    ) -> None:
         self.config = config
+        self._open_tab = open_tab
         paths = paths_to_open(config)
         self.bench = Workbench(config, Store(Path(config.workspace), config.database), paths)
         if config.scene is not None:
@@ -41,12 +57,12 @@ class Server:
             label="ArtiWorld",
             allowed_origins=config.allowed_origins,
         )
-        self.apps: dict[int, ClientApp] = {}
+        self.apps: dict[int, Tab] = {}
         self.viser.on_client_connect(self._connected)
         self.viser.on_client_disconnect(self._disconnected)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        self.apps[client.client_id] = ClientApp(client, self.bench)
+        self.apps[client.client_id] = self._open_tab(client, self.bench)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         app = self.apps.pop(client.client_id, None)
@@ -78,7 +94,7 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     Raises:
         InputFileError: where none of them can be opened whatever is in it.
     """
-    from model.io.readers import find_assets, refusal
+    from model.io.find_assets import find_assets, refusal
 
     if config.scene is not None:
         return []
@@ -98,10 +114,9 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     return found
 
 
-def serve(config: ServeConfig, *, open_browser: bool = False) -> None:
-    """Run until interrupted."""
-    server = Server(config)
-    if config.token is not None:
+def run_until_interrupted(server: Server, *, open_browser: bool = False) -> None:
+    """Print the addresses and serve until SIGINT or SIGTERM."""
+    if server.config.token is not None:
         print(f"Log in at {server.login_url}", flush=True)
     print(f"ArtiWorld is ready: {server.url}", flush=True)
     if open_browser:

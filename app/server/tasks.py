@@ -46,7 +46,7 @@ def working_copy(
 ) -> tuple[Asset, Path]:
     """The asset of ``path`` and the folder of its arrays, which is made where it isn't there."""
     from model.io.asset_cache import load_asset, save_asset
-    from model.io.readers import read_asset
+    from model.io.open_asset import read_asset
 
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:

@@ -33,8 +33,8 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
         InputFileError: where no reader knows it, nothing is in it, or a zip is damaged or hostile.
     """
     from model.io.model_files import MODEL_SUFFIXES
-    from model.io.readers import SUFFIXES
-    from model.io.urdf.model import URDF_SUFFIX
+    from model.io.geometry_files import SUFFIXES
+    from model.io.urdf.files import URDF_SUFFIX
 
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
@@ -81,7 +81,7 @@ def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
 
 
 def _extract(archive: zipfile.ZipFile, target: Path, name: str, size: int, max_bytes: int) -> None:
-    from model.io.readers import SUFFIXES
+    from model.io.geometry_files import SUFFIXES
 
     entries = [e for e in archive.infolist() if not e.is_dir()]
     if len(entries) > MOST_FILES:

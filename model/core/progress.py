@@ -19,3 +19,12 @@ class Progress(Protocol):
 
 def no_progress(fraction: float, message: str) -> None:
     """A :class:`Progress` that nobody watches."""
+
+
+def scaled_progress(progress: Progress, start: float, end: float) -> Progress:
+    """Return a progress whose 0..1 is ``start``..``end`` of ``progress``."""
+
+    def scaled(fraction: float, message: str) -> None:
+        progress(start + (end - start) * fraction, message)
+
+    return scaled

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from app.cli.config import ServeConfig
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from sessions.store import Store
 from tests.app.run_cli import cupboard
 

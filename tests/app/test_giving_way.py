@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.cli.config import ServeConfig
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.segmenting import Segmenting
 from app.server.tasks import arrays_of
 from app.server.tool_tasks import PROPOSE, ToolRequest

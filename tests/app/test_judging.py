@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.cli.config import ServeConfig
 from app.server import validation_tasks as judging_tasks
 from app.server.accepting import accept, asset_folder, take_back
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.part_tasks import parts_of
 from app.server.validating import LookFirstError

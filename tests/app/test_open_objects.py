@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 import trimesh
 
-from app.cli.config import ServeConfig
 from app.server import app_state as workbench
 from app.server import display_tasks
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from model.core.errors import CommandError
 from model.segmentation.prompts import Click

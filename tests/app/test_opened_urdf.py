@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.cli.config import ServeConfig
 from app.cli.headless import predict
 from app.cli.serve_command import _scene_of
 from app.server.accepting import accept
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.part_tasks import articulated_object
 from app.server.tasks import arrays_of, stamp
 from app.viewer.panels.joint_text import joint_note
 from app.viewer.panels.review_panel import summary
 from model.io.assets.reader import load_object, told_entry
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.io.urdf.writer import JointDynamics
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.cli.prompt_file import check_prompts, distance_to_surface, read_prompts
+from app.server.prompt_file import check_prompts, distance_to_surface, read_prompts
 from model.core.asset import Asset
 from model.core.errors import InputFileError
 from model.core.mesh import Mesh

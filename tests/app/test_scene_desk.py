@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app.cli.config import ServeConfig
 from app.cli.main import make_parser
 from app.cli.serve_command import make_config
 from app.server import app_state as workbench
 from app.server import scene_accepting, scene_tasks, tasks
 from app.server.accepting import accept
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.job import Job
 from app.server.scene_rows import Row, decided_text
 from app.server.scene_workspace import SceneDesk
@@ -33,7 +33,7 @@ from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.reader import load_object
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.scenes.assets import asset_digest
 from model.validation.report import Finding, GateReport, JointVerdict
 from sessions import commands as cmd

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.config import ServeConfig
 from app.cli.main import make_parser
 from app.cli.serve_command import make_config
 from app.server.app_state import Workbench
+from app.server.config import ServeConfig
 from app.server.network import url
 from app.server.server import paths_to_open
 from model.core.errors import ArtiworldError

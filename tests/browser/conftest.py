@@ -27,8 +27,8 @@ def browser() -> Iterator[Any]:
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Start servers in this process: ``start(paths, **ServeConfig fields)``."""
-    from app.cli.config import ServeConfig
-    from app.server.server import Server
+    from app.cli.serve_command import start_server
+    from app.server.config import ServeConfig
 
     running: list[Any] = []
 
@@ -40,7 +40,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
             user=settings.pop("user", "tester"),
             **settings,
         )
-        running.append(Server(config))
+        running.append(start_server(config))
         return running[-1]
 
     yield begin

@@ -19,9 +19,9 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from app.cli.config import ServeConfig
-from app.cli.prompt_file import read_prompts
-from app.server.server import Server
+from app.cli.serve_command import start_server
+from app.server.config import ServeConfig
+from app.server.prompt_file import read_prompts
 from model.core.resources import static_assets
 from tests.browser.browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
 
@@ -51,7 +51,7 @@ class Taking:
     ) -> Tab:
         """A server of its own, with nothing decided yet, and a page of it."""
         workspace = Path(tempfile.mkdtemp(dir=self._work))
-        server = Server(
+        server = start_server(
             ServeConfig(paths=paths, workspace=workspace, port=0, user="annotator", **settings)
         )
         page = self._chromium.new_page(viewport={"width": size[0], "height": size[1]})

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.cli.prompt_file import read_prompts
+from app.server.prompt_file import read_prompts
 from app.viewer.panels.validation_list import MENDS
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint

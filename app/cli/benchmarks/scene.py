@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from app.cli.benchmarks.ui import LoopWatch, PretendedBrowser, wait_for
-from app.cli.config import ServeConfig
+from app.cli.serve_command import start_server
+from app.server.config import ServeConfig
 
 FACES = 2000
 """Triangles of each block, and of each cabinet."""
@@ -114,13 +115,11 @@ def _block(faces: int, low: Any, high: Any, rng: np.random.Generator) -> tuple[A
 
 
 def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigures:
-    from app.server.server import Server
-
     start, used = time.perf_counter(), _cpu(os.getpid())
     config = ServeConfig(
         workspace=root / "workspace", port=0, user="bench", scene=scene, assets=(root / "assets",)
     )
-    server = Server(config)
+    server = start_server(config)
     try:
         desk: Any = server.bench.desk
         desk.paused = True

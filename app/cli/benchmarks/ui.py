@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.cli.config import ServeConfig
+from app.cli.serve_command import start_server
+from app.server.config import ServeConfig
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 
@@ -226,9 +227,7 @@ def wait_for(condition: Any, what: str) -> None:
 
 
 def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
-    from app.server.server import Server
-
-    server = Server(
+    server = start_server(
         ServeConfig(
             paths=(path,), workspace=workspace, port=0, user="bench", segmenter=config.segmenter
         )

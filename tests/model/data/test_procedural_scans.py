@@ -9,7 +9,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from app.cli.prompt_file import read_prompts
+from app.server.prompt_file import read_prompts
 from model.core.errors import ConfigurationError
 from model.core.resources import static_assets
 from model.data.partnet_mobility import PartNetMobility
@@ -18,7 +18,7 @@ from model.data.procedural.examples import EXAMPLES, write_examples
 from model.data.procedural.generate import GenerateSettings, generate, make
 from model.data.procedural.grammar import transformed
 from model.data.procedural.scan import ScanSettings, View, simulate_scan
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.segmentation.registry import load_segmenter
 
 FOLDER = static_assets() / "examples"
