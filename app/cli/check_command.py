@@ -170,8 +170,8 @@ def _formats(
 def _collision(
     obj: ArticulatedObject, physics: Physics, seconds: float, coacd_seconds: float
 ) -> dict[str, Any]:
+    from model.core.shapes import Primitive
     from model.physics.collision.measure import free_volume, overlaps_of
-    from model.physics.collision.shapes import Primitive
 
     held = physics.collision
     shapes = [s for each in held.values() for s in each]

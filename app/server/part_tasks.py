@@ -15,8 +15,8 @@ from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.lru_cache import Recent
 from model.core.progress import Progress, no_progress
+from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.physics.collision.shapes import Shape
 from model.segmentation.prompts import BASE
 
 

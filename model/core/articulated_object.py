@@ -13,8 +13,8 @@ from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.physics.collision.shapes import Shape
 
 
 @dataclass(frozen=True, eq=False)

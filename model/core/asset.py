@@ -14,11 +14,15 @@ from model.core.errors import GeometryError
 from model.core.inertial import Inertial
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.physics.collision.shapes import Shape
 
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 ElementKind = Literal["face", "point"]
+
+
+MAX_PARTS = 1000
+"""Parts of one object; part 0 is the base."""
 
 
 @dataclass(frozen=True)

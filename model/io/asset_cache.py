@@ -27,10 +27,10 @@ from model.core.errors import GeometryError, InputFileError, KinematicsError
 from model.core.inertial import Inertial
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
+from model.core.shapes import Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import TextureError, encode, open_texture
 from model.core.tree import KinematicTree
-from model.physics.collision.shapes import Shape
 from model.physics.collision.store import packed, unpacked
 
 FORMAT_VERSION = 6

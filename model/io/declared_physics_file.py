@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.inertial import Inertial, inertial_problems
-from model.physics.collision.shapes import Shape, moved_shape
+from model.core.shapes import Shape, moved_shape
 from model.physics.collision.store import load_arrays, packed, unpacked
 
 FILE = "told.npz"

@@ -14,10 +14,10 @@ from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import KinematicsError
 from model.core.inertial import Inertial, together
 from model.core.joint import Joint
+from model.core.shapes import Shape
 from model.core.tree import KinematicTree
 from model.io.urdf.collision import ToldCollision, told_shapes
 from model.io.urdf.meshes import merged, merged_clouds
-from model.physics.collision.shapes import Shape
 
 
 def merge_rigid(

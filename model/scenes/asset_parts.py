@@ -15,6 +15,7 @@ from model.core.errors import ArtiworldError
 from model.core.inertial import Inertial
 from model.core.part_names import MOST_NAMED
 from model.core.point_cloud import PointCloud
+from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 from model.data.partnet_mobility import read_partnet_mobility
 from model.data.protocol import GroundTruth
@@ -23,12 +24,12 @@ from model.geometry.outliers import stray_points
 from model.geometry.parts import split
 from model.geometry.topology import connected_shells
 from model.io.assets.reader import told_links
+from model.io.geometry_files import FOLDER_SUFFIXES
+from model.io.open_asset import read_asset, read_part_files
 from model.io.part_folder import is_part_folder
-from model.io.readers import FOLDER_SUFFIXES, read_asset, read_part_files
+from model.io.urdf.files import MOBILITY
 from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
-from model.io.urdf.model import MOBILITY
 from model.io.urdf.reader import read_urdf_model
-from model.physics.collision.shapes import Shape, moved_shape
 from model.scenes.scene import FloatArray, SceneObject
 
 MOST_PIECES = MOST_NAMED

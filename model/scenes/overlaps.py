@@ -14,10 +14,9 @@ from xml.etree import ElementTree as ET  # only types; reading is defusedxml's
 
 import numpy as np
 
+from model.core.shapes import Hull, Primitive, hull_of, hull_of_shape
 from model.io.export.mjcf import COLLISION_GROUP
-from model.physics.collision.hulls import Hull, hull_of
 from model.physics.collision.narrow_phase import overlaps
-from model.physics.collision.shapes import Primitive, hull_of_shape
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.poses import pose, rotation_from_quaternion
 from model.scenes.readers.lisdf import parse_xml

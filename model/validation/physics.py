@@ -16,8 +16,8 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.installing import install_command
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
+from model.core.shapes import hull_of_shape
 from model.io.urdf.writer import link_origins, vector
-from model.physics.collision.shapes import hull_of_shape
 from model.physics.simulation_values import Physics, rough_physics
 from model.validation.drives import DRIFT, OUTSIDE, Bounds, KeptDrives, Seen, kept_drives
 from model.validation.phrases import title, value

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from app.server import part_tasks, scene_tasks, tasks
-from model.io.readers import read_asset
-from model.physics.collision.shapes import Primitive
+from model.core.shapes import Primitive
+from model.io.open_asset import read_asset
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject
 from tests.model.scenes.test_asset_parts import cupboard, robot

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from model.core.articulated_object import Part
+from model.core.shapes import Hull, Primitive, Solid, hull_of_shape
 from model.io.assets.reader import MESHES
 from model.io.export.part_files import file_stems
 from model.physics.collision.build import Collision
-from model.physics.collision.hulls import Hull
-from model.physics.collision.shapes import Primitive, Solid, hull_of_shape
 
 FOLDER = f"{MESHES}/collision"
 

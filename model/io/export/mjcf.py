@@ -21,6 +21,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
+from model.core.shapes import Primitive
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import decode, encode
 from model.core.tree import KinematicTree
@@ -30,7 +31,6 @@ from model.io.export.part_files import file_stems, part_mesh
 from model.io.formats.srgb import to_linear
 from model.io.mjcf.source import PART_NAME
 from model.io.urdf.writer import Inertial, link_origins, number, vector, xml_name
-from model.physics.collision.shapes import Primitive
 from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.xml"

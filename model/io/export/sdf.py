@@ -18,6 +18,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.progress import Progress, no_progress
+from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
 from model.io.export.collision_files import write_collision
 from model.io.export.part_files import write_parts
@@ -30,7 +31,6 @@ from model.io.urdf.writer import (
     vector,
     xml_name,
 )
-from model.physics.collision.shapes import Primitive, Solid
 from model.physics.inertia import HELPER
 from model.physics.simulation_values import Physics, plain_physics
 

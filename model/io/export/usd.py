@@ -26,11 +26,11 @@ from model.core.installing import install_command
 from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
+from model.core.shapes import Primitive, Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
 from model.io.export.part_files import part_mesh
 from model.io.urdf.writer import Inertial, direct_mimics, link_origins
-from model.physics.collision.shapes import Primitive, Shape
 from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.usdc"

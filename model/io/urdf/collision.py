@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
 from model.core.errors import ArtiworldError
 from model.core.mesh import Mesh
-from model.physics.collision.hulls import hull_of
-from model.physics.collision.shapes import Kind, Primitive, Shape, Solid
-
-if TYPE_CHECKING:
-    from model.io.urdf.model import UrdfVisual
+from model.core.shapes import Kind, Primitive, Shape, Solid, hull_of
+from model.geometry.topology import connected_shells
+from model.io.geometry_files import read_geometry_file
+from model.io.urdf.meshes import moved_mesh
+from model.io.urdf.visual import UrdfVisual
 
 CONVEX = 0.98
 """Share of its hull's volume that a closed mesh fills which counts as convex."""
@@ -87,8 +87,6 @@ def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
     Raises:
         ArtiworldError: where its file is missing, can't be read, or has no volume.
     """
-    from model.io.urdf.meshes import moved_mesh
-
     if piece.primitive is not None:
         kind, sizes = piece.primitive
         return [Primitive(cast(Kind, kind), piece.object_from_geometry, sizes)]
@@ -111,11 +109,9 @@ def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
 
 
 def _mesh(file: Path) -> Mesh:
-    from model.io.readers import read_asset
-
     if not file.is_file():
         raise ArtiworldError(f"the collision mesh {file.name!r} isn't there")
-    asset = read_asset(file, up_axis="z")
+    asset = read_geometry_file(file, up_axis="z")
     if asset.mesh is None:
         raise ArtiworldError(f"the collision mesh {file.name!r} has no faces")
     shift = np.zeros(3) if asset.source is None else np.asarray(asset.source.shift)
@@ -131,8 +127,6 @@ def _solid(mesh: Mesh) -> Solid:
 def _convex_bodies(mesh: Mesh) -> list[Solid]:
     """The connected pieces of a mesh where there are several and all are convex: simulators that
     take the hull of a mesh would fill what lies between them."""
-    from model.geometry.topology import connected_shells
-
     shells = connected_shells(mesh)
     count = int(shells.max()) + 1 if len(shells) else 0
     if not 1 < count <= MOST_SHELLS:

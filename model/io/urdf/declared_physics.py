@@ -17,8 +17,9 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.inertial import Inertial, inertial_problems
 from model.core.joint import ToldDynamics
+from model.core.rotations import rotation_from_rpy
+from model.core.shapes import Shape
 from model.io.urdf.collision import ToldCollision, told_shapes
-from model.physics.collision.shapes import Shape
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -110,8 +111,6 @@ def _inertial(element: Element) -> Inertial:
     Raises:
         ValueError: where no body has it.
     """
-    from model.io.urdf.reader import rotation_from_rpy
-
     origin, tensor, mass = (element.find(tag) for tag in ("origin", "inertia", "mass"))
     if tensor is None or mass is None:
         raise ValueError("incomplete")

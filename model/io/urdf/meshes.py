@@ -13,7 +13,9 @@ from model.core.errors import InputFileError
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.io.formats.mtl import MaterialFiles, OneMaterial
-from model.io.urdf.model import UrdfVisual
+from model.io.geometry_files import read_geometry_file
+from model.io.mjcf.appearance import looking
+from model.io.urdf.visual import UrdfVisual
 
 SECTIONS = 32
 """Sides of a cylinder."""
@@ -63,14 +65,12 @@ def _load(
         raise InputFileError(
             visual.file, f"the mesh of link {visual.link!r} isn't there", "put it beside the URDF"
         )
-    from model.io.readers import read_asset
-
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
     inside = files is not None and visual.file.resolve().is_relative_to(files.root.resolve())
     within = files if inside else None
     if visual.material is not None:
         within = OneMaterial(visual.file.parent, visual.material)
-    asset = read_asset(visual.file, up_axis="z", files=within)
+    asset = read_geometry_file(visual.file, up_axis="z", files=within)
     remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
     if mesh is not None and visual.material is not None:
@@ -81,8 +81,6 @@ def _load(
 
 
 def _looking(mesh: Mesh, visual: UrdfVisual) -> Mesh:
-    from model.io.mjcf.appearance import looking
-
     return mesh if visual.material is None else looking(mesh, visual.material)
 
 

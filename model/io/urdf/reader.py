@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +15,14 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import InputFileError, KinematicsError
 from model.core.joint import Joint, JointType, Mimic
 from model.core.progress import Progress, no_progress
+from model.core.rotations import rotation_from_rpy
 from model.core.tree import KinematicTree, tree_problems
 from model.io.formats.references import ReferenceRefused
 from model.io.urdf.collision import ToldCollision, repeats
 from model.io.urdf.declared_physics import told_in
-from model.io.urdf.model import UrdfModel, UrdfVisual, package_root, renamed_helpers, resolve_mesh
+from model.io.urdf.files import package_root, resolve_mesh
+from model.io.urdf.model import UrdfModel, renamed_helpers
+from model.io.urdf.visual import UrdfVisual
 from model.io.xml_file import parse
 
 if TYPE_CHECKING:
@@ -418,17 +420,6 @@ class _Reader:
         where = f"material {material.get('name', '')!r}"
         r, g, b, a = np.clip(self._numbers(color, "rgba", 4, [0.8, 0.8, 0.8, 1], where), 0, 1)
         return round(255 * r), round(255 * g), round(255 * b), round(255 * a)
-
-
-def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """(3, 3) from URDF's roll, pitch, yaw: fixed axes x, then y, then z, radians."""
-    roll, pitch, yaw = (float(v) for v in np.asarray(rpy))
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
-    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return about_z @ about_y @ about_x
 
 
 def _compose(

@@ -25,11 +25,12 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError, KinematicsError
 from model.core.inertial import Inertial
 from model.core.joint import Joint, Mimic
+from model.core.rotations import rpy_from_rotation
 from model.core.tree import KinematicTree
 from model.io.urdf.reader import UrdfModel, UrdfVisual, read_urdf, read_urdf_model
 
 if TYPE_CHECKING:
-    from model.physics.collision.shapes import Primitive
+    from model.core.shapes import Primitive
 
 __all__ = [
     "CollisionGeometry",
@@ -250,16 +251,6 @@ def _collision_lines(shape: CollisionGeometry, origin: npt.NDArray[np.float64]) 
         f"      <geometry>{element}</geometry>",
         "    </collision>",
     ]
-
-
-def rpy_from_rotation(rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(3,) roll, pitch, yaw of (3, 3); the inverse of ``urdf_reader.rotation_from_rpy``."""
-    r = rotation
-    flat = float(np.hypot(r[0, 0], r[1, 0]))
-    pitch = np.arctan2(-r[2, 0], flat)
-    if flat < 1e-9:  # roll and yaw turn about the same line
-        return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
-    return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
 
 
 def _joint_lines(

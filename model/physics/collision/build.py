@@ -17,16 +17,16 @@ from model.core.joint import Joint
 from model.core.lru_cache import Recent
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
+from model.core.shapes import Hull, Primitive, Shape, hull_of, hull_of_shape, simplified
 from model.kinematics.sweep import sweep_joint
 from model.physics.collision.coacd_process import coacd_hulls, coacd_installed
 from model.physics.collision.decomposition import cut_into_pieces
 from model.physics.collision.dops import Surface
 from model.physics.collision.fitting import primitive_of
-from model.physics.collision.hulls import Hull, hull_of, simplified, thick_hull
+from model.physics.collision.hulls import thick_hull
 from model.physics.collision.merging import merge
 from model.physics.collision.narrow_phase import Bodies
 from model.physics.collision.overlap_resolution import Free, in_the_way, relieve
-from model.physics.collision.shapes import Primitive, Shape, hull_of_shape
 from model.physics.collision.store import fingerprint, load_shapes, packed, save_shapes
 from model.physics.collision.voxels import Occupancy, occupancy
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from model.core.mesh import Mesh
-from model.physics.collision.hulls import FloatArray, Hull, hull_of
+from model.core.shapes import FloatArray, Hull, hull_of
 
 
 def coacd_installed() -> bool:

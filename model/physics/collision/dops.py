@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.mesh import Mesh
-from model.physics.collision.hulls import Hull, coarse, thick_hull
+from model.core.shapes import Hull, coarse
+from model.physics.collision.hulls import thick_hull
 from model.physics.collision.voxels import Occupancy, lattice_with_faces
 
 SAMPLES = 4000

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from model.physics.collision.hulls import Hull
-from model.physics.collision.shapes import Kind, Primitive
+from model.core.shapes import Hull, Kind, Primitive
 
 BOX = 0.97
 """Least share of its box that a hull must fill."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.shapes import Hull, hull_of_shape
 from model.physics.collision.build import Collision, covered, thinned
 from model.physics.collision.coacd_process import coacd_hulls
-from model.physics.collision.hulls import Hull, thick_hull
+from model.physics.collision.hulls import thick_hull
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs, poses_over_range
-from model.physics.collision.shapes import hull_of_shape
 from model.physics.collision.voxels import occupancy
 
 VOXELS = 200_000

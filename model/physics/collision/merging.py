@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.shapes import Hull, coarse
 from model.physics.collision.decomposition import Piece
 from model.physics.collision.dops import Surface
-from model.physics.collision.hulls import Hull, coarse, thick_hull
+from model.physics.collision.hulls import thick_hull
 
 FREE_MERGE = 0.001
 """Share of the free voxels that one merge may cover."""

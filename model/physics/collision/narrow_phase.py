@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.lru_cache import Recent, content_of
-from model.physics.collision.hulls import Hull
+from model.core.shapes import Hull
 from model.physics.collision.overlap import depths, overlap
 
 FloatArray = npt.NDArray[np.float64]

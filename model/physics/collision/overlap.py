@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.physics.collision.hulls import Hull
+from model.core.shapes import Hull
 
 MOST_EDGES = 24
 """Edge directions a body: products of more say nothing new but cost time."""

@@ -20,9 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.joint import Joint
+from model.core.shapes import Hull
 from model.core.tree import KinematicTree
 from model.kinematics.joint_path import joint_poses
-from model.physics.collision.hulls import Hull, clipped
+from model.physics.collision.hulls import clipped
 from model.physics.collision.narrow_phase import Bodies, Touching, Way, overlaps
 from model.physics.collision.overlap import Overlap, overlap
 

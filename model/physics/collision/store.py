@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import Part
-from model.physics.collision.hulls import hull_of
-from model.physics.collision.shapes import Primitive, Shape, Solid
+from model.core.shapes import Primitive, Shape, Solid, hull_of
 
 VERSION = 7
 """Counted up when the same input gives other shapes."""

@@ -22,6 +22,7 @@ from model.core.errors import ConfigurationError, InputFileError
 from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
+from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
 from model.data.mjcf import read_mjcf
 from model.io.assets.asset_folder import write_asset
@@ -31,10 +32,9 @@ from model.io.export import registry
 from model.io.export.protocol import Exporter
 from model.io.export.registry import export, exporter_names, load_exporter, write_object
 from model.io.export.urdf import losses_of
+from model.io.open_asset import read_asset
 from model.io.readback.compare import read_back
-from model.io.readers import read_asset
 from model.io.urdf.writer import read_urdf
-from model.physics.collision.shapes import Primitive, Solid
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 
 TREE = KinematicTree(

@@ -14,12 +14,13 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.shapes import Primitive
 from model.io.assets.reader import load_object
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.registry import write_object
+from model.io.find_assets import find_assets
 from model.io.mjcf import reader as mjcf_reader
-from model.io.readers import find_assets, read_asset
-from model.physics.collision.shapes import Primitive
+from model.io.open_asset import read_asset
 from model.physics.simulation_values import physics_of
 from tests.model.demos import demo_object
 

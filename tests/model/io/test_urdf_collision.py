@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from model.core.shapes import Primitive, Solid, hull_of_shape
 from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.reader import load_object, reading_notes
-from model.io.readers import read_asset
-from model.physics.collision.shapes import Primitive, Solid, hull_of_shape
+from model.io.open_asset import read_asset
 
 VISUAL = '<visual><geometry><mesh filename="{}.ply"/></geometry></visual>'
 JOINT = """<joint name="hinge" type="revolute"><origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>

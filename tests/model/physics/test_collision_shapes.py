@@ -16,6 +16,7 @@ from model.core.errors import GeometryError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.core.shapes import Primitive, hull_of, hull_of_shape
 from model.core.tree import KinematicTree
 from model.geometry import reconstruct
 from model.geometry.sampling import sample_surface
@@ -24,11 +25,9 @@ from model.physics import surface_cache as kept_surfaces
 from model.physics.collision import build
 from model.physics.collision.build import CollisionSettings, collision_of, prepare_bodies
 from model.physics.collision.coacd_process import coacd_hulls
-from model.physics.collision.hulls import hull_of
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.collision.narrow_phase import Way, overlaps
 from model.physics.collision.overlap import overlap
-from model.physics.collision.shapes import Primitive, hull_of_shape
 from model.physics.simulation_values import physics_of
 from model.validation.physics import run_physics
 

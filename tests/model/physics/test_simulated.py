@@ -12,9 +12,9 @@ import pytest
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
+from model.core.shapes import hull_of_shape
 from model.io.assets.asset_folder import write_asset
 from model.io.export.mjcf import MjcfExporter
-from model.physics.collision.shapes import hull_of_shape
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of
 from tests.model.demos import DEMOS, demo_object
 

@@ -10,8 +10,8 @@ import pytest
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
+from model.core.shapes import hull_of
 from model.core.tree import KinematicTree
-from model.physics.collision.hulls import hull_of
 from model.physics.simulation_values import Physics, physics_of
 from model.validation import physics
 from model.validation.physics import run_physics

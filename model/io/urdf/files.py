@@ -1,0 +1,83 @@
+"""Where the files of a URDF may lie: its folder, or the ROS package around it."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from xml.sax.saxutils import unescape
+
+from model.io.formats.references import ReferenceRefused, resolve
+from model.io.xml_file import MAX_BYTES
+
+URDF_SUFFIX = ".urdf"
+MOBILITY = "mobility.urdf"
+"""What PartNet-Mobility calls an object's."""
+PACKAGE = "package.xml"
+"""What marks the folder of a ROS package."""
+_PACKAGE_URI = "package://"
+_LEVELS = 4
+_FILENAME = re.compile(r"""filename\s*=\s*["']([^"'<>]{1,1000})["']""")
+
+
+def is_urdf(path: Path) -> bool:
+    """Whether ``path`` is a file that is called a URDF, and none of a system's hidden ones."""
+    name = path.name
+    return path.suffix.lower() == URDF_SUFFIX and not name.startswith(".") and path.is_file()
+
+
+def package_root(path: Path) -> Path:
+    """The folder of the ROS package that a URDF belongs to, else the URDF's own folder.
+
+    It is the nearest of the URDF's folder and the few above it that holds a ``package.xml``.
+    """
+    own = path.absolute().parent
+    above = (own, *own.parents)[:_LEVELS]
+    return next((folder for folder in above if (folder / PACKAGE).is_file()), path.parent)
+
+
+def named_meshes(path: Path) -> list[Path]:
+    """Where the meshes of a URDF may lie, absolute and inside its folder or package.
+
+    For telling what belongs together: neither is it read as XML, nor is the disk asked, so that
+    thousands are looked at in a moment. None where it can't be read.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            return []
+        text = path.read_text("utf-8", "replace")
+    except OSError:
+        return []
+    own, root = os.path.abspath(path.parent), os.path.abspath(package_root(path))
+    found: dict[str, None] = {}
+    for name in dict.fromkeys(_FILENAME.findall(text)):
+        plain = unescape(name).strip().replace("\\", "/")
+        places = [(own, plain)]
+        if plain.startswith(_PACKAGE_URI):
+            whole = plain.removeprefix(_PACKAGE_URI)
+            places = [(at, t) for at in (root, own) for t in (whole.partition("/")[2], whole)]
+        for at, rest in places:
+            target = os.path.normpath(os.path.join(at, rest))
+            if rest and target.startswith(root + os.sep):
+                found[target] = None
+    return list(map(Path, found))
+
+
+def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
+    """A mesh reference as a path inside ``root``.
+
+    ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``root``, then in
+    ``folder``.
+
+    Raises:
+        ReferenceRefused: for an empty, absolute or remote reference, or one that leaves ``root``.
+    """
+    text = filename.strip().replace("\\", "/")
+    if not text.startswith(_PACKAGE_URI):
+        return resolve(text, folder, root)
+    whole = text.removeprefix(_PACKAGE_URI)
+    texts = [text for text in (whole.partition("/")[2], whole) if text]
+    inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
+    if not inside:
+        raise ReferenceRefused(f"{filename!r} is no file name")
+    return next((p for p in inside if p.exists()), inside[0])

@@ -1,0 +1,55 @@
+"""Files beside a URDF that name its parts and its category."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from model.core.errors import InputFileError
+
+DESCRIPTION = "object.json"
+
+
+def description_beside(path: Path) -> dict[str, Any]:
+    """What the ``object.json`` beside a URDF says; nothing where there is none.
+
+    Raises:
+        InputFileError: where it can't be read.
+    """
+    file = path.parent / DESCRIPTION
+    try:
+        said = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputFileError(file, f"is not JSON: {error}") from None
+    return said if isinstance(said, dict) else {}
+
+
+def partnet_category(folder: Path) -> str | None:
+    """What ``meta.json`` says that the object is."""
+    meta = read_json_beside(folder / "meta.json")
+    category = meta.get("model_cat") if isinstance(meta, dict) else None
+    return category if isinstance(category, str) else None
+
+
+def semantic_names(folder: Path) -> dict[str, str]:
+    """``link_k`` → part name, from semantics.txt, else from mobility_v2.json."""
+    path = folder / "semantics.txt"
+    if path.exists():
+        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+        return {r[0]: r[2] for r in rows if len(r) >= 3}
+    nodes = read_json_beside(folder / "mobility_v2.json")
+    if not isinstance(nodes, list):
+        return {}
+    return {f"link_{n['id']}": str(n["name"]) for n in nodes if "id" in n and n.get("name")}
+
+
+def read_json_beside(path: Path) -> object:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except ValueError as error:
+        raise InputFileError(path, f"not JSON: {error}") from None
