@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, get_args
 from model.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from model.io.urdf.writer import JointDynamics
+    from model.core.joint import JointDynamics
     from model.physics.simulation_values import PhysicsSettings
 
 

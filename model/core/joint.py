@@ -47,6 +47,29 @@ class ToldDynamics:
     velocity: float | None = None
 
 
+EFFORT = 100.0
+"""N or N m. URDF demands an effort for every limit, and a scan has none."""
+VELOCITY = 3.0
+"""m/s or rad/s, demanded too."""
+
+
+@dataclass(frozen=True)
+class JointDynamics:
+    """What resists a joint's motion; N, N m, metres, radians, seconds.
+
+    Attributes:
+        damping: N s/m or N m s/rad.
+        friction: N or N m that must be overcome.
+        effort: most that a motor may give.
+        velocity: most that is allowed.
+    """
+
+    damping: float
+    friction: float
+    effort: float = EFFORT
+    velocity: float = VELOCITY
+
+
 @dataclass(frozen=True)
 class Joint:
     """One joint of an articulated object, in the object's rest frame.

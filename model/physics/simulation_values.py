@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.joint import Joint
+from model.core.inertial import Inertial
+from model.core.joint import Joint, JointDynamics
 from model.core.progress import Progress, no_progress
 from model.core.shapes import hull_of_shape
 from model.core.tree import KinematicTree
 from model.io.export.part_files import part_mesh
-from model.io.urdf.writer import Inertial, JointDynamics
 from model.physics.collision.build import Collision, CollisionSettings, collision_of
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs

@@ -8,9 +8,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from model.core.inertial import Inertial
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.io.urdf.writer import Inertial
 from model.physics.simulation_values import resisting
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray

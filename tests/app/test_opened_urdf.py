@@ -16,16 +16,16 @@ import trimesh
 from app.cli.headless import predict
 from app.cli.serve_command import _scene_of
 from app.server.accepting import accept
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.part_tasks import articulated_object
 from app.server.tasks import arrays_of, stamp
 from app.viewer.panels.joint_text import joint_note
 from app.viewer.panels.review_panel import summary
+from model.core.joint import JointDynamics
 from model.io.assets.reader import load_object, told_entry
 from model.io.open_asset import read_asset
-from model.io.urdf.writer import JointDynamics
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store
@@ -55,11 +55,11 @@ def urdf(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def opened(tmp_path: Path) -> Iterator[Callable[[Path], OpenObject]]:
-    benches: list[Workbench] = []
+    benches: list[AppState] = []
 
     def begin(path: Path, *, parts: bool = True) -> OpenObject:
         workspace = tmp_path / "workspace"
-        bench = Workbench(ServeConfig(workspace=workspace), Store(workspace), [path])
+        bench = AppState(ServeConfig(workspace=workspace), Store(workspace), [path])
         benches.append(bench)
         obj = bench.object(bench.records()[0].id)
         wait(lambda: obj.labels is not None if parts else obj.asset, "it is open")

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
@@ -30,7 +31,7 @@ from model.io.export.collision_files import write_collision
 from model.io.export.part_files import file_stems, part_mesh
 from model.io.formats.srgb import to_linear
 from model.io.mjcf.source import PART_NAME
-from model.io.urdf.writer import Inertial, link_origins, number, vector, xml_name
+from model.io.urdf.writer import link_origins, number, vector, xml_name
 from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.xml"

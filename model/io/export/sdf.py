@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.inertial import Inertial
 from model.core.joint import Joint, Mimic
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Primitive, Solid
@@ -23,7 +24,6 @@ from model.core.tree import KinematicTree
 from model.io.export.collision_files import write_collision
 from model.io.export.part_files import write_parts
 from model.io.urdf.writer import (
-    Inertial,
     direct_mimics,
     link_origins,
     number,

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
+from model.core.inertial import Inertial
 from model.core.installing import install_command
 from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
@@ -30,7 +31,7 @@ from model.core.shapes import Primitive, Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
 from model.io.export.part_files import part_mesh
-from model.io.urdf.writer import Inertial, direct_mimics, link_origins
+from model.io.urdf.writer import direct_mimics, link_origins
 from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.usdc"

@@ -13,9 +13,8 @@ Hence ``object_from_link(q) = posed_from_rest(q) @ translation(origin of the lin
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -24,18 +23,14 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError, KinematicsError
 from model.core.inertial import Inertial
-from model.core.joint import Joint, Mimic
+from model.core.joint import EFFORT, VELOCITY, Joint, JointDynamics, Mimic
 from model.core.rotations import rpy_from_rotation
+from model.core.shapes import Primitive
 from model.core.tree import KinematicTree
 from model.io.urdf.reader import UrdfModel, UrdfVisual, read_urdf, read_urdf_model
 
-if TYPE_CHECKING:
-    from model.core.shapes import Primitive
-
 __all__ = [
     "CollisionGeometry",
-    "Inertial",
-    "JointDynamics",
     "UrdfModel",
     "UrdfVisual",
     "link_origins",
@@ -45,30 +40,7 @@ __all__ = [
     "write_urdf",
 ]
 
-EFFORT = 100.0
-"""N or N m. URDF demands an effort for every limit; nothing in a scan tells it."""
-VELOCITY = 3.0
-"""m/s or rad/s, demanded too."""
-
-
-@dataclass(frozen=True)
-class JointDynamics:
-    """What resists a joint's motion; N, N m, metres, radians, seconds.
-
-    Attributes:
-        damping: N s/m or N m s/rad.
-        friction: N or N m that must be overcome.
-        effort: most that a motor may give.
-        velocity: most that is allowed.
-    """
-
-    damping: float
-    friction: float
-    effort: float = EFFORT
-    velocity: float = VELOCITY
-
-
-CollisionGeometry: TypeAlias = "str | Primitive"
+CollisionGeometry: TypeAlias = str | Primitive
 """A file in object-frame coordinates, or a box, cylinder or sphere."""
 
 

@@ -12,10 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.inertial import Inertial
 from model.core.joint import JOINT_TYPES, Joint, Mimic
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-from model.io.urdf.writer import Inertial, link_origins, read_urdf_model, to_urdf_text, write_urdf
+from model.io.urdf.writer import link_origins, read_urdf_model, to_urdf_text, write_urdf
 
 TETRAHEDRON = Mesh(
     np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 0.1,

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.io.urdf.writer import Inertial
 from model.physics.inertia import (
     MIN_MASS,
     MIN_RADIUS,
