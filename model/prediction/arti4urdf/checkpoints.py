@@ -1,4 +1,4 @@
-"""Our own checkpoint folders, and strict loading that says what doesn't fit.
+"""Our own checkpoint folders.
 
 A checkpoint is a folder of two files: ``config.json`` (with a format number) and
 ``weights.safetensors``.
@@ -9,15 +9,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
-from torch import Tensor, nn
+from safetensors.torch import save_file
+from torch import Tensor
 
+from model.core.checkpoints import read_safetensors
 from model.core.errors import InputFileError
 
 FORMAT = 1
@@ -114,20 +115,6 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def read_safetensors(path: Path) -> dict[str, Tensor]:
-    """All tensors of a safetensors file, on the CPU.
-
-    Raises:
-        InputFileError: where the file is absent or damaged.
-    """
-    if not path.is_file():
-        raise InputFileError(path, "no such file", "give a complete folder of weights")
-    try:
-        return load_file(path)
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InputFileError(path, f"is no safetensors file, or a damaged one ({error})") from error
-
-
 def from_config(kind: type[D], values: object, path: Path) -> D:
     """A configuration dataclass from the values that ``dataclasses.asdict`` gave.
 
@@ -150,56 +137,3 @@ def from_config(kind: type[D], values: object, path: Path) -> D:
         return kind(**values)
     except (TypeError, ValueError) as error:
         raise InputFileError(path, f"{kind.__name__}: {error}") from error
-
-
-def strict_load(
-    module: nn.Module, state: Mapping[str, Tensor], path: Path, *, dtype: torch.dtype | None = None
-) -> None:
-    """Put ``state`` into ``module``, every name and shape as expected, all numbers finite.
-
-    Args:
-        module: may be on the meta device: the tensors of ``state`` then become its own.
-        state: name → tensor.
-        path: where it comes from, for the error.
-        dtype: of the weights afterwards; None keeps the module's, or on the meta device the file's.
-
-    Raises:
-        InputFileError: naming what is missing, unknown, of another shape or not finite.
-    """
-    expected = module.state_dict()
-    problems = _differences(expected, state)
-    if problems:
-        raise InputFileError(path, "; ".join(problems), "give weights of this architecture")
-    broken = [n for n, v in state.items() if v.is_floating_point() and not v.isfinite().all()]
-    if broken:
-        raise InputFileError(path, f"numbers that are not finite in {_some(broken)}")
-    if dtype is not None:
-        state = {n: v.to(dtype) if v.is_floating_point() else v for n, v in state.items()}
-    on_meta = any(value.is_meta for value in expected.values())
-    module.load_state_dict(state, strict=True, assign=on_meta)
-    if dtype is not None:
-        module.to(dtype)
-
-
-def _differences(expected: Mapping[str, Tensor], state: Mapping[str, Tensor]) -> list[str]:
-    out = []
-    missing = [name for name in expected if name not in state]
-    unknown = [name for name in state if name not in expected]
-    other = [
-        f"{name} {list(state[name].shape)} instead of {list(value.shape)}"
-        for name, value in expected.items()
-        if name in state and state[name].shape != value.shape
-    ]
-    if missing:
-        out.append(f"missing {_some(missing)}")
-    if unknown:
-        out.append(f"unknown {_some(unknown)}")
-    if other:
-        out.append(f"of another shape: {_some(other)}")
-    return out
-
-
-def _some(names: Iterable[str], shown: int = 4) -> str:
-    names = list(names)
-    more = f" and {len(names) - shown} more" if len(names) > shown else ""
-    return ", ".join(names[:shown]) + more

@@ -18,13 +18,13 @@ from tokenizers import AddedToken, Tokenizer
 from torch import Tensor, nn
 from torch.nn import functional
 
+from model.core.checkpoints import strict_load
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.installing import install_command
 from model.prediction.arti4urdf.checkpoints import (
     from_config,
     load_checkpoint,
     save_checkpoint,
-    strict_load,
 )
 from model.prediction.arti4urdf.language_model import grown_rows
 from model.prediction.arti4urdf.point_bert import Groups, PointBert, PointBertConfig, group_points

@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import InputFileError
-from model.prediction.arti4urdf.checkpoints import read_json, read_safetensors, strict_load
+from model.prediction.arti4urdf.checkpoints import read_json
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert
 

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from model.core.checkpoints import strict_load
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
 from model.prediction.arti4urdf import vocabulary
-from model.prediction.arti4urdf.checkpoints import load_checkpoint, save_checkpoint, strict_load
+from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint
 from model.prediction.arti4urdf.language_model import DecoderConfig
 from model.prediction.arti4urdf.network import ArtiModel, ModelConfig
 from model.prediction.arti4urdf.point_bert import PointBertConfig
@@ -61,8 +62,6 @@ def load_weights(folder: Path = SHIPPED) -> tuple[ArtiModel, str]:
 
 
 def _config(values: Any, path: Path) -> ModelConfig:
-    from model.prediction.arti4urdf.checkpoints import from_config
-
     if not isinstance(values, Mapping):
         raise InputFileError(path, "has no model configuration")
     inner = dict(values)

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.asset import Asset
+from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.progress import Progress, no_progress
 from model.segmentation.nodes import Nodes, nodes_of_asset
@@ -90,7 +91,6 @@ def load_network(checkpoint: Path, device: str | None = None) -> Any:
         raise ConfigurationError(
             "Point-SAM needs PyTorch and safetensors: pip install torch safetensors"
         ) from error
-    from model.prediction.arti4urdf.checkpoints import strict_load
     from model.segmentation.adapters.point_sam_network import PointSamNetwork
 
     state = _read_state(checkpoint)
@@ -103,8 +103,6 @@ def load_network(checkpoint: Path, device: str | None = None) -> Any:
 
 def _read_state(path: Path) -> dict[str, Any]:
     import torch
-
-    from model.prediction.arti4urdf.checkpoints import read_safetensors
 
     if path.suffix == ".safetensors":
         return read_safetensors(path)
