@@ -17,7 +17,9 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.inertial import Inertial, inertial_problems
 from model.core.mesh import Mesh
+from model.geometry.topology import connected_shells, weld
 from model.physics.materials import PartMaterial
+from model.physics.part_mesh import part_mesh
 
 DENSITY = 300.0
 """kg/m³ of a filled convex hull, between hollow furniture and wood."""
@@ -77,8 +79,6 @@ def inertials_of(
 
 def _of_material(part: Part, points: FloatArray, material: PartMaterial) -> Inertial | None:
     """From the part's surface; None where it has no mesh with an area."""
-    from model.io.export.part_files import part_mesh
-
     mesh = part_mesh(part)
     area = float(mesh.face_areas.sum())
     if not area > 0:
@@ -106,8 +106,6 @@ def _moments(
     mesh: Mesh, corners: FloatArray, material: PartMaterial
 ) -> tuple[float, FloatArray, FloatArray]:
     """Mass, its first moment (3,) and second moment (3, 3) about the corners' origin."""
-    from model.geometry.topology import connected_shells, weld
-
     ids = weld(mesh)
     shell = connected_shells(mesh, ids)
     sums = corners.sum(axis=1)

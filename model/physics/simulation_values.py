@@ -16,12 +16,12 @@ from model.core.joint import Joint, JointDynamics
 from model.core.progress import Progress, no_progress
 from model.core.shapes import hull_of_shape
 from model.core.tree import KinematicTree
-from model.io.export.part_files import part_mesh
 from model.physics.collision.build import Collision, CollisionSettings, collision_of
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs
 from model.physics.inertia import inertials_of
 from model.physics.materials import MaterialTable, read_materials
+from model.physics.part_mesh import part_mesh
 
 TURNING = JointDynamics(damping=0.05, friction=0.02)
 """N m s/rad and N m: a door that a finger moves and that comes to rest."""

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
-from model.io.export.part_files import part_mesh
 from model.io.urdf.writer import link_origins
+from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics
 
 FILE = "object.glb"

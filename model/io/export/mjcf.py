@@ -28,10 +28,11 @@ from model.core.textures import decode, encode
 from model.core.tree import KinematicTree
 from model.io.assets.reader import MESHES
 from model.io.export.collision_files import write_collision
-from model.io.export.part_files import file_stems, part_mesh
+from model.io.export.part_files import file_stems
 from model.io.formats.srgb import to_linear
 from model.io.mjcf.source import PART_NAME
 from model.io.urdf.writer import link_origins, number, vector, xml_name
+from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.xml"

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from model.core.articulated_object import ArticulatedObject, Part
-from model.core.errors import GeometryError
+from model.core.articulated_object import ArticulatedObject
 from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import MESHES
+from model.physics.part_mesh import part_mesh
 
 
 @dataclass(frozen=True)
@@ -97,59 +94,6 @@ def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
     if not shaded:
         return ()
     return ("occlusion maps: an MTL has no word for them; map_ao is read by ArtiWorld alone",)
-
-
-_OF_CLOUDS: WeakKeyDictionary[PointCloud, Mesh] = WeakKeyDictionary()
-
-
-def part_mesh(part: Part, store: Path | None = None) -> Mesh:
-    """The part's mesh, or a surface through its cloud, which is made once.
-
-    Args:
-        store: folder where such surfaces are kept between runs and for other processes.
-
-    Raises:
-        GeometryError: where it has neither a face nor a point.
-    """
-    if part.mesh is not None and len(part.mesh.faces):
-        return part.mesh
-    if part.cloud is not None and len(part.cloud):
-        if part.cloud not in _OF_CLOUDS:
-            _OF_CLOUDS[part.cloud] = _surface_of_cloud(part.cloud, store)
-        return _OF_CLOUDS[part.cloud]
-    raise GeometryError(f"part {part.link!r} has no face and no point; give it some or remove it")
-
-
-def _surface_of_cloud(cloud: PointCloud, store: Path | None) -> Mesh:
-    """A mesh for the simulator; a box for points that span no surface."""
-    with contextlib.suppress(GeometryError):
-        mesh = _reconstructed(cloud, store)
-        if len(mesh.faces):
-            return mesh
-    import trimesh
-
-    low, high = cloud.bounds
-    size = np.maximum(high - low, max(0.01 * float((high - low).max()), 1e-3))
-    box = trimesh.creation.box(extents=size)
-    box.apply_translation((low + high) / 2)
-    colors = None
-    if cloud.colors is not None:
-        mean = np.rint(cloud.colors.mean(axis=0))
-        colors = np.tile(np.array([*mean, 255], np.uint8), (len(box.vertices), 1))
-    return Mesh(np.asarray(box.vertices), np.asarray(box.faces), vertex_colors=colors)
-
-
-def _reconstructed(cloud: PointCloud, store: Path | None) -> Mesh:
-    from model.geometry.reconstruct import mesh_from_cloud
-    from model.physics.surface_cache import load_surface, save_surface
-
-    if store is None:
-        return mesh_from_cloud(cloud)
-    mesh = load_surface(store, cloud)
-    if mesh is None:
-        mesh = mesh_from_cloud(cloud)
-        save_surface(store, cloud, mesh)
-    return mesh
 
 
 def is_flat(mesh: Mesh) -> bool:

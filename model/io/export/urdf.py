@@ -8,8 +8,9 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import URDF
 from model.io.export.collision_files import write_collision
-from model.io.export.part_files import PartFile, is_flat, part_mesh, write_parts
+from model.io.export.part_files import PartFile, is_flat, write_parts
 from model.io.urdf.writer import write_urdf
+from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
 

@@ -30,8 +30,8 @@ from model.core.progress import Progress, no_progress
 from model.core.shapes import Primitive, Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
-from model.io.export.part_files import part_mesh
 from model.io.urdf.writer import direct_mimics, link_origins
+from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
 FILE = "object.usdc"

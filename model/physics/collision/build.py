@@ -18,6 +18,7 @@ from model.core.lru_cache import Recent
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Hull, Primitive, Shape, hull_of, hull_of_shape, simplified
+from model.geometry.topology import same_points
 from model.kinematics.sweep import sweep_joint
 from model.physics.collision.coacd_process import coacd_hulls, coacd_installed
 from model.physics.collision.decomposition import cut_into_pieces
@@ -29,6 +30,7 @@ from model.physics.collision.narrow_phase import Bodies
 from model.physics.collision.overlap_resolution import Free, in_the_way, relieve
 from model.physics.collision.store import fingerprint, load_shapes, packed, save_shapes
 from model.physics.collision.voxels import Occupancy, occupancy
+from model.physics.part_mesh import part_mesh
 
 Method = Literal["hollow", "auto", "coacd", "hull"]
 
@@ -101,8 +103,6 @@ def collision_of(
     Raises:
         GeometryError: for a part without geometry.
     """
-    from model.io.export.part_files import part_mesh
-
     settings = settings or CollisionSettings()
     told = {link: held for link, held in obj.shapes.items() if link in obj.tree.links}
     if all(p.link in told for p in obj.parts) and not any(j.give_way for j in obj.tree.joints):
@@ -177,8 +177,6 @@ def prepare_bodies(
     Args:
         told: links whose shapes the source tells.
     """
-    from model.io.export.part_files import part_mesh
-
     settings = CollisionSettings()
     diagonal = _diagonal_of(parts)
     for i, part in enumerate(reversed(parts)):
@@ -256,8 +254,6 @@ def bodies_of(part: Part, diagonal: float, settings: CollisionSettings) -> list[
     Args:
         diagonal: of the whole object, metres; sheets get their thickness from it.
     """
-    from model.io.export.part_files import part_mesh
-
     mesh = thinned(part_mesh(part))
     thickness = max(SHEET * diagonal, LEAST)
     if not (mesh.face_areas > 0).any():
@@ -326,8 +322,6 @@ def thinned(mesh: Mesh, most: int = MOST_FACES) -> Mesh:
     Borrel, 1993); faces of no area go. Enough for bodies, which are coarser by far."""
     if len(mesh.faces) <= most:
         return mesh
-    from model.geometry.topology import same_points
-
     low, high = mesh.bounds
     cells = 256.0
     while True:

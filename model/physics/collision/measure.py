@@ -16,6 +16,7 @@ from model.physics.collision.hulls import thick_hull
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs, poses_over_range
 from model.physics.collision.voxels import occupancy
+from model.physics.part_mesh import part_mesh
 
 VOXELS = 200_000
 """Finer than what shapes are made with, so that they are not judged by their own measure."""
@@ -91,8 +92,6 @@ def free_volume(
     Args:
         coacd_seconds: time limit of coacd on all parts together; 0 leaves it out.
     """
-    from model.io.export.part_files import part_mesh
-
     total = kept = by_hull = by_coacd = 0.0
     asked, spent = coacd_seconds > 0, 0.0
     single: dict[str, tuple[Hull, ...]] = {}

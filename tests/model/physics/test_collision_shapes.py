@@ -20,14 +20,14 @@ from model.core.shapes import Primitive, hull_of, hull_of_shape
 from model.core.tree import KinematicTree
 from model.geometry import reconstruct
 from model.geometry.sampling import sample_surface
-from model.io.export.part_files import part_mesh
-from model.physics import surface_cache as kept_surfaces
+from model.physics import part_mesh as surfaces_of_parts
 from model.physics.collision import build
 from model.physics.collision.build import CollisionSettings, collision_of, prepare_bodies
 from model.physics.collision.coacd_process import coacd_hulls
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.collision.narrow_phase import Way, overlaps
 from model.physics.collision.overlap import overlap
+from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import physics_of
 from model.validation.physics import run_physics
 
@@ -374,7 +374,7 @@ def test_what_is_made_of_parts_before_there_are_joints_is_taken(tmp_path, monkey
     surfaces = sorted(tmp_path.glob("surface-*.npz"))
     assert len(surfaces) == len(obj.parts)
     surfaces[0].write_bytes(b"PK")
-    monkeypatch.setattr(kept_surfaces, "KEPT", 1)
+    monkeypatch.setattr(surfaces_of_parts, "MAX_FILES", 1)
     for part in scanned_chest().parts:
         assert len(part_mesh(part, tmp_path).faces)
     assert len(list(tmp_path.glob("surface-*.npz"))) == 1
