@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from model.core.tree import KinematicTree
-from model.validation.phrases import called, joint_called, moving_chain
+from model.core.tree import KinematicTree, moving_chain
+from model.validation.phrases import called, joint_called
 from sessions.document import Document
 
 _LINK = re.compile(r"(?<![\w/])(?:link|helper)_\d+(?!\.?\w)")

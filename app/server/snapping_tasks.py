@@ -13,8 +13,7 @@ from app.server.part_tasks import PartSource, parts_of, segmented_object
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import CommandError
 from model.core.joint import Joint, JointType
-from model.core.tree import KinematicTree
-from model.validation.phrases import moving_chain
+from model.core.tree import KinematicTree, moving_chain
 
 SWEEP_POINTS = 3000
 

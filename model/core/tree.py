@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -128,6 +128,29 @@ class KinematicTree:
             joint = self.joint_of[link]
             out[link] = out[joint.parent] @ motion(joint, values.get(joint.name, 0.0))
         return out
+
+
+def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -> tuple[str, ...]:
+    """Links from below the next part above a part down to the part's own link.
+
+    A part with several joints has helper links between them, which hold no part.
+
+    Args:
+        tree: the joints. link: of the part, or one of its helpers.
+        holds: whether a link holds a part.
+
+    Returns:
+        Links from top to bottom. The last one holds the part, unless ``link`` is a helper that
+        carries several parts.
+    """
+    while not holds(link) and len(below := tree.children(link)) == 1:
+        link = below[0]
+    chain = [link]
+    while (joint := tree.joint_of.get(chain[0])) is not None and joint.parent != tree.root:
+        if holds(joint.parent) or len(tree.children(joint.parent)) > 1:
+            break
+        chain.insert(0, joint.parent)
+    return tuple(chain)
 
 
 def tree_problems(links: tuple[str, ...], joints: tuple[Joint, ...]) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, value_text
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, moving_chain
 
 BASE = "base"
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
@@ -26,28 +26,6 @@ def called(link: str, name: str | None, *, root: bool) -> str:
     if named:
         return BASE if (name, number) == (BASE, "0") else f"{name} {number}"
     return BASE if root and number == "0" else f"part {number}"
-
-
-def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -> tuple[str, ...]:
-    """The links between a part and the next part above it, from above, the part's own last.
-
-    A part with several joints has helper links between them, which hold nothing.
-
-    Args:
-        link: of the part, or one of its helpers.
-        holds: whether a link holds a part.
-
-    Returns:
-        The last link holds the part, unless ``link`` is a helper that carries several.
-    """
-    while not holds(link) and len(below := tree.children(link)) == 1:
-        link = below[0]
-    chain = [link]
-    while (joint := tree.joint_of.get(chain[0])) is not None and joint.parent != tree.root:
-        if holds(joint.parent) or len(tree.children(joint.parent)) > 1:
-            break
-        chain.insert(0, joint.parent)
-    return tuple(chain)
 
 
 def joint_called(

@@ -26,7 +26,6 @@ from model.prediction.arti4urdf.checkpoints import (
     load_checkpoint,
     save_checkpoint,
 )
-from model.prediction.arti4urdf.language_model import grown_rows
 from model.prediction.arti4urdf.point_bert import Groups, PointBert, PointBertConfig, group_points
 from model.prediction.arti4urdf.projector import Projector
 from model.prediction.arti4urdf.published_weights import (
@@ -339,7 +338,7 @@ def _grow_vocabulary(language_model: Any, known: int, size: int) -> None:
     )}  # fmt: skip
     with torch.no_grad():
         for table in tables.values():
-            table.copy_(grown_rows(table, len(table), known))
+            table[known:] = table[:known].float().mean(0).to(table.dtype)
 
 
 def _with_lora(language_model: Any, settings: LoraSettings, tokenizer: Tokenizer) -> Any:

@@ -1,20 +1,19 @@
 """Qwen3's decoder in pure torch, with the parameter names of its published checkpoints.
 
 Source: Qwen3 Technical Report (2025) and the architecture in transformers, against which the tests
-compare it. What it adds is the cache: spans of any length are appended in one pass, the cache can
-be cut back to an earlier length, and its rows can be reordered and multiplied for beams.
+compare it. In addition its cache takes spans of any length in one pass and can be cut back.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.utils.checkpoint import checkpoint
 
-from model.prediction.arti4urdf.key_value_cache import BLOCK, KeyValueCache
+BLOCK = 256
+"""Tokens by which a cache and the table of rotary angles grow."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +51,53 @@ class DecoderConfig:
             raise ValueError(f"a head width of {self.head_dim} can't be rotated in pairs")
 
 
-QWEN3_0_6B = DecoderConfig(151_936, 1024, 3072, 28, 16, 8)
-QWEN3_1_7B = DecoderConfig(151_936, 2048, 6144, 28, 16, 8)
-QWEN3_4B = DecoderConfig(151_936, 2560, 9728, 36, 32, 8)
-QWEN3_8B = DecoderConfig(151_936, 4096, 12288, 36, 32, 8, tied=False)
-QWEN3 = {"0.6b": QWEN3_0_6B, "1.7b": QWEN3_1_7B, "4b": QWEN3_4B, "8b": QWEN3_8B}
+QWEN3 = {
+    "0.6b": DecoderConfig(151_936, 1024, 3072, 28, 16, 8),
+    "1.7b": DecoderConfig(151_936, 2048, 6144, 28, 16, 8),
+    "4b": DecoderConfig(151_936, 2560, 9728, 36, 32, 8),
+    "8b": DecoderConfig(151_936, 4096, 12288, 36, 32, 8, tied=False),
+}
+"""The published sizes."""
+
+
+class KeyValueCache:
+    """Keys and values of the tokens read so far, one row per sequence.
+
+    Args:
+        config: of the decoder.
+        batch: rows.
+        capacity: tokens it has room for at first; it grows when needed.
+        like: a tensor with the device and type of the decoder's weights.
+    """
+
+    def __init__(self, config: DecoderConfig, batch: int, capacity: int, like: Tensor) -> None:
+        shape = (config.layers, batch, config.kv_heads, max(1, capacity), config.head_dim)
+        self._keys = torch.empty(shape, device=like.device, dtype=like.dtype)
+        self._values = torch.empty_like(self._keys)
+        self.length = 0
+
+    def truncate(self, length: int) -> None:
+        """Forget all tokens after the first ``length``."""
+        if not 0 <= length <= self.length:
+            raise ValueError(f"can't cut a cache of {self.length} tokens to {length}")
+        self.length = length
+
+    def reserve(self, count: int) -> None:
+        """Make room for ``count`` more tokens and count them as read."""
+        room = self._keys.shape[3]
+        if self.length + count > room:
+            more = max(self.length + count - room, BLOCK, room // 2)
+            self._keys = functional.pad(self._keys, (0, 0, 0, more))
+            self._values = functional.pad(self._values, (0, 0, 0, more))
+        self.length += count
+
+    def append(self, layer: int, keys: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+        """Write a layer's (B, H, T, D) into the reserved room and return those of all tokens."""
+        span = slice(self.length - keys.shape[2], self.length)
+        self._keys[layer, :, :, span] = keys
+        self._values[layer, :, :, span] = values
+        used = slice(0, self.length)
+        return self._keys[layer, :, :, used], self._values[layer, :, :, used]
 
 
 @dataclass(frozen=True)
@@ -64,10 +105,10 @@ class _Pass:
     """What all layers of one forward pass share.
 
     Attributes:
-        cosine: (B or 1, 1, T, head_dim) in the weights' type.
+        cosine: (1, 1, T, head_dim) in the weights' type.
         sine: as ``cosine``; negated in its first half, for :func:`_rotate`.
-        mask: (B or 1, 1, T, S) bool or None; True may be attended.
-        causal: no mask needed, but the diagonal.
+        mask: (1, 1, T, S) bool or None; True may be attended.
+        causal: the diagonal is the only mask.
         cache: None in training.
     """
 
@@ -152,17 +193,8 @@ class _Layer(nn.Module):
         return hidden + self.mlp(self.post_attention_layernorm(hidden))
 
 
-def grown_rows(table: Tensor, size: int, known: int) -> Tensor:
-    """(size, D): the first ``known`` rows of ``table``, then their mean."""
-    table = table.detach()
-    grown = table.new_empty(size, table.shape[1])
-    grown[:known] = table[:known]
-    grown[known:] = table[:known].float().mean(0).to(table.dtype)
-    return grown
-
-
 class _Body(nn.Module):
-    """Holds everything but the output matrix, for the published names ``model.…``."""
+    """Everything but the output matrix, under the published names ``model.…``."""
 
     def __init__(self, config: DecoderConfig) -> None:
         super().__init__()
@@ -192,38 +224,23 @@ class Decoder(nn.Module):
 
     def new_cache(self, batch: int = 1, *, capacity: int = BLOCK) -> KeyValueCache:
         """An empty cache on the device and in the type of the weights."""
-        weight = self.model.norm.weight
-        return KeyValueCache(
-            self.config, batch, capacity=capacity, device=weight.device, dtype=weight.dtype
-        )
+        return KeyValueCache(self.config, batch, capacity, like=self.model.norm.weight)
 
-    def forward(
-        self,
-        embeds: Tensor,
-        *,
-        cache: KeyValueCache | None = None,
-        valid: Tensor | None = None,
-        checkpointing: bool = False,
-    ) -> Tensor:
+    def forward(self, embeds: Tensor, *, cache: KeyValueCache | None = None) -> Tensor:
         """Hidden states after the final norm.
 
         Args:
-            embeds: (B, T, hidden_size).
+            embeds: (B, T, hidden_size). Padding may only stand at the right; its result is
+                meaningless.
             cache: tokens read before; the new ones are appended to it.
-            valid: (B, T) bool; False for padding, whose result means nothing. Without a cache
-                padding stands at the right; with one it may stand anywhere.
-            checkpointing: compute the layers again in the backward pass instead of keeping them.
 
         Returns:
             (B, T, hidden_size).
         """
-        shared = self._prepare(embeds, cache, valid)
+        shared = self._prepare(embeds, cache)
         hidden = embeds
         for layer in self.model.layers:
-            if checkpointing and torch.is_grad_enabled():
-                hidden = checkpoint(layer, hidden, shared, use_reentrant=False)
-            else:
-                hidden = layer(hidden, shared)
+            hidden = layer(hidden, shared)
         return self.model.norm(hidden)
 
     def logits(self, hidden: Tensor) -> Tensor:
@@ -232,66 +249,27 @@ class Decoder(nn.Module):
             return functional.linear(hidden, self.model.embed_tokens.weight)
         return self.lm_head(hidden)
 
-    def resize_vocabulary(self, size: int, *, known: int | None = None) -> None:
-        """Make room for ``size`` tokens; rows that were never trained start at the mean embedding.
-
-        Args:
-            size: rows of the embedding (and of the output matrix where it is untied) afterwards.
-            known: rows that hold a trained token, all by default; published vocabularies end in
-                rows that no token uses.
-        """
-        known = min(self.config.vocab_size if known is None else known, size)
-        if known < 1:
-            raise ValueError("a vocabulary needs at least one known token")
-        tables: list[nn.Embedding | nn.Linear] = [self.model.embed_tokens]
-        if self.lm_head is not None:
-            tables.append(self.lm_head)
-        for table in tables:
-            table.weight = nn.Parameter(
-                grown_rows(table.weight, size, known), requires_grad=table.weight.requires_grad
-            )
-        self.model.embed_tokens.num_embeddings = size
-        if self.lm_head is not None:
-            self.lm_head.out_features = size
-        self.config = replace(self.config, vocab_size=size)
-
-    def _prepare(self, embeds: Tensor, cache: KeyValueCache | None, valid: Tensor | None) -> _Pass:
+    def _prepare(self, embeds: Tensor, cache: KeyValueCache | None) -> _Pass:
         count = embeds.shape[1]
-        if cache is None:
-            if valid is not None and bool((valid[:, 1:] & ~valid[:, :-1]).any()):
-                raise ValueError("without a cache, padding must stand at the right")
-            cosine, sine = self._rotation(embeds, 0, count)
-            # Padding at the right comes after every token that counts: the diagonal hides it.
-            return _Pass(cosine, sine, None, True, None)
-        before = cache.length
-        positions, attended = cache.begin(count, valid)
-        cosine, sine = self._rotation(embeds, before, cache.length, positions)
-        if before == 0 and attended is None:
-            return _Pass(cosine, sine, None, True, cache)
-        if count == 1 and attended is None:
-            return _Pass(cosine, sine, None, False, cache)
-        slots = torch.arange(cache.length, device=embeds.device)
-        mask = (slots <= slots[before:, None])[None, None]
-        if attended is not None:
-            # A padding token sees itself: a row without any key would be NaN.
-            own = slots == slots[before:, None]
-            mask = mask & (attended[:, None, None] | own)
+        before = 0 if cache is None else cache.length
+        if cache is not None:
+            cache.reserve(count)
+        cosine, sine = self._rotation(embeds, before, before + count)
+        if before == 0 or count == 1:
+            return _Pass(cosine, sine, None, before == 0, cache)
+        places = torch.arange(before + count, device=embeds.device)
+        mask = (places <= places[before:, None])[None, None]
         return _Pass(cosine, sine, mask, False, cache)
 
-    def _rotation(
-        self, like: Tensor, begin: int, end: int, positions: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Cosine and signed sine of slots ``begin:end``, or of ``positions`` (B, T)."""
+    def _rotation(self, like: Tensor, begin: int, end: int) -> tuple[Tensor, Tensor]:
+        """Cosine and signed sine of positions ``begin:end``."""
         table = self._angles
         if table is None or len(table[0]) < end or table[0].device != like.device:
             self._angles = table = self._angle_table(max(end, 2 * BLOCK), like.device)
-        if positions is None:
-            cosine, sine = (part[None, None, begin:end] for part in table)
-        else:
-            cosine, sine = (part[positions][:, None] for part in table)
+        cosine, sine = (part[None, None, begin:end] for part in table)
         return cosine.to(like.dtype), sine.to(like.dtype)
 
-    # Tensors made in inference mode could not be used for training afterwards.
+    # Tensors made in inference mode can't be used for training afterwards.
     @torch.inference_mode(False)
     def _angle_table(self, length: int, device: torch.device) -> tuple[Tensor, Tensor]:
         """(length, head_dim) cosine and signed sine in float32, at least twice the last table.

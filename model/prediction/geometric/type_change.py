@@ -11,7 +11,7 @@ import numpy.typing as npt
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import MECHANISMS, SLIDING, TURNING, Mechanism
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, moving_chain
 from model.prediction.geometric.assembly import Scene, make_scene
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_hinges import edge_hypotheses
@@ -21,7 +21,6 @@ from model.prediction.geometric.mechanisms import find_front, propose
 from model.prediction.geometric.part_features import look
 from model.prediction.geometric.predictor import joints_of
 from model.prediction.geometric.roles import guess_mechanisms, mechanism_scores, named_mechanism
-from model.validation.phrases import moving_chain
 
 Array = npt.NDArray[np.float64]
 

@@ -95,7 +95,7 @@ def test_appended_spans_give_the_same_as_one_pass(ids):
     cache.truncate(4)
     again = [ours(ours.embed(part), cache=cache) for part in ids[:, 4:].split([9, 6], dim=1)]
     close(torch.cat(again, 1), whole[:, 4:])
-    with pytest.raises(ValueError, match="19 slots to 20"):
+    with pytest.raises(ValueError, match="19 tokens to 20"):
         cache.truncate(20)
 
 
@@ -111,62 +111,15 @@ def test_cached_spans_as_transformers_has_them(ids):
         close(ours.logits(ours(ours.embed(part), cache=cache)), answer.logits)
 
 
-@torch.no_grad()
-def test_beams_are_reordered_multiplied_and_independent(ids):
-    ours = decoder()
-    cache = ours.new_cache(2)
-    ours(ours.embed(ids[:, :6]), cache=cache)
-    cache.reorder(torch.tensor([1, 1, 0]))
-    branch = cache.copy()
-    rows = torch.stack([ids[1], ids[1].roll(1), ids[0]])
-    after = ours(ours.embed(rows[:, 6:12]), cache=cache)
-    prefix = ids[[1, 1, 0], :6]
-    close(after, ours(ours.embed(torch.cat([prefix, rows[:, 6:12]], 1)))[:, 6:])
-    assert (cache.length, branch.length) == (12, 6)
-    close(ours(ours.embed(rows[:, 6:12]), cache=branch), after)
-
-
-@torch.no_grad()
-def test_rows_of_different_lengths_share_a_batch(ids):
-    ours = decoder()
-    alone = [ours(ours.embed(ids[0:1, :11])), ours(ours.embed(ids[1:2, :8]))]
-    embeds = ours.embed(ids[:, :11]).clone()
-    embeds[1, 8:] = 100.0
-    valid = torch.ones(2, 11, dtype=torch.bool)
-    valid[1, 8:] = False
-    padded = ours(embeds, valid=valid)
-    close(padded[0], alone[0][0])
-    close(padded[1, :8], alone[1][0])
-    # With a cache, padding stands between the spans, too.
-    cache = ours.new_cache(2)
-    first = ours(embeds, cache=cache, valid=valid)
-    close(first[1, :8], alone[1][0])
-    tail = ours.embed(ids[:, 11:15])
-    gap = torch.tensor([[True, True, False, True], [False, True, True, True]])
-    after = ours(tail, cache=cache, valid=gap)
-    last = ours(ours.embed(ids[:, 15:16]), cache=cache)
-    for row, length in ((0, 11), (1, 8)):
-        text = torch.cat([ids[row, :length], ids[row, 11:15][gap[row]], ids[row, 15:16]])
-        expected = ours(ours.embed(text[None]))[0, length:]
-        close(torch.cat([after[row][gap[row]], last[row]]), expected)
-    with pytest.raises(ValueError, match="at the right"):
-        ours(tail, valid=gap)
-
-
-def test_every_parameter_learns_with_and_without_checkpointing(ids):
+def test_every_parameter_learns(ids):
     ours = decoder(replace(SMALL, tied=False)).train()
     with torch.inference_mode():  # must leave nothing behind that training can't use
         ours(ours.embed(ids))
-    gradients = []
-    for checkpointing in (False, True):
-        ours.zero_grad()
-        hidden = ours(ours.embed(ids), checkpointing=checkpointing)
-        ours.logits(hidden[:, :-1]).log_softmax(-1).gather(2, ids[:, 1:, None]).mean().backward()
-        found = [parameter.grad for parameter in ours.parameters()]
-        assert all(gradient is not None and gradient.abs().sum() > 0 for gradient in found)
-        gradients.append([gradient.clone() for gradient in found if gradient is not None])
-    for plain, recomputed in zip(*gradients, strict=True):
-        close(plain, recomputed, 1e-7)
+    hidden = ours(ours.embed(ids))
+    ours.logits(hidden[:, :-1]).log_softmax(-1).gather(2, ids[:, 1:, None]).mean().backward()
+    for parameter in ours.parameters():
+        assert parameter.grad is not None
+        assert parameter.grad.abs().sum() > 0
 
 
 @torch.no_grad()
