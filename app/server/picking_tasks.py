@@ -85,7 +85,7 @@ def select_box(
     )
     cloud = asset_of(folder).cloud
     if one_piece and cloud is not None and len(chosen):
-        from model.segmentation.crop import largest_piece
+        from model.geometry.crop import largest_piece
 
         chosen = chosen[largest_piece(cloud.points[chosen])]
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)

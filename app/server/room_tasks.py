@@ -54,7 +54,7 @@ def floor_and_walls(
     Raises:
         CommandError: where there is none, or nothing would stay.
     """
-    from model.segmentation.crop import crop, floor_and_walls, outliers
+    from model.geometry.crop import crop, floor_and_walls, outliers
 
     asset = tasks.asset_of(folder)
     progress(0.05, "Looking for stray points")
@@ -111,7 +111,7 @@ def cut_out(
     Raises:
         CommandError: where the part is empty, or is all there is.
     """
-    from model.segmentation.crop import crop
+    from model.geometry.crop import crop
 
     asset = tasks.asset_of(folder)
     mine = tasks.arrays_of(workspace).get(labels) == part
@@ -149,7 +149,7 @@ def pick_out(
     Raises:
         CommandError: where the part is empty, or is all there is.
     """
-    from model.segmentation.crop import crop
+    from model.geometry.crop import crop
 
     cut = cut_out(folder, workspace, labels, part, left_out, name, progress)
     progress(0.7, "Writing what is left")

@@ -22,12 +22,12 @@ import numpy.typing as npt
 from app.server import part_tasks, room_tasks, segmenting_tasks, tasks
 from app.server.prompt_file import beside
 from model.core.articulated_object import Part, Prediction, SegmentedObject
-from model.core.asset import Asset
+from model.core.asset import MAX_PARTS, Asset
 from model.core.errors import CommandError
 from model.core.progress import Progress, no_progress
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject, SceneProblem
-from model.segmentation.prompts import BASE, MAX_PARTS, Click
+from model.segmentation.prompts import BASE, Click
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
 
@@ -237,7 +237,7 @@ def for_picking(
     item: SceneItem, workspace: Path, progress: Progress = no_progress
 ) -> room_tasks.Removal | None:
     """Lay down a working copy to pick objects out of; floor and walls where it is a room."""
-    from model.segmentation.nodes import ROOM_METRES
+    from model.geometry.crop import ROOM_METRES
 
     assert item.copy is not None
     lay_down(item)

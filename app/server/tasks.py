@@ -78,7 +78,7 @@ def working_copy(
 
 
 def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
-    from model.segmentation.crop import crop
+    from model.geometry.crop import crop
 
     keep = np.ones(asset.element_count, bool)
     if len(elements) and elements[-1] >= len(keep):

@@ -22,7 +22,7 @@ from model.segmentation.registry import DEFAULT
 from sessions.tool_commands import FaceCut
 
 if TYPE_CHECKING:
-    from model.segmentation.cuts import Cut
+    from model.segmentation.tools.cuts import Cut
 
 Bool = npt.NDArray[np.bool_]
 Point = tuple[float, float, float]
@@ -179,7 +179,7 @@ def use_tool(
 
 
 def _propose(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.proposal import propose
+    from model.segmentation.tools.all_parts import propose
 
     labels = propose(work.encoded, progress=work.progress).labels
     # What is a part already stays as it is; most of what is new lies beside it.
@@ -205,7 +205,7 @@ def _next_mask(work: _Work) -> MaskOffer:
 
 
 def _connected(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools import connected
+    from model.segmentation.tools.connected import connected
 
     part = work.request.part
     clicks = [c for c in work.prompts.clicks if c.part == part and c.positive]
@@ -224,13 +224,13 @@ def _connected(work: _Work) -> list[RegionOffer]:
 
 
 def _same_shape(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.similar import same_shape
+    from model.segmentation.tools.similar import same_shape
 
     return _beside_parts(work, same_shape(work.encoded, work.mask))
 
 
 def _mirror(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.similar import mirrored
+    from model.segmentation.tools.similar import mirrored
 
     return _beside_parts(work, [mirrored(work.encoded, work.mask)])
 
@@ -252,20 +252,20 @@ def _beside_parts(work: _Work, masks: list[Bool]) -> list[RegionOffer]:
 
 
 def _grow(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools import grow
+    from model.segmentation.tools.connected import grow
 
     return work.offer(grow(work.encoded, work.mask, 1) & ~work.mask, work.request.part)
 
 
 def _shrink(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools import grow
+    from model.segmentation.tools.connected import grow
 
     kept = grow(work.encoded, work.mask, -1)
     return work.offer(work.mask & ~kept, work.request.part, False) if kept.any() else []
 
 
 def _split(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.cuts import pieces
+    from model.segmentation.tools.cuts import pieces
 
     least = _LEAST_PIECE * work.mask.sum()
     out: list[RegionOffer] = []
@@ -276,8 +276,8 @@ def _split(work: _Work) -> list[RegionOffer]:
 
 
 def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
-    from model.segmentation.cuts import line_cut
-    from model.segmentation.rectangles import rectangle_cut
+    from model.segmentation.tools.cuts import line_cut
+    from model.segmentation.tools.rectangles import rectangle_cut
 
     request, labels = work.request, work.labels
     if request.element is None:
@@ -308,7 +308,7 @@ def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
 
 def frame_at(folder: Path, place: Point, view: Point) -> tuple[Point, Point]:
     """Out of the surface at a place, and level along it: how a rectangle begun there will lie."""
-    from model.segmentation.rectangles import surface_frame
+    from model.segmentation.tools.rectangles import surface_frame
 
     out, across = surface_frame(session_of(folder, DEFAULT), np.array([place]), view)
     return tuple(out.tolist()), tuple(across.tolist())
@@ -350,7 +350,7 @@ def _merge(work: _Work) -> list[RegionOffer]:
 
 
 def _leftovers(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.proposal import without_leftovers
+    from model.segmentation.tools.all_parts import without_leftovers
 
     clean = without_leftovers(work.encoded, work.labels)
     moved = clean != work.labels

@@ -17,9 +17,9 @@ from scipy.sparse.linalg import splu
 
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
-from model.segmentation.edge_strength import edge_strength, edge_weight
-from model.segmentation.graph import Graph, adjacency, build_graph
-from model.segmentation.nodes import Nodes, nodes_of_asset
+from model.segmentation.encode.edge_strength import edge_strength, edge_weight
+from model.segmentation.encode.graph import Graph, adjacency, build_graph
+from model.segmentation.encode.nodes import Nodes, nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 

@@ -23,14 +23,13 @@ from scipy.spatial import KDTree
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
 from model.geometry.topology import coincident_faces
-from model.segmentation.alternatives import ALTERNATIVES, look_alike, offered
-from model.segmentation.attached_shells import Fittings, fittings_of
-from model.segmentation.boxes import ObjectSolver
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import Encoding, encode
-from model.segmentation.facets import Plates, plates_of
-from model.segmentation.fronts import BAR_LENGTH
-from model.segmentation.local_refinement import ClosePart, Closeups
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import Encoding, encode
+from model.segmentation.encode.superpoints import groups
+from model.segmentation.finish.alternatives import ALTERNATIVES, look_alike, offered
+from model.segmentation.finish.attached_shells import Fittings, fittings_of
+from model.segmentation.finish.facets import Plates, plates_of
+from model.segmentation.finish.local_refinement import ClosePart, Closeups
 from model.segmentation.prompt_steps import (
     ClickStep,
     RegionStep,
@@ -40,7 +39,9 @@ from model.segmentation.prompt_steps import (
     telling,
 )
 from model.segmentation.prompts import BASE, Click, PartSegmentation, Prompts
-from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.propose.boxes import ObjectSolver
+from model.segmentation.propose.fronts import BAR_LENGTH
+from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.segmentation.solver import (
     ALONE_BEHIND,
     NEARLY_ALL,
@@ -49,7 +50,6 @@ from model.segmentation.solver import (
     Ranked,
     agreeing,
 )
-from model.segmentation.superpoints import groups
 
 _STATES = 256
 _CLICKS = 10_000

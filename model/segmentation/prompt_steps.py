@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.errors import PromptError
-from model.segmentation.nodes import Nodes
+from model.segmentation.encode.nodes import Nodes
 from model.segmentation.prompts import BASE, UNASSIGNED, Click, Prompts, Region
 
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from model.core.asset import MAX_PARTS
 from model.core.errors import PromptError
 
 BASE = 0
 """Part 0 is the base: what no prompt claims belongs to it."""
 
 UNASSIGNED = -1
-MAX_PARTS = 1000
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.hierarchy import TREES, Hierarchy
-from model.segmentation.masks import (
+from model.segmentation.describe.masks import (
     FEATURE_NAMES,
     Candidates,
     Clicked,
@@ -20,9 +19,10 @@ from model.segmentation.masks import (
     concatenated,
     joined,
 )
-from model.segmentation.superpoints import Cells, groups
-from model.segmentation.trees import Scorer
-from model.segmentation.walk import Walk
+from model.segmentation.encode.hierarchy import TREES, Hierarchy
+from model.segmentation.encode.random_walk import Walk
+from model.segmentation.encode.superpoints import Cells, groups
+from model.segmentation.score.trees import Scorer
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]

@@ -14,9 +14,9 @@ from scipy.spatial import KDTree
 
 from app.server import tasks
 from app.viewer.panels.validation_list import MENDS
+from model.geometry.crop import largest_piece
 from model.geometry.picking import Picker
-from model.io.readers import read_asset
-from model.segmentation.crop import largest_piece
+from model.io.open_asset import read_asset
 from model.segmentation.simulated_clicks import iou, next_click
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.saved import points_in_place

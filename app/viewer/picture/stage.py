@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from model.segmentation.nodes import ROOM_METRES
+from model.geometry.crop import ROOM_METRES
 
 FIELD_OF_VIEW = 0.7
 SCENE_ROOT = "/world"

@@ -17,7 +17,7 @@ from model.core.point_cloud import PointCloud
 from model.data.simulated.primitives import AXES, block, turned
 from model.data.simulated.scans import HELD_OUT, LabelledCloud, family_shape
 from model.geometry.casting import Caster
-from model.segmentation.crop import floor_and_walls, outliers
+from model.geometry.crop import floor_and_walls, outliers
 
 Array = npt.NDArray[np.float64]
 

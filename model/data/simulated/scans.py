@@ -22,7 +22,7 @@ from model.data.procedural.scan import ScanSettings, View, simulate_scan
 from model.data.simulated import furniture, gadgets
 from model.data.simulated.primitives import Builder
 from model.geometry.sampling import sample_surface
-from model.segmentation.normals import sphere_directions
+from model.segmentation.encode.normals import sphere_directions
 
 Mode = Literal["surface", "outside", "one-sided"]
 ASSEMBLIES = (*furniture.FAMILIES, *gadgets.FAMILIES)

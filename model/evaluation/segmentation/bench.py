@@ -27,10 +27,10 @@ from model.evaluation.segmentation.bench_data import (
 from model.evaluation.segmentation.visible_clicks import clicked_as_seen, picture_of
 from model.segmentation.default import DefaultSession
 from model.segmentation.prompts import BASE, Click, Prompts
-from model.segmentation.proposal import propose
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
 from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
+from model.segmentation.tools.all_parts import propose
 
 DataSet = Literal["partnet", "partnet-one-sided", "partnet-scan", "partnet-mesh",
                   "procedural", "procedural-noisy", "procedural-one-sided", "room",

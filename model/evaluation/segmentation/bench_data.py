@@ -267,7 +267,7 @@ def room_objects(folder: Path) -> Iterator[BenchObject]:
     Raises:
         InputFileError: where there is no such pair, or the labels don't fit the scan.
     """
-    from model.io.readers import read_asset
+    from model.io.open_asset import read_asset
 
     pairs = [
         (scan, truth)

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
-from model.segmentation.nodes import nodes_of_asset
+from model.segmentation.encode.nodes import nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 

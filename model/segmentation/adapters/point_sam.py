@@ -24,7 +24,7 @@ from model.core.asset import Asset
 from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.progress import Progress, no_progress
-from model.segmentation.nodes import Nodes, nodes_of_asset
+from model.segmentation.encode.nodes import Nodes, nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from model.core.asset import Asset
 from model.data.simulated.scans import SQUARE, build, random_scan
 from model.evaluation.pool import in_order
-from model.segmentation.box_scores import BOX_SCORE_FEATURES, BoxDescriber
-from model.segmentation.boxes import Boxes
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import encode_cells
-from model.segmentation.mlp import Mlp, save_mlp
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import encode_cells
+from model.segmentation.propose.box_ranking import BOX_SCORE_FEATURES, BoxDescriber
+from model.segmentation.propose.boxes import Boxes
+from model.segmentation.score.mlp import Mlp, save_mlp
 from model.segmentation.simulated_clicks import central, deepest
 from model.training.segmentation.clicks import asked_by_size
 from model.training.segmentation.fit import averaged, fit_ranker

@@ -14,21 +14,21 @@ from model.core.asset import Asset
 from model.data.simulated.rooms import NOTHING, bared, scanned_room
 from model.data.simulated.scans import DRAWERED, SMALL_PARTED, build, random_scan
 from model.evaluation.pool import in_order
-from model.segmentation.boxes import OBJECT_FEATURE_NAMES
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import Encoding, encode
-from model.segmentation.mlp import Mlp, save_mlp
-from model.segmentation.rooms import ROOM_FEATURE_NAMES
-from model.segmentation.scorers import (
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import Encoding, encode
+from model.segmentation.encode.room import ROOM_FEATURE_NAMES
+from model.segmentation.propose.boxes import OBJECT_FEATURE_NAMES
+from model.segmentation.score.mlp import Mlp, save_mlp
+from model.segmentation.score.scorers import (
     SCORERS,
     Scorers,
     read_scorers,
     shipped_scorers,
     solver_of,
 )
+from model.segmentation.score.trees import Scorer, Trees
 from model.segmentation.simulated_clicks import central, deepest, next_click
 from model.segmentation.solver import PartSolver, PartState, Ranked
-from model.segmentation.trees import Scorer, Trees
 from model.training.segmentation.fit import Boosting, averaged, fit_ranker, fit_trees
 
 Float = npt.NDArray[np.floating]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from model.segmentation.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import SCORERS, shipped_scorers
+from model.segmentation.propose.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
+from model.segmentation.score.scorers import SCORERS, shipped_scorers
 from model.training.segmentation.clicks import (
     ClickTraining,
     Round,

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from model.evaluation.segmentation.visible_clicks import LEAST_PIXELS, largest_piece
-from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
-from model.segmentation.scorers import (
+from model.segmentation.propose.boxes import MOVING_FEATURE_NAMES, ObjectSolver
+from model.segmentation.score.scorers import (
     MOVING_SCORERS,
     shipped_moving_scorers,
     shipped_scorers,

@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.data.simulated.scans import random_scan
-from model.segmentation.edge_strength import hand_set_strength
-from model.segmentation.features import FEATURE_NAMES, edge_features
-from model.segmentation.graph import build_graph
-from model.segmentation.mlp import save_mlp
-from model.segmentation.nodes import nodes_of_asset
+from model.segmentation.encode.edge_features import FEATURE_NAMES, edge_features
+from model.segmentation.encode.edge_strength import hand_set_strength
+from model.segmentation.encode.graph import build_graph
+from model.segmentation.encode.nodes import nodes_of_asset
+from model.segmentation.score.mlp import save_mlp
 from model.training.segmentation.fit import area_under_curve, fit_mlp
 
 Float = npt.NDArray[np.floating]

@@ -37,13 +37,13 @@ from model.evaluation.segmentation.visible_clicks import (
     largest_piece,
     picture_of,
 )
-from model.segmentation.boxes import MOVING_FEATURE_NAMES, ObjectSolver
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import Encoding, encode
-from model.segmentation.mlp import Mlp
-from model.segmentation.scorers import MOVING_SCORERS, shipped_scorers, solver_of
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import Encoding, encode
+from model.segmentation.propose.boxes import MOVING_FEATURE_NAMES, ObjectSolver
+from model.segmentation.score.mlp import Mlp
+from model.segmentation.score.scorers import MOVING_SCORERS, shipped_scorers, solver_of
+from model.segmentation.score.trees import Scorer, save_scorer
 from model.segmentation.solver import PartState
-from model.segmentation.trees import Scorer, save_scorer
 from model.training.segmentation.clicks import (
     Log,
     Rows,

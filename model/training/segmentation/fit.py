@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from model.segmentation.mlp import Mlp
-from model.segmentation.trees import Trees
+from model.segmentation.score.mlp import Mlp
+from model.segmentation.score.trees import Trees
 
 Float = npt.NDArray[np.floating]
 

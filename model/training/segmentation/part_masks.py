@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.alternatives import overlaps
-from model.segmentation.boxes import ObjectSolver
-from model.segmentation.mlp import Mlp, save_mlp
-from model.segmentation.part_masks import (
+from model.segmentation.finish.alternatives import overlaps
+from model.segmentation.propose.boxes import ObjectSolver
+from model.segmentation.score.mlp import Mlp, save_mlp
+from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.tools.all_parts import WORTH, spread
+from model.segmentation.tools.mask_votes import (
     PART_FEATURE_NAMES,
     PART_SCORER,
     parts_apart,
     spoken_of,
 )
-from model.segmentation.proposal import WORTH, spread
-from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.training.segmentation import clicks
 from model.training.segmentation.first_clicks import MovingTraining, Seeds, collected, seen_object
 from model.training.segmentation.fit import averaged, fit_mlp

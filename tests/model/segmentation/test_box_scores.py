@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.segmentation.box_scores import (
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import encode_cells
+from model.segmentation.propose.box_ranking import (
     BOX_SCORE_FEATURES,
     Believed,
     BoxBeliefs,
@@ -14,11 +16,9 @@ from model.segmentation.box_scores import (
     shipped_box_model,
     volume_overlap,
 )
-from model.segmentation.boxes import Boxes
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import encode_cells
-from model.segmentation.mlp import load_mlp
-from model.segmentation.plane_boxes import SIDE_FEATURES, PlaneBoxes
+from model.segmentation.propose.boxes import Boxes
+from model.segmentation.propose.plane_boxes import SIDE_FEATURES, PlaneBoxes
+from model.segmentation.score.mlp import load_mlp
 from model.training.segmentation.boxes import BoxTraining, rows_of, train_boxes
 from tests.model.segmentation.conftest import cabinet_cloud
 

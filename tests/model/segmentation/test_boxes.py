@@ -12,11 +12,11 @@ from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.data.simulated.primitives import block
 from model.geometry.sampling import sample_surface
-from model.segmentation.boxes import Boxes, ObjectSolver, main_directions
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import encode
-from model.segmentation.masks import Candidates, Clicked, MendingClick
-from model.segmentation.scorers import solver_of
+from model.segmentation.describe.masks import Candidates, Clicked, MendingClick
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import encode
+from model.segmentation.propose.boxes import Boxes, ObjectSolver, main_directions
+from model.segmentation.score.scorers import solver_of
 from model.segmentation.solver import PartSolver, PartState
 
 DRAWER = 2
@@ -125,7 +125,9 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
 def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
     """On meshes, of one shell too, it made later clicks worse."""
     asked: list[None] = []
-    monkeypatch.setattr("model.segmentation.boxes.shipped_box_model", lambda: asked.append(None))
+    monkeypatch.setattr(
+        "model.segmentation.propose.boxes.shipped_box_model", lambda: asked.append(None)
+    )
     ends = ((0.0, 0.0, 0.0), (0.4, 0.5, 0.6))
     triangles = block(*ends)
     faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)

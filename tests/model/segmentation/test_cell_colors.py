@@ -5,10 +5,10 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import encode_cells
-from model.segmentation.features import lab_colors
-from model.segmentation.superpoint_colors import parted_by_color
+from model.segmentation.encode.edge_features import lab_colors
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import encode_cells
+from model.segmentation.encode.superpoint_colors import parted_by_color
 
 RED, BLUE = (180, 40, 40), (40, 60, 170)
 
@@ -44,7 +44,7 @@ def test_noisy_colours_part_no_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud, _ = _layers(noise=3)
     asset = Asset("layers", cloud=cloud)
     cells = encode_cells(asset, shipped_edge_model())[3]
-    monkeypatch.setattr("model.segmentation.superpoints.has_plain_colors", lambda *_: False)
+    monkeypatch.setattr("model.segmentation.encode.superpoints.has_plain_colors", lambda *_: False)
     np.testing.assert_array_equal(
         cells.of_node, encode_cells(asset, shipped_edge_model())[3].of_node
     )

@@ -12,7 +12,7 @@ from model.core.point_cloud import PointCloud
 from model.data.simulated.scans import build, scan
 from model.evaluation.segmentation.bench_data import partnet_objects
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.local_refinement import SMALL
+from model.segmentation.finish.local_refinement import SMALL
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.simulated_clicks import deepest, iou, next_click
 

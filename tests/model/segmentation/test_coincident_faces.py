@@ -13,11 +13,11 @@ from model.core.mesh import Mesh
 from model.core.resources import static_assets
 from model.data.simulated.primitives import block
 from model.geometry.topology import coincident_faces
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.nodes import nodes_of_asset
+from model.segmentation.encode.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.proposal import propose
+from model.segmentation.tools.all_parts import propose
 
 EXAMPLES = static_assets() / "examples"
 

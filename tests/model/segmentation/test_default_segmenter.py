@@ -15,13 +15,13 @@ from model.core.resources import static_assets
 from model.data.procedural.examples import joined
 from model.data.procedural.generate import make
 from model.data.simulated.primitives import block
-from model.io.readers import read_asset
-from model.segmentation import fronts
+from model.io.open_asset import read_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.masks import FEATURE_NAMES
-from model.segmentation.mlp import Mlp
+from model.segmentation.describe.masks import FEATURE_NAMES
+from model.segmentation.describe.repeats import Repeats
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.repeats import Repeats
+from model.segmentation.propose import fronts
+from model.segmentation.score.mlp import Mlp
 from model.segmentation.simulated_clicks import central, deepest, iou, next_click, next_part_click
 from model.segmentation.solver import PartSolver, PartState
 

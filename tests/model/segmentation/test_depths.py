@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.segmentation.depths import Depths
-from model.segmentation.masks import bits_of
+from model.segmentation.describe.depths import Depths
+from model.segmentation.describe.masks import bits_of
 from model.segmentation.simulated_clicks import central, deepest
 
 

@@ -12,13 +12,13 @@ from model.core.mesh import Mesh
 from model.core.resources import static_assets
 from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
-from model.io.readers import read_asset
-from model.segmentation.attached_shells import fittings_of
-from model.segmentation.contacts import contacts_of
+from model.io.open_asset import read_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.finish.attached_shells import fittings_of
+from model.segmentation.finish.contacts import contacts_of
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.proposal import propose
-from model.segmentation.tools import hover
+from model.segmentation.tools.all_parts import propose
+from model.segmentation.tools.connected import hover
 from tests.model.segmentation.conftest import subdivide
 
 FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)

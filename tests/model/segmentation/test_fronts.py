@@ -10,15 +10,15 @@ import pytest
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
 from model.core.resources import static_assets
-from model.io.readers import read_asset
-from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.io.open_asset import read_asset
 from model.segmentation.default import DefaultSegmenter
-from model.segmentation.edge_strength import shipped_edge_model
-from model.segmentation.encoding import encode
-from model.segmentation.front_features import FRONT_FEATURES, front_features
-from model.segmentation.fronts import Fronts, support
+from model.segmentation.describe.fronts import FRONT_FEATURES, front_features
+from model.segmentation.encode.edge_strength import shipped_edge_model
+from model.segmentation.encode.encoding import encode
 from model.segmentation.prompts import Click, Prompts
-from model.segmentation.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.propose.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.propose.fronts import Fronts, support
+from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers, solver_of
 from model.segmentation.simulated_clicks import iou
 from model.segmentation.solver import PartState
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from model.core.resources import static_assets
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.tools import hover
+from model.segmentation.tools.connected import hover
 
 DOOR = 1
 Oven = tuple[DefaultSession, np.ndarray, np.ndarray, np.ndarray]

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.segmentation import proposal
-from model.segmentation.alternatives import overlaps
-from model.segmentation.boxes import HISTORY_FEATURES, ObjectSolver
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.mlp import load_mlp
-from model.segmentation.part_masks import (
+from model.segmentation.finish.alternatives import overlaps
+from model.segmentation.propose.boxes import HISTORY_FEATURES, ObjectSolver
+from model.segmentation.score.mlp import load_mlp
+from model.segmentation.tools import all_parts as proposal
+from model.segmentation.tools.mask_votes import (
     PART_FEATURE_NAMES,
     PART_SCORER,
     parts_apart,

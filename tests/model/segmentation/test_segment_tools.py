@@ -11,14 +11,14 @@ from model.core.errors import GeometryError, PromptError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.data.simulated.primitives import block
-from model.segmentation.crop import crop, floor_and_walls, largest_piece, outliers
-from model.segmentation.cuts import pieces, straight_cut
+from model.geometry.crop import crop, floor_and_walls, largest_piece, outliers
 from model.segmentation.default import DefaultSegmenter
-from model.segmentation.proposal import propose, without_leftovers
-from model.segmentation.rectangles import rectangle_cut
-from model.segmentation.similar import mirrored, same_shape
 from model.segmentation.simulated_clicks import iou
-from model.segmentation.tools import connected, grow, hover
+from model.segmentation.tools.all_parts import propose, without_leftovers
+from model.segmentation.tools.connected import connected, grow, hover
+from model.segmentation.tools.cuts import pieces, straight_cut
+from model.segmentation.tools.rectangles import rectangle_cut
+from model.segmentation.tools.similar import mirrored, same_shape
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import pytest
 
 from model.data.simulated.ornaments import ornamented
 from model.data.simulated.scans import build
-from model.segmentation.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.scorers import MOVING_SCORERS, SCORERS
-from model.segmentation.trees import load_scorer
+from model.segmentation.propose.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.score.scorers import MOVING_SCORERS, SCORERS
+from model.segmentation.score.trees import load_scorer
 from model.training.segmentation.clicks import ClickTraining
 from model.training.segmentation.clouds import CloudTraining, train_clouds
 from model.training.segmentation.corrective_clicks import (

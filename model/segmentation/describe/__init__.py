@@ -1,0 +1,1 @@
+"""Describe proposed masks by features: border, shape, colour, fit to the clicks."""

@@ -1,0 +1,134 @@
+"""Random walks on the cells, as Green's functions: factor once, one solve a click.
+
+With the grounded Laplacian ``K = L + leak * I``, the field that takes the values y at the seeds
+and otherwise follows the graph is ``mu + G_s (G_ss)^-1 (y - mu_s)`` with ``G = K^-1``: a new click
+adds one column of G, undo drops it. The leak sets how far a click reaches.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import diags
+from scipy.sparse.linalg import splu
+
+from model.segmentation.encode.graph import adjacency
+from model.segmentation.encode.superpoints import Cells
+
+LEAKS = (1e-4, 2e-2, 2e-1)
+_COLUMNS = 512
+
+Float = npt.NDArray[np.floating]
+
+
+class Walk:
+    """Factorised walks with one reach for each of ``LEAKS``."""
+
+    def __init__(self, cells: Cells) -> None:
+        links = cells.links
+        apart = np.linalg.norm(cells.center[links.a] - cells.center[links.b], axis=1)
+        typical = float(np.median(apart)) if len(apart) else 1.0
+        weight = links.conductance / np.maximum(apart / max(typical, 1e-12), 0.3)
+        matrix = adjacency(len(cells), links.a, links.b, weight)
+        degree = np.asarray(matrix.sum(1)).ravel()
+        median = float(np.median(degree)) if len(links.a) else 1.0
+        self._factors = [
+            splu(
+                (diags(degree + leak * max(median, 1e-9)) - matrix).tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+            for leak in LEAKS
+        ]
+        self._count = len(cells)
+        self._a, self._b, self._weight, self._size = links.a, links.b, weight, cells.size
+        self._columns: OrderedDict[tuple[int, int], Future[Float]] = OrderedDict()
+        self._ahead: ThreadPoolExecutor | None = None
+
+    def column(self, cell: int, reach: int) -> Float:
+        """(C,) the Green's function of a cell; ``reach`` indexes ``LEAKS``."""
+        found = self._columns.get((cell, reach))
+        if found is None:
+            found = Future()
+            found.set_result(self._solved(cell, reach))
+            self._keep(cell, reach, found)
+        return found.result()
+
+    def ask(self, cell: int) -> None:
+        """Begin to solve for a cell on another thread; :meth:`column` waits where it must."""
+        if self._ahead is None:
+            self._ahead = ThreadPoolExecutor(1, thread_name_prefix="walk")
+        for reach in range(len(LEAKS)):
+            if (cell, reach) not in self._columns:
+                self._keep(cell, reach, self._ahead.submit(self._solved, cell, reach))
+
+    def _solved(self, cell: int, reach: int) -> Float:
+        unit = np.zeros(self._count)
+        unit[cell] = 1
+        return self._factors[reach].solve(unit).astype(np.float32)
+
+    def _keep(self, cell: int, reach: int, column: Future[Float]) -> None:
+        self._columns[cell, reach] = column
+        if len(self._columns) > _COLUMNS:
+            self._columns.popitem(last=False)
+
+    def sweep(self, field: Float, most: int = 5) -> npt.NDArray[np.bool_]:
+        """Level sets of a field through whose border the walk leaks least, at several sizes.
+
+        The sweep cut of local spectral clustering (Andersen, Chung, Lang 2006), with the leak
+        relative to the root of the area, because borders of surfaces are lines.
+
+        Args:
+            field: (C,) high inside.
+            most: sets at most, the tightest first.
+
+        Returns:
+            (H, C) bool.
+        """
+        order = np.argsort(-field, kind="stable")
+        rank = np.empty(len(order), np.int64)
+        rank[order] = np.arange(len(order))
+        a, b = rank[self._a], rank[self._b]
+        number = len(order) + 1
+        through = np.bincount(np.minimum(a, b) + 1, self._weight, number) - np.bincount(
+            np.maximum(a, b) + 1, self._weight, number
+        )
+        through = np.cumsum(through)[1:-1]
+        area = np.cumsum(self._size[order])[:-1]
+        if not len(area):
+            return np.zeros((0, len(order)), bool)
+        smaller = np.minimum(area, self._size.sum() - area)
+        leak = np.maximum(through, 0) / np.sqrt(smaller) + 1e-9
+        bins = np.floor(np.log(area) / 0.3).astype(np.int64)
+        first = np.nonzero(np.r_[True, np.diff(bins) != 0])[0]
+        low = np.minimum.reduceat(leak, first)
+        number_in = np.diff(np.r_[first, len(leak)])
+        at = np.nonzero(leak == np.repeat(low, number_in))[0]
+        at = at[np.r_[True, np.diff(bins[at]) != 0]]
+        around = np.minimum(np.r_[np.inf, low[:-1]], np.r_[low[1:], np.inf])
+        good = np.nonzero(low <= 1.05 * around)[0]
+        good = good[np.argsort(low[good], kind="stable")][:most]
+        return rank[None] <= at[good][:, None]
+
+    def fields(
+        self, prior: Float, seeds: npt.NDArray[np.integer], values: Float, reach: int
+    ) -> Float:
+        """Fields that keep to their priors far from the seeds and take ``values`` at them.
+
+        Args:
+            prior: (H, C).
+            seeds: (K,) distinct cells.
+            values: (K,).
+
+        Returns:
+            (H, C).
+        """
+        green = np.stack([self.column(int(s), reach) for s in seeds])
+        inner = green[:, seeds].astype(np.float64)
+        inner += 1e-7 * np.trace(inner) / len(seeds) * np.eye(len(seeds))
+        missing = values[None] - prior[:, seeds]
+        return prior + (np.linalg.solve(inner, missing.T).T.astype(np.float32)) @ green

@@ -1,0 +1,1 @@
+"""Finish labels: whole facets and shells, attached shells, small components, small parts."""

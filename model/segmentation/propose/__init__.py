@@ -1,0 +1,1 @@
+"""Propose masks for a click: nested regions, boxes, rectangles on flat fronts."""

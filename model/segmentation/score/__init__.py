@@ -1,0 +1,1 @@
+"""Score described masks with the trained networks and trees, less rule-based penalties."""

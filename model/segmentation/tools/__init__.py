@@ -1,0 +1,1 @@
+"""Masks that a person asks for by other means than clicks."""

@@ -1,0 +1,170 @@
+"""Parts like another: the same shape elsewhere, and the counterpart across a plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from model.core.errors import PromptError
+from model.geometry.upright_box import box_yaw
+from model.segmentation.default import DefaultSession
+from model.segmentation.tools.element_masks import to_elements, to_nodes
+
+Bool = npt.NDArray[np.bool_]
+
+_SAMPLE = 3000
+_SYMMETRIC = 0.025
+_REACH = 0.006
+
+
+def mirrored(session: DefaultSession, mask: Bool) -> Bool:
+    """(E,) the mask's counterpart across the object's plane of symmetry.
+
+    Raises:
+        PromptError: where the object has no such plane, or the mask lies on both sides of it.
+    """
+    inside = to_nodes(session, mask)
+    points = session.encoding.nodes.points.astype(float)
+    if not inside.any():
+        return np.zeros(session.asset.element_count, bool)
+    normal, offset = symmetry_plane(session, points[inside])
+    image = points[inside]
+    image = image - 2 * (image @ normal - offset)[:, None] * normal
+    reach = max(2.0 * session.encoding.graph.spacing, _REACH * session.asset.diagonal)
+    far, _ = KDTree(image).query(points, distance_upper_bound=reach, workers=2)
+    # Whole cells, so that the border follows the other side's own gaps and creases.
+    cells = session.encoding.cells
+    share = np.bincount(cells.of_node, np.isfinite(far) & ~inside, len(cells)) / cells.size
+    return to_elements(session, (share > 0.5)[cells.of_node]) & ~mask
+
+
+def symmetry_plane(
+    session: DefaultSession, part: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], float]:
+    """The upright plane that maps the object onto itself and ``part`` elsewhere.
+
+    Planes square to the sides of the tightest upright box are tried, near the middle of the box.
+
+    Args:
+        part: (K, 3) points of the part to mirror, metres.
+
+    Returns:
+        Unit normal (3,) and offset: x lies on the plane where normal · x = offset.
+
+    Raises:
+        PromptError: where no plane fits.
+    """
+    points = session.encoding.nodes.points.astype(float)
+    some = points[:: max(1, len(points) // _SAMPLE)]
+    tree, diagonal = session.encoding.nodes.tree, max(session.asset.diagonal, 1e-9)
+    best, answer = _SYMMETRIC * diagonal, None
+    for normal in _side_normals(points):
+        along = some @ normal
+        low, high = np.percentile(along, [0.5, 99.5])
+        for shift in np.linspace(-0.04, 0.04, 17):
+            offset = (low + high) / 2 + shift * (high - low)
+            here = part @ normal - offset
+            if min((here > 0).mean(), (here < 0).mean()) > 0.1:
+                continue  # the part straddles the plane: it would be its own counterpart
+            image = some - 2 * (along - offset)[:, None] * normal
+            far, _ = tree.query(image, distance_upper_bound=0.05 * diagonal)
+            cost = float(np.minimum(far, 0.05 * diagonal).mean())
+            if cost < best:
+                best, answer = cost, (normal, float(offset))
+    if answer is None:
+        raise PromptError(
+            f"{session.asset.name}: no plane of symmetry was found that has this part on one side"
+        )
+    return answer
+
+
+def _side_normals(points: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    """The two horizontal directions of the smallest upright box around the points."""
+    best = box_yaw(points[:: max(1, len(points) // _SAMPLE), :2], 0.98)
+    c, s = np.cos(best), np.sin(best)
+    return [np.array([c, s, 0.0]), np.array([-s, c, 0.0])]
+
+
+def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Bool]:
+    """Other parts like this one (the other knobs, the other handles), best first.
+
+    Regions of the merge trees with about the same size, extents and normals are laid over the
+    mask (as they are, mirrored, or turned by quarters about the upright axis) and kept where
+    they cover each other. No two answers overlap, and none overlaps the mask.
+    """
+    inside = to_nodes(session, mask)
+    cells = session.encoding.cells
+    share = np.bincount(cells.of_node, inside, len(cells)) / cells.size
+    model = share > 0.5
+    if not model.any():
+        model = share == share.max()
+    want = _shape(session, model)
+    found: list[tuple[float, Bool]] = []
+    for candidate in _regions_of_size(session, float(cells.size[model].sum())):
+        if (candidate & model).any():
+            continue
+        shape = _shape(session, candidate)
+        if np.abs(np.log((shape + 1e-6) / (want + 1e-6))).max() > 0.35:
+            continue
+        fit = _fit(session, model, candidate)
+        if fit < 0.25:
+            found.append((fit, candidate))
+    found.sort(key=lambda pair: pair[0])
+    taken = model.copy()
+    out: list[Bool] = []
+    for _, candidate in found:
+        if (candidate & taken).any():
+            continue
+        taken |= candidate
+        out.append(to_elements(session, candidate[cells.of_node]))
+        if len(out) == limit:
+            break
+    return out
+
+
+def _regions_of_size(session: DefaultSession, size: float) -> list[Bool]:
+    """Different regions of all trees with 0.7 to 1.4 times ``size`` nodes."""
+    hierarchy, cells = session.encoding.hierarchy, session.encoding.cells
+    seen: set[bytes] = set()
+    out = []
+    for labels in hierarchy.labels:
+        sizes = np.bincount(labels, cells.size)
+        for region in np.nonzero((sizes > 0.7 * size) & (sizes < 1.4 * size))[0]:
+            mask = labels == region
+            key = np.packbits(mask).tobytes()
+            if key not in seen:
+                seen.add(key)
+                out.append(mask)
+    return out
+
+
+def _shape(session: DefaultSession, mask: Bool) -> npt.NDArray[np.float64]:
+    """(4,) sorted extents and the length of the mean normal: what turning does not change."""
+    cells = session.encoding.cells
+    x, w = cells.center[mask], cells.size[mask] / cells.size[mask].sum()
+    x = x - w @ x
+    values = np.linalg.eigvalsh((x * w[:, None]).T @ x)
+    spread = np.sqrt(np.maximum(values, 0)) + 0.5 * session.encoding.graph.spacing
+    scale = spread[2]
+    return np.array([*spread, scale * (0.3 + np.linalg.norm(w @ cells.normal[mask]))])
+
+
+def _fit(session: DefaultSession, model: Bool, other: Bool) -> float:
+    """Mean distance between two regions laid over each other, relative to their radius."""
+    center, weight = session.encoding.cells.center, session.encoding.cells.size
+    a = center[model] - np.average(center[model], axis=0, weights=weight[model])
+    b = center[other] - np.average(center[other], axis=0, weights=weight[other])
+    radius = float(np.sqrt((a**2).sum(1).mean())) + session.encoding.graph.spacing
+    tree = KDTree(a)
+    best = np.inf
+    for mirror in (1.0, -1.0):
+        for quarter in range(4):
+            c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][quarter]
+            turned = np.stack(
+                [mirror * (c * b[:, 0] - s * b[:, 1]), s * b[:, 0] + c * b[:, 1], b[:, 2]], axis=1
+            )
+            there, _ = tree.query(turned)
+            back, _ = KDTree(turned).query(a)
+            best = min(best, float(there.mean() + back.mean()) / 2)
+    return best / radius
