@@ -21,26 +21,27 @@ class OutOfTimeError(Exception):
 
 
 def robust_map(
-    function: Callable[[str], T], ids: Sequence[str], jobs: int
-) -> Iterator[tuple[str, T | None]]:
+    function: Callable[[A], T], ids: Sequence[A], jobs: int, method: str = "fork"
+) -> Iterator[tuple[A, T | None]]:
     """``function`` of each id as they are done; None for one whose process died.
 
     Args:
         function: can be pickled; must not raise.
-        ids: each one once.
+        ids: hashable, each one once.
         jobs: processes; with one, everything runs in this process and a death is ours too.
+        method: how processes start, as of :func:`in_processes`.
     """
     if jobs <= 1:
         for i in ids:
             yield i, function(i)
         return
-    waiting, suspects = list(ids), set[str]()
+    waiting, suspects = list(ids), set[A]()
     while waiting:
         alone = [i for i in waiting if i in suspects]
         batch = alone[:1] or waiting
-        done: set[str] = set()
+        done: set[A] = set()
         try:
-            with in_processes(function, batch, jobs) as futures:
+            with in_processes(function, batch, jobs, method) as futures:
                 of_id = dict(zip(futures, batch, strict=True))
                 for future in as_completed(futures):
                     result = future.result()
