@@ -3,6 +3,7 @@
 #   make run ARGS=PATH…   start it with your own files
 #   make test             all tests, in a real browser too
 #   make lint             style, types, layers
+#   make docs             build the documentation site into build/site
 #   make pictures         take the pictures of the documents anew
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
@@ -16,10 +17,10 @@ ARGS ?=
 TESTS ?= tests
 
 .DEFAULT_GOAL := help
-.PHONY: help run install test lint format pictures clean
+.PHONY: help run install test lint format docs pictures clean
 
 help:
-	@sed -n '1,6s/^# \{0,1\}//p' Makefile
+	@sed -n '1,7s/^# \{0,1\}//p' Makefile
 
 run: $(VENV)/.run
 	@$(BIN)/artiworld serve $(ARGS)
@@ -40,6 +41,11 @@ lint: $(VENV)/.lint
 format: $(VENV)/.lint
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Opens from the disk, without a network; a broken link or a warning fails.
+docs: $(VENV)/.docs
+	$(BIN)/mkdocs build --clean --quiet
+	@echo 'The site: build/site/index.html'
 
 # All, or ARGS="joints review"; the gallery is the same again unless generated objects changed.
 pictures: $(VENV)/.test
@@ -74,4 +80,9 @@ $(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/.run
 $(VENV)/.lint: pyproject.toml constraints.txt | $(VENV)/.test
 	@echo 'Installing what the checks need'
 	@$(PIP) install --constraint constraints.txt --editable '.[lint]'
+	@touch $@
+
+$(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/.run
+	@echo 'Installing what the documentation site needs'
+	@$(PIP) install --constraint constraints.txt --editable '.[docs]'
 	@touch $@
