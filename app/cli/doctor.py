@@ -186,7 +186,7 @@ def _weights() -> Iterator[Check]:
 
 
 def _examples() -> Check:
-    from model.io.readers import find_assets
+    from model.io.find_assets import find_assets
 
     folder = static_assets() / "examples"
     try:

@@ -136,8 +136,8 @@ def _scene_of(args: argparse.Namespace) -> Path | None:
     Raises:
         ConfigurationError, InputFileError: where ``--assets`` can't belong to what is named.
     """
-    from model.io.model_files import is_model
     from model.io.geometry_files import SUFFIXES
+    from model.io.model_files import is_model
     from model.scenes.registry import recognised
 
     first: Path | None = args.paths[0] if args.paths else None

@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import shutil
 import stat
 import zipfile
 from pathlib import Path, PurePosixPath
 
-from app.server.upload_guard import plain_name
 from model.core.errors import InputFileError
 
 MOST_FILES = 5000
@@ -32,8 +32,8 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
     Raises:
         InputFileError: where no reader knows it, nothing is in it, or a zip is damaged or hostile.
     """
-    from model.io.model_files import MODEL_SUFFIXES
     from model.io.geometry_files import SUFFIXES
+    from model.io.model_files import MODEL_SUFFIXES
     from model.io.urdf.files import URDF_SUFFIX
 
     safe = plain_name(name)
@@ -135,3 +135,13 @@ def _inside(entry: zipfile.ZipInfo, name: str) -> PurePosixPath | None:
     if path.parts[0] == "__MACOSX" or path.name.startswith("."):
         return None
     return path
+
+
+def plain_name(name: str) -> str:
+    """A file name without folders and odd characters, at most 120 characters."""
+    last = PurePosixPath(name.replace("\\", "/")).name
+    clean = re.sub(r"[^\w .()+-]", "_", last).strip(" .")
+    suffix = PurePosixPath(clean).suffix[:10]
+    if len(clean) > 120:
+        clean = clean[: 120 - len(suffix)] + suffix
+    return clean or "upload"

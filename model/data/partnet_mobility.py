@@ -7,7 +7,6 @@ merged, and only parts that take part in articulation are kept", ArtiWorld, sect
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,9 +19,11 @@ from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import merge_rigid
+from model.io.urdf.files import MOBILITY
 from model.io.urdf.meshes import load_part
-from model.io.urdf.model import MOBILITY, UrdfModel
+from model.io.urdf.model import UrdfModel
 from model.io.urdf.reader import read_urdf_model
+from model.io.urdf.sidecar import partnet_category, read_json_beside, semantic_names
 
 _TURNS, _STAYS = frozenset({"revolute", "continuous"}), frozenset({"fixed"})
 _SAID = {
@@ -97,16 +98,9 @@ def read_partnet_mobility(folder: Path, *, shapes: bool = False) -> GroundTruth:
     return GroundTruth(folder.name, obj, notes)
 
 
-def partnet_category(folder: Path) -> str | None:
-    """What ``meta.json`` says that the object is."""
-    meta = _json(folder / "meta.json")
-    category = meta.get("model_cat") if isinstance(meta, dict) else None
-    return category if isinstance(category, str) else None
-
-
 def _disagreements(folder: Path, model: UrdfModel) -> tuple[str, ...]:
     """Where ``mobility_v2.json`` tells another motion than the URDF, which is what counts."""
-    nodes = _json(folder / "mobility_v2.json")
+    nodes = read_json_beside(folder / "mobility_v2.json")
     out: list[str] = []
     for node in nodes if isinstance(nodes, list) else ():
         link, said = f"link_{node.get('id')}", node.get("joint")
@@ -150,24 +144,3 @@ def _same_range(joint: Joint, node: Mapping[str, Any]) -> bool:
         for a, b in ((low, high), (-high, -low))
         for k in turns
     )
-
-
-def _json(path: Path) -> object:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except ValueError as error:
-        raise InputFileError(path, f"not JSON: {error}") from None
-
-
-def semantic_names(folder: Path) -> dict[str, str]:
-    """``link_k`` → part name, from semantics.txt, else from mobility_v2.json."""
-    path = folder / "semantics.txt"
-    if path.exists():
-        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
-        return {r[0]: r[2] for r in rows if len(r) >= 3}
-    nodes = _json(folder / "mobility_v2.json")
-    if not isinstance(nodes, list):
-        return {}
-    return {f"link_{n['id']}": str(n["name"]) for n in nodes if "id" in n and n.get("name")}

@@ -34,8 +34,9 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
+from model.io.geometry_files import turned_up
 from model.io.merging import merge_rigid
-from model.io.readers import read_asset, turned_up
+from model.io.open_asset import read_asset
 from model.io.urdf.meshes import merged
 
 Vector = tuple[float, float, float]

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.rotations import rotation_from_rpy
 from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.generate import OBJ_FROM_OBJECT, family_names, make
 from model.data.procedural.grammar import transformed
 from model.data.protocol import GroundTruth
-from model.io.urdf.reader import rotation_from_rpy
 
 SEEDS = 10**9
 

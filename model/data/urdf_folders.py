@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from model.core.errors import InputFileError
 from model.data.protocol import GroundTruth
@@ -13,8 +11,8 @@ from model.io.formats.mtl import MaterialFiles
 from model.io.merging import merge_rigid
 from model.io.urdf.meshes import load_part
 from model.io.urdf.reader import read_urdf_model
+from model.io.urdf.sidecar import description_beside
 
-DESCRIPTION = "object.json"
 PREFERRED = ("object.urdf", "mobility.urdf")
 """What is taken where a folder has several URDFs, after the one with the folder's own name."""
 
@@ -106,19 +104,3 @@ def urdf_files(root: Path) -> dict[str, Path]:
         else:
             out.update({f"{folder.name}.{p.stem}": p for p in here.values()})
     return out
-
-
-def description_beside(path: Path) -> dict[str, Any]:
-    """What the ``object.json`` beside a URDF says; nothing where there is none.
-
-    Raises:
-        InputFileError: where it can't be read.
-    """
-    file = path.parent / DESCRIPTION
-    try:
-        said = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise InputFileError(file, f"is not JSON: {error}") from None
-    return said if isinstance(said, dict) else {}

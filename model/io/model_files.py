@@ -6,7 +6,8 @@ from pathlib import Path
 
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
 from model.io.mjcf.source import MJCF_SUFFIXES, is_mjcf, named_files
-from model.io.urdf.model import URDF_SUFFIX, UrdfModel, is_urdf, named_meshes
+from model.io.urdf.files import URDF_SUFFIX, is_urdf, named_meshes
+from model.io.urdf.model import UrdfModel
 
 MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES)
 

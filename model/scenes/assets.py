@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from model.core.errors import InputFileError
+from model.io.geometry_files import FOLDER_SUFFIXES
 from model.io.part_folder import is_part_folder
-from model.io.readers import FOLDER_SUFFIXES
-from model.io.urdf.model import MOBILITY
+from model.io.urdf.files import MOBILITY
 
 _URDF_NAMES = (MOBILITY, "object.urdf")
 

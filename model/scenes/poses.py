@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from model.io.urdf.reader import rotation_from_rpy
+from model.core.rotations import rotation_from_rpy
 from model.scenes.scene import FloatArray, SceneObjectError
 
 _SWAP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])

@@ -7,21 +7,21 @@ from collections.abc import Callable
 
 import pytest
 
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from sessions.store import Store
 from tests.app.run_cli import cupboard
 
 
 @pytest.fixture
-def bench(tmp_path):
+def app_state(tmp_path):
     parts = tmp_path / "cupboard"
     parts.mkdir()
     for i, mesh in enumerate(cupboard()):
         mesh.export(parts / f"link_{i}.obj")
     workspace = tmp_path / "workspace"
     config = ServeConfig((parts,), workspace, segmenter="nearest", predictor="http://127.0.0.1:9")
-    made = Workbench(config, Store(workspace), [parts])
+    made = AppState(config, Store(workspace), [parts])
     yield made
     made.close()
 
@@ -33,8 +33,8 @@ def wait(until: Callable[[], object], seconds: float = 200.0) -> None:
         time.sleep(0.05)
 
 
-def test_a_backend_that_is_away_is_told_and_this_machine_predicts(bench):
-    obj = bench.object(bench.records()[0].id)
+def test_a_backend_that_is_away_is_told_and_this_machine_predicts(app_state):
+    obj = app_state.object(app_state.queue.records()[0].id)
     told: list[tuple[str, str, str]] = []
     obj.watch(lambda: None, lambda *news: told.append(news))
     wait(lambda: obj.document.segmentation is not None and obj.document.segmentation_current)

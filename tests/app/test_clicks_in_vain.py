@@ -101,9 +101,9 @@ def test_a_new_server_goes_on_from_the_mask_that_is_there(
         asked.append(args[-1])
         return SimpleNamespace(result=lambda seconds: MaskOffer([], 0, 4))
 
-    obj.bench = SimpleNamespace(
+    obj.services = SimpleNamespace(
         workspace=Path(), config=SimpleNamespace(segmenter="default"),
-        segmentation=SimpleNamespace(submit=submit),
+        workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
     )  # fmt: skip
     assert Segmenting(obj).use_tool(ToolRequest("next mask", 1, turn), "who") == 3
     assert asked[0].turn == wanted
@@ -124,9 +124,9 @@ def test_after_undo_the_next_mask_is_the_one_after_what_is_shown(obj: Any) -> No
         mask = RegionRef(1, region.elements, True, 3, "next mask")
         obj.document = Document(prompts=(click(0), mask))
 
-    obj.do, obj.bench = do, SimpleNamespace(
+    obj.do, obj.services = do, SimpleNamespace(
         workspace=Path(), config=SimpleNamespace(segmenter="default"),
-        segmentation=SimpleNamespace(submit=submit),
+        workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
     )  # fmt: skip
     desk, steps = Segmenting(obj), []
     for _ in range(3):

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.segmenting import Segmenting
 from app.server.tasks import arrays_of
@@ -24,28 +24,28 @@ from tests.app.test_open_objects import settled, wait
 
 
 @pytest.fixture
-def bench(tmp_path: Path):
+def app_state(tmp_path: Path):
     examples = static_assets() / "examples"
     paths = [examples / "refrigerator_scan.ply", examples / "kettle.glb"]
-    bench = Workbench(ServeConfig(workspace=tmp_path), Store(tmp_path), paths)
-    yield bench
-    bench.close()
+    app_state = AppState(ServeConfig(workspace=tmp_path), Store(tmp_path), paths)
+    yield app_state
+    app_state.close()
 
 
-def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(bench) -> None:
-    fridge, kettle = (settled(bench, r.id) for r in bench.records())
+def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(app_state) -> None:
+    fridge, kettle = (settled(app_state, r.id) for r in app_state.queue.records())
     request = ToolRequest(PROPOSE, 1)
 
     def proposed() -> list[np.ndarray]:
-        arrays = arrays_of(bench.workspace)
+        arrays = arrays_of(app_state.workspace)
         return [np.asarray(arrays.get(p.elements)) for p in fridge.document.prompts]
 
     fridge.segmenting.use_tool(request, "alice")
     alone = [
-        np.asarray(arrays_of(bench.workspace).get(p.elements)) for p in fridge.document.prompts
+        np.asarray(arrays_of(app_state.workspace).get(p.elements)) for p in fridge.document.prompts
     ]
     fridge.do(cmd.Undo(), "alice")
-    settled(bench, fridge.record.id)
+    settled(app_state, fridge.record.id)
 
     found: list[int] = []
     thread = threading.Thread(
@@ -61,7 +61,7 @@ def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(
     assert thread.is_alive(), f"the click waited for all parts, {waited:.1f} s"
     thread.join(60)
     again = [
-        np.asarray(arrays_of(bench.workspace).get(p.elements)) for p in fridge.document.prompts
+        np.asarray(arrays_of(app_state.workspace).get(p.elements)) for p in fridge.document.prompts
     ]
     assert found and len(again) == len(alone)
     assert all(np.array_equal(a, b) for a, b in zip(alone, again, strict=True))
@@ -96,8 +96,9 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
         need_asset=lambda: SimpleNamespace(folder="folder"),
         document=SimpleNamespace(prompts=(), parts=(), tree=None, up_axis=None, unit_scale=1.0,
                                  left_out=None, face_cuts=()),
-        bench=SimpleNamespace(segmentation=SimpleNamespace(submit=submit), workspace=None,
-                              config=SimpleNamespace(segmenter="default")),
+        services=SimpleNamespace(
+            workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)), workspace=None,
+            config=SimpleNamespace(segmenter="default")),
         jobs=jobs, changed=lambda: None,
     )  # fmt: skip
     Segmenting(obj).use_tool(ToolRequest(PROPOSE, 1), "alice")

@@ -36,7 +36,9 @@ def app(monkeypatch: pytest.MonkeyPatch) -> Any:
     app.object = SimpleNamespace(document=doc, source=lambda: None)
     app.need_object = lambda: app.object
     app.set_joint = lambda joint: setattr(app, "joint", joint)
-    app.bench = SimpleNamespace(prediction=SimpleNamespace(submit=submit))
+    app.app_state = SimpleNamespace(
+        workers=SimpleNamespace(prediction=SimpleNamespace(submit=submit))
+    )
     monkeypatch.setattr(JointEditor, "__init__", lambda self, app: setattr(self, "_app", app))
     return app
 

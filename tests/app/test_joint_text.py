@@ -12,11 +12,12 @@ from app.server.display_names import in_words, joint_title, moved_part, part_tit
 from app.viewer.panels.joint_rows import joint_lines, least_sure
 from app.viewer.panels.joint_text import joint_note, range_text, tree_text
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
+from model.core.display_names import display_name
 from model.core.errors import KinematicsError
 from model.core.joint import Joint, value_text
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.validation.phrases import interval, title
+from model.validation.phrases import interval
 from sessions.document import Document, PartInfo
 
 DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))
@@ -83,7 +84,7 @@ def test_a_part_is_called_the_same_everywhere() -> None:
     assert [joint_title(doc, j.child) for j in tree.joints] == ["door 1", "part 2"]
     parts = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in doc.parts)
     obj = ArticulatedObject("cupboard", parts, tree)
-    assert [title(obj, link) for link in tree.links] == ["base", "door 1", "part 2"]
+    assert [display_name(obj, link) for link in tree.links] == ["base", "door 1", "part 2"]
 
 
 def test_the_joints_of_one_part_are_told_apart() -> None:
@@ -95,7 +96,7 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     parts = (PartInfo(0, "base"), PartInfo(1, "seat"), PartInfo(2, "lever"))
     sure = {"link_1": 0.71, "link_2": 0.45}
     doc = Document(parts=parts, tree=tree, prediction=Prediction(tree, confidence=sure))
-    first, second = "seat 1, first joint", "seat 1, second joint"
+    first, second = "seat 1: lift", "seat 1: swivel"
     assert [joint_title(doc, j.child) for j in tree.joints] == [first, second, "lever 2"]
     assert [part_title(doc, k) for k in tree.links] == ["base", first, "seat 1", "lever 2"]
     assert moved_part(tree, "helper_1") == "link_1"
@@ -108,7 +109,7 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     ]
     cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
     obj = ArticulatedObject("chair", cloud, tree)
-    assert [title(obj, link) for link in tree.links] == ["base", first, "seat 1", "lever 2"]
+    assert [display_name(obj, link) for link in tree.links] == ["base", first, "seat 1", "lever 2"]
 
     # A helper that carries two parts is the joint of neither.
     both = KinematicTree(tree.links, (rises, turns, replace(lever, parent="helper_1")))

@@ -16,7 +16,7 @@ import trimesh
 
 from app.server import validation_tasks as judging_tasks
 from app.server.accepting import accept, asset_folder, take_back
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.part_tasks import parts_of
@@ -30,7 +30,7 @@ from model.physics.collision import build
 from model.validation import runner as gate
 from sessions import commands as cmd
 from sessions.live import LiveSession
-from sessions.store import Begun, Store
+from sessions.store import PendingAcceptance, Store
 
 NOW = "2026-01-01T00:00:00+00:00"
 W = 0.02
@@ -53,8 +53,8 @@ def wait(condition: Callable[[], Any], what: str, seconds: float = 240.0) -> Any
 
 
 @pytest.fixture(scope="module")
-def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenObject]:
-    """A cupboard in parts, open, with a door that swings into its shelf."""
+def app_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppState]:
+    """A server with a cupboard in parts, whose door swings into its shelf."""
     folder = tmp_path_factory.mktemp("cupboard")
     source = folder / "cupboard"
     source.mkdir()
@@ -69,10 +69,17 @@ def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenObject]:
     trimesh.util.concatenate(boards).export(source / "link_0.ply")
     box([-0.3, -W - 0.003, 0], [0.3, -0.003, 0.4]).export(source / "link_1.ply")
     config = ServeConfig(workspace=folder / "workspace")
-    bench = Workbench(config, Store(folder / "workspace"), [source])
-    obj = bench.object(bench.records()[0].id)
+    state = AppState(config, Store(folder / "workspace"), [source])
+    yield state
+    state.close()
+
+
+@pytest.fixture(scope="module")
+def cupboard(app_state: AppState) -> OpenObject:
+    """The cupboard, open, with its joint."""
+    obj = app_state.object(app_state.queue.records()[0].id)
     # The parts that the source is in come with it: nothing of them waits behind other work.
-    other = bench.geometry.submit(time.sleep, 5.0)
+    other = app_state.workers.geometry.submit(time.sleep, 5.0)
     wait(lambda: len(obj.document.parts) == 2, "the source's parts")
     assert not other.done
     wait(
@@ -82,8 +89,7 @@ def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenObject]:
     tree = KinematicTree(("link_0", "link_1"), (inward,))
     labels = obj.document.segmentation.labels
     obj.do(cmd.RecordPrediction(Prediction(tree, confidence={"link_1": 0.4}), labels), "tester")
-    yield obj
-    bench.close()
+    return obj
 
 
 def judged(obj: OpenObject) -> Any:
@@ -100,7 +106,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
         accept(obj, "", "tester", NOW)
         wait(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
     report = judged(obj)
-    assert report.verdict == "broken"
+    assert report.severity == "broken"
     assert report.of("door").worst.other == "link_0"
     with pytest.raises(CommandError, match=r"part 1 is broken: .* say why it is right"):
         accept(obj, "", "tester", NOW)
@@ -111,7 +117,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     mend = obj.judging.mend("door", "flip")
     obj.do(cmd.SetJoint(mend.joint), "tester")
     assert obj.judging.report is not report
-    assert judged(obj).verdict == "fine"
+    assert judged(obj).severity == "fine"
     with pytest.raises(CommandError, match="judged again"):
         obj.judging.mend("door", "flip")
     obj.do(cmd.Undo(), "tester")
@@ -128,14 +134,14 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
     assert gate["verdict"] == "broken"
     assert gate["override"] == "the shelf is soft"
-    assert gate["joints"][0]["sentence"] == report.joints[0].sentence
+    assert gate["joints"][0]["sentence"] == report.joints[0].message
 
     # Mended, no reason is asked for, and the record says that all is well.
     obj.do(cmd.Reopen(), "tester")
     obj.do(cmd.SetJoint(DOOR), "tester")
     judged(obj)
     # What is fine is written while the person still looks; accepting moves it.
-    drafts = obj.bench.workspace / "drafts"
+    drafts = obj.services.workspace / "drafts"
     wait(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
     accept(obj, "", "tester", NOW)
     wait(lambda: obj.document.review.state == "accepted", "accepted again")
@@ -161,7 +167,7 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     obj.do(cmd.Reopen(), "tester")
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.2)), "tester")
     judged(obj)
-    obj.bench.saving.submit(time.sleep, 1.0, priority=9)
+    obj.services.workers.saving.submit(time.sleep, 1.0, priority=9)
     accept(obj, "too early", "tester", NOW)
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.1)), "tester")
     wait(lambda: "Not accepted" in notes, "it is told")
@@ -181,7 +187,7 @@ def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObje
         wait(lambda: said, "it is told to whoever asked")
         assert isinstance(said[0], LookFirstError)
     report = judged(obj)
-    assert report.verdict == "look"
+    assert report.severity == "look"
     with pytest.raises(LookFirstError, match="Y again accepts it as it is"):
         accept(obj, "", "tester", NOW)
     assert obj.document.review.state != "accepted"
@@ -204,9 +210,9 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
     obj.do(cmd.SetJoint(DOOR), "tester")
     said: list[CommandError] = []
     judged(obj)
-    store = Store(obj.bench.workspace)
+    store = Store(obj.services.workspace)
     elsewhere = LiveSession(store, obj.record.id)  # as of another server
-    busy = obj.bench.saving.submit(time.sleep, 0.5, priority=9)
+    busy = obj.services.workers.saving.submit(time.sleep, 0.5, priority=9)
     wait(lambda: busy.state == "running", "saving is held up")
     accept(obj, "", "tester", NOW, refused=said.append)
     elsewhere.do(cmd.Reject("axis"), "rob")
@@ -221,7 +227,7 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
         (1.31, cmd.SetJoint(replace(DOOR, upper=1.32)), "edited meanwhile"),
     ):
         said.clear()
-        busy = obj.bench.prediction.submit(time.sleep, 0.5, priority=9)
+        busy = obj.services.workers.prediction.submit(time.sleep, 0.5, priority=9)
         wait(lambda busy=busy: busy.state == "running", "the gate is held up")
         obj.do(cmd.SetJoint(replace(DOOR, upper=upper)), "tester")
         assert obj.judging.report is None
@@ -240,15 +246,15 @@ def test_what_the_predictor_does_not_believe_is_not_accepted_unseen(cupboard: Op
     tree = KinematicTree(("link_0", "link_1"), (DOOR,))
     obj.do(cmd.RecordPrediction(Prediction(tree, confidence={"link_1": 0.02}), labels), "tester")
     report = judged(obj)
-    assert report.verdict == "look"  # though nothing is in its way
+    assert report.severity == "look"  # though nothing is in its way
     assert report is obj.judging.report
     with pytest.raises(LookFirstError, match="only 2 % sure"):
         accept(obj, "", "tester", NOW)
     # What a person settled is nobody's guess any more.
     obj.do(cmd.LockJoint("link_1", True), "tester")
-    assert judged(obj).verdict == "fine"
+    assert judged(obj).severity == "fine"
     obj.do(cmd.LockJoint("link_1", False), "tester")
-    assert judged(obj).verdict == "look"
+    assert judged(obj).severity == "look"
     accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
     wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
@@ -261,7 +267,7 @@ def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.Mo
     assert tree is not None
     source = cupboard.source()
     first = judging_tasks.judge_joints(source, tree)
-    monkeypatch.setattr(gate, "run_gate", None)
+    monkeypatch.setattr(gate, "validate", None)
     assert judging_tasks.judge_joints(source, tree) == first
     other = replace(tree, joints=(replace(tree.joints[0], upper=0.7), *tree.joints[1:]))
     with pytest.raises(TypeError):
@@ -282,88 +288,98 @@ def test_what_was_kept_is_forgotten_when_a_threshold_changes(tmp_path: Path) -> 
 
 
 def test_bodies_are_made_while_joints_are_predicted(
-    cupboard: OpenObject, monkeypatch: pytest.MonkeyPatch
+    cupboard: OpenObject, app_state: AppState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By the process that would be idle; most of what the gate waits for knows no joint."""
-    obj, bench = cupboard, cupboard.bench
-    shutil.rmtree(bench.workspace / "collision", ignore_errors=True)
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    obj = cupboard
+    shutil.rmtree(app_state.workspace / "collision", ignore_errors=True)
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "prediction is held up")
     obj.predict("tester")
-    wait(lambda: len(list((bench.workspace / "collision").glob("*.npz"))) == 2, "both bodies")
+    wait(lambda: len(list((app_state.workspace / "collision").glob("*.npz"))) == 2, "both bodies")
     monkeypatch.setattr(build, "hollow_bodies", None)
-    build.prepare_bodies(parts_of(obj.source()), bench.workspace / "collision")
+    build.prepare_bodies(parts_of(obj.source()), app_state.workspace / "collision")
     obj.jobs.cancel("predict")
     held.cancel()
     wait(lambda: not obj.predicting, "it is cancelled")
 
 
-def test_what_was_said_while_the_joints_were_being_judged_is_kept(cupboard: OpenObject) -> None:
-    obj, bench = cupboard, cupboard.bench
+def test_what_was_said_while_the_joints_were_being_judged_is_kept(
+    cupboard: OpenObject, app_state: AppState
+) -> None:
+    obj = cupboard
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
     refused: list[CommandError] = []
     for upper, reason, accepted in ((1.04, "", False), (1.03, "it gives way", True)):
-        held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+        held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
         wait(lambda held=held: held.state == "running", "judging is held up")
         obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=upper)), "tester")
         refused.clear()
         accept(obj, "seen in person", "tester", NOW, reason, refused=refused.append)
-        kept = Begun(obj.state.seq, "seen in person", reason)
-        assert bench.store.accepting() == {obj.record.id: kept}
+        kept = PendingAcceptance(obj.state.seq, "seen in person", reason)
+        assert app_state.store.accepting() == {obj.record.id: kept}
         held.cancel()
         judged(obj)
-        wait(lambda: not obj.jobs and (refused or not bench.store.accepting()), "it is decided")
+        wait(lambda: not obj.jobs and (refused or not app_state.store.accepting()), "it is decided")
         assert (obj.document.review.state == "accepted", bool(refused)) == (accepted, not accepted)
 
 
 def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     cupboard: OpenObject,
+    app_state: AppState,
 ) -> None:
-    obj, bench = cupboard, cupboard.bench
+    obj = cupboard
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
     told: list[None] = []
-    bench.on_queue(lambda: told.append(None))
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    app_state.queue.subscribe(lambda: told.append(None))
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.02)), "tester")
     told.clear()
     accept(obj, "seen in person", "ann", NOW)
-    record = bench.store.object(obj.record.id)
-    assert told and bench.judging_now(record.id) and bench.under_way(record.id) and obj.in_use
+    record = app_state.store.object(obj.record.id)
+    assert (
+        told
+        and app_state.is_validating(record.id)
+        and app_state.is_accepting(record.id)
+        and obj.in_use
+    )
     accept(obj, "", "rob", NOW)  # in another tab: what the first one typed stays
-    assert bench.store.accepting()[record.id].comment == "seen in person"
+    assert app_state.store.accepting()[record.id].comment == "seen in person"
     held.cancel()
-    why = wait(lambda: bench.held(record), "it is held back")
+    why = wait(lambda: app_state.on_hold(record), "it is held back")
     assert "part 1 is broken" in why and obj.held == why
     assert obj.document.review.state != "accepted" and not obj.interrupted
-    assert not bench.under_way(record.id) and "save" not in obj.jobs
-    kept = Begun(record.seq, "seen in person", "", why)
-    assert obj.begun == kept and bench.store.accepting() == {record.id: kept}
-    bench.follow()
-    assert bench.held(record) == why
+    assert not app_state.is_accepting(record.id) and "save" not in obj.jobs
+    kept = PendingAcceptance(record.seq, "seen in person", "", why)
+    assert obj.begun == kept and app_state.store.accepting() == {record.id: kept}
+    app_state.sync_remote()
+    assert app_state.on_hold(record) == why
     # The next server says so, too.
-    other = Workbench(bench.config, Store(bench.workspace), [Path(obj.record.path)])
+    other = AppState(app_state.config, Store(app_state.workspace), [Path(obj.record.path)])
     try:
         assert other.held(record) == why and not other.was_interrupted(record)
     finally:
         other.close()
     # What is changed is another object; asked for with a reason it is accepted.
     obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.01)), "tester")
-    assert not obj.held and not bench.held(bench.store.object(record.id))
+    assert not obj.held and not app_state.on_hold(app_state.store.object(record.id))
     judged(obj)
     accept(obj, "", "ann", NOW, "it gives way")
     wait(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
-    wait(lambda: not bench.store.accepting(), "it is over")
+    wait(lambda: not app_state.store.accepting(), "it is over")
 
 
-def test_a_wish_hears_at_once_that_the_joints_changed(cupboard: OpenObject) -> None:
+def test_a_wish_hears_at_once_that_the_joints_changed(
+    cupboard: OpenObject, app_state: AppState
+) -> None:
     """Also where nothing will be judged any more."""
-    obj, bench = cupboard, cupboard.bench
+    obj = cupboard
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.97)), "tester")
     said: list[CommandError] = []
@@ -374,38 +390,40 @@ def test_a_wish_hears_at_once_that_the_joints_changed(cupboard: OpenObject) -> N
     assert "edited meanwhile" in str(said[0]) and not obj.judging.waiting and not obj.held
     held.cancel()
     judged(obj)
-    assert obj.document.review.state != "accepted" and not bench.store.accepting()
+    assert obj.document.review.state != "accepted" and not app_state.store.accepting()
 
 
-def test_a_wish_can_be_taken_back(cupboard: OpenObject) -> None:
-    obj, bench = cupboard, cupboard.bench
+def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> None:
+    obj = cupboard
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
     notes: list[tuple[str, str, str]] = []
     stop = obj.watch(lambda: None, lambda *note: notes.append(note))
     assert not take_back(obj) and not notes
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
     accept(obj, "seen in person", "ann", NOW)
-    assert bench.under_way(obj.record.id) and bench.store.accepting()
+    assert app_state.is_accepting(obj.record.id) and app_state.store.accepting()
     # Another object is on the screen by the time that it is read.
     waits = f"{obj.record.name}: as soon as the joints are judged"
     assert notes[-1] == ("Accepting", waits, "blue")
     assert take_back(obj)
     assert notes[-1] == ("Not accepted", "Taken back before the joints were judged", "gray")
-    assert not bench.under_way(obj.record.id) and not bench.store.accepting()
+    assert not app_state.is_accepting(obj.record.id) and not app_state.store.accepting()
     held.cancel()
-    assert judged(obj).verdict == "fine"
+    assert judged(obj).severity == "fine"
     wait(lambda: not obj.jobs, "nothing goes on")
     assert obj.document.review.state != "accepted" and not obj.held and not obj.interrupted
     stop()
 
 
-def test_what_could_not_be_judged_is_not_accepted_unseen(cupboard: OpenObject) -> None:
-    obj, bench = cupboard, cupboard.bench
+def test_what_could_not_be_judged_is_not_accepted_unseen(
+    cupboard: OpenObject, app_state: AppState
+) -> None:
+    obj = cupboard
     judged(obj)
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.95)), "tester")
     wait(lambda: "check" in obj.jobs, "the gate is asked")
@@ -420,38 +438,40 @@ def test_what_could_not_be_judged_is_not_accepted_unseen(cupboard: OpenObject) -
 
 
 def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
-    cupboard: OpenObject, tmp_path: Path
+    cupboard: OpenObject, app_state: AppState, tmp_path: Path
 ) -> None:
-    obj, before = cupboard, cupboard.bench
+    obj, before = cupboard, app_state
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.05)), "tester")
     judged(obj)
-    held = before.saving.submit(time.sleep, 600.0, priority=9)
+    held = before.workers.saving.submit(time.sleep, 600.0, priority=9)
     wait(lambda: held.state == "running", "saving is held up")
     accept(obj, "hinge seen in person", "tester", NOW, "it gives way")
     wait(lambda: "save" in obj.busy, "it is being saved")
     before.close()
     source = [Path(obj.record.path)]
 
-    bench = Workbench(before.config, Store(before.workspace), source)
+    state = AppState(before.config, Store(before.workspace), source)
     try:
-        (record,) = bench.records()
-        assert record.state != "accepted" and bench.was_interrupted(record)
+        (record,) = state.queue.records()
+        assert record.state != "accepted" and state.was_interrupted(record)
         notes: list[tuple[str, ...]] = []
-        again = bench.object(record.id)
+        again = state.object(record.id)
         again.watch(lambda: None, lambda *note: notes.append(note))
         judged(again)
         assert again.interrupted
-        assert again.begun == Begun(again.state.seq, "hinge seen in person", "it gives way")
+        assert again.begun == PendingAcceptance(
+            again.state.seq, "hinge seen in person", "it gives way"
+        )
         assert any(n[0] == "Not accepted yet" and "Y accepts it" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
         wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
-        assert not again.interrupted and not bench.store.accepting()
-        assert not bench.was_interrupted(*bench.records())
+        assert not again.interrupted and not state.store.accepting()
+        assert not state.was_interrupted(*state.queue.records())
         folder = Path(again.document.saved.folder)
     finally:
-        bench.close()
+        state.close()
 
     # One that was decided, and whose asset was just taking the place of another one.
     store = Store(tmp_path)
@@ -460,19 +480,19 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     first = next(e.seq for e in history if isinstance(e.command, cmd.Accept))
     for e in history[:first]:
         store.append(known.id, e.command, e.who, e.seq - 1, at=e.at)
-    store.accepting_begins(known.id, Begun(first - 1))
+    store.accepting_begins(known.id, PendingAcceptance(first - 1))
     store.close()
     target = asset_folder(tmp_path, known)
     shutil.copytree(folder, target.with_name(f".{target.name}.0123456789ab.old"))
     config = replace(before.config, workspace=tmp_path)
-    bench = Workbench(config, Store(tmp_path), source)
+    state = AppState(config, Store(tmp_path), source)
     try:
-        assert (target / "provenance.json").is_file() and not bench.store.accepting()
-        saved = bench.store.load(known.id).present.saved
+        assert (target / "provenance.json").is_file() and not state.store.accepting()
+        saved = state.store.load(known.id).present.saved
         assert saved is not None and Path(saved.folder) == target
-        assert not bench.was_interrupted(*bench.records())
+        assert not state.was_interrupted(*state.queue.records())
     finally:
-        bench.close()
+        state.close()
 
 
 def test_what_another_server_is_saving_is_told_until_that_ends(
@@ -481,17 +501,17 @@ def test_what_another_server_is_saving_is_told_until_that_ends(
     """Also where it ends without a decision, as when it is cancelled."""
     store = Store(tmp_path)
     (known,) = store.open_objects([(Path(cupboard.record.path), None, "cupboard")])
-    store.accepting_begins(known.id, Begun(known.seq))
-    config = replace(cupboard.bench.config, workspace=tmp_path)
-    bench = Workbench(config, Store(tmp_path), [Path(cupboard.record.path)])
+    store.accepting_begins(known.id, PendingAcceptance(known.seq))
+    config = replace(cupboard.services.config, workspace=tmp_path)
+    state = AppState(config, Store(tmp_path), [Path(cupboard.record.path)])
     try:
         told: list[None] = []
-        bench.on_queue(lambda: told.append(None))
-        bench.follow()
-        assert bench.was_interrupted(*bench.records()) and not told
+        state.queue.subscribe(lambda: told.append(None))
+        state.sync_remote()
+        assert state.was_interrupted(*state.queue.records()) and not told
         store.accepting_ends(known.id)
-        bench.follow()
-        assert not bench.was_interrupted(*bench.records()) and told
+        state.sync_remote()
+        assert not state.was_interrupted(*state.queue.records()) and told
     finally:
-        bench.close()
+        state.close()
         store.close()

@@ -15,8 +15,9 @@ import trimesh
 
 from app.server import app_state as workbench
 from app.server import display_tasks
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
+from app.server.drafts import AssetDrafts
 from app.server.open_object import OpenObject
 from model.core.errors import CommandError
 from model.segmentation.prompts import Click
@@ -37,143 +38,143 @@ def wait(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any
     raise AssertionError(f"waited in vain for: {what}")
 
 
-def settled(bench: Workbench, number: int) -> OpenObject:
-    obj = bench.object(number)
+def settled(app_state: AppState, number: int) -> OpenObject:
+    obj = app_state.object(number)
     wait(lambda: obj.asset and not obj.jobs, "it is open and nothing is under way")
     return obj
 
 
 @pytest.fixture
-def bench_of(tmp_path: Path) -> Iterator[Callable[..., Workbench]]:
-    made: list[Workbench] = []
+def begin_app(tmp_path: Path) -> Iterator[Callable[..., AppState]]:
+    made: list[AppState] = []
 
-    def begin(*paths: Path) -> Workbench:
+    def begin(*paths: Path) -> AppState:
         workspace = tmp_path / "workspace"
         config = ServeConfig(workspace=workspace)
-        made.append(Workbench(config, Store(workspace), list(paths)))
+        made.append(AppState(config, Store(workspace), list(paths)))
         return made[-1]
 
     yield begin
-    for bench in made:
-        bench.close()
+    for app_state in made:
+        app_state.close()
 
 
-def test_a_file_that_changed_is_tried_again(bench_of, tmp_path: Path) -> None:
+def test_a_file_that_changed_is_tried_again(begin_app, tmp_path: Path) -> None:
     path = tmp_path / "box.ply"
     path.write_bytes(b"ply\nformat ascii 1.0\n")
-    bench = bench_of(path)
-    number = bench.records()[0].id
-    obj = bench.object(number)
+    app_state = begin_app(path)
+    number = app_state.queue.records()[0].id
+    obj = app_state.object(number)
     wait(lambda: obj.problem, "the problem")
-    bench.object(number)
+    app_state.object(number)
     assert obj.problem and "open" not in obj.jobs
     assert obj.problem.startswith("box.ply: ")  # where it is kept is nothing to tell
-    assert bench.broken == {number}
+    assert app_state.queue.unreadable == {number}
     GOOD.export(path)
-    bench.object(number)
+    app_state.object(number)
     wait(lambda: obj.asset, "it opens")
-    assert obj.problem is None and not bench.broken
+    assert obj.problem is None and not app_state.queue.unreadable
 
 
-def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(bench_of, tmp_path: Path) -> None:
-    bench = bench_of()
+def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(begin_app, tmp_path: Path) -> None:
+    app_state = begin_app()
     GOOD.export(tmp_path / "good.ply")
-    (good,) = bench.add_paths([tmp_path / "good.ply"])
-    bad = bench.add_upload("bad.ply", b"ply\nformat ascii 1.0\n")
-    path = bench.store.object(bad).path
+    (good,) = app_state.queue.add([tmp_path / "good.ply"])
+    bad = app_state.add_upload("bad.ply", b"ply\nformat ascii 1.0\n")
+    path = app_state.store.object(bad).path
     with pytest.raises(CommandError, match="only what can't be read"):
-        bench.take_off(good)
-    obj = bench.object(bad)
+        app_state.queue.remove(good)
+    obj = app_state.object(bad)
     wait(lambda: obj.problem, "the problem")
     obj.do(cmd.SetCategory("Box"), "tester")
-    before = [r.id for r in bench.records()]
-    bench.take_off(bad)
-    assert [r.id for r in bench.records()] == [i for i in before if i != bad]
-    assert path.is_file() and bench.store.load(bad).present.category == "Box"
-    assert bench.put_back() == bad and not bench.taken_off
-    assert sorted(r.id for r in bench.records()) == sorted(before)
-    bench.take_off(bad)
-    assert bench.add_upload("bad.ply", path.read_bytes()) == bad  # so it is back as well
-    assert bench.records()[-1].id == bad and not bench.taken_off
+    before = [r.id for r in app_state.queue.records()]
+    app_state.queue.remove(bad)
+    assert [r.id for r in app_state.queue.records()] == [i for i in before if i != bad]
+    assert path.is_file() and app_state.store.load(bad).present.category == "Box"
+    assert app_state.queue.restore() == bad and not app_state.queue.removed
+    assert sorted(r.id for r in app_state.queue.records()) == sorted(before)
+    app_state.queue.remove(bad)
+    assert app_state.add_upload("bad.ply", path.read_bytes()) == bad  # so it is back as well
+    assert app_state.queue.records()[-1].id == bad and not app_state.queue.removed
     with pytest.raises(CommandError, match="nothing was taken off"):
-        bench.put_back()
+        app_state.queue.restore()
 
 
-def test_what_was_taken_off_stays_off_at_the_next_start(bench_of, tmp_path: Path) -> None:
+def test_what_was_taken_off_stays_off_at_the_next_start(begin_app, tmp_path: Path) -> None:
     good, *bad = (tmp_path / f"{name}.ply" for name in ("good", "one", "two"))
     GOOD.export(good)
     for path in bad:
         path.write_bytes(b"ply\nformat ascii 1.0\n")
-    bench = bench_of(good, *bad)
-    ids = [r.id for r in bench.records()]
+    app_state = begin_app(good, *bad)
+    ids = [r.id for r in app_state.queue.records()]
     for number in ids[:0:-1]:
-        obj = bench.object(number)
+        obj = app_state.object(number)
         wait(lambda obj=obj: obj.problem, "the problem")
-        bench.take_off(number)
-    later = bench_of(good, *bad)
+        app_state.queue.remove(number)
+    later = begin_app(good, *bad)
     assert [r.id for r in later.records()] == ids[:1]
     assert later.taken_off == tuple(ids[:0:-1])
     assert later.put_back() == ids[1]
-    again = bench_of(good, *bad)
+    again = begin_app(good, *bad)
     assert [r.id for r in again.records()] == ids[:2] and again.taken_off == (ids[2],)
-    assert [r.id for r in bench_of(bad[1]).records()] == [ids[2]]  # it is all there is
+    assert [r.id for r in begin_app(bad[1]).records()] == [ids[2]]  # it is all there is
     GOOD.export(bad[1])  # mended
-    assert [r.id for r in bench_of(good, *bad).records()] == ids
+    assert [r.id for r in begin_app(good, *bad).records()] == ids
 
 
 def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
-    bench_of, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "box.ply"
     GOOD.export(path)
-    bench = bench_of(path)
-    number = bench.records()[0].id
+    app_state = begin_app(path)
+    number = app_state.queue.records()[0].id
     with monkeypatch.context() as patch:
         patch.setattr(display_tasks, "open_asset", killed_while_opening)
-        obj = bench.object(number)
+        obj = app_state.object(number)
         wait(lambda: obj.problem, "the worker died")
         obj.try_again()
         wait(lambda: obj.problem, "it died again")
     assert "killed" in obj.problem
-    bench.object(number)
+    app_state.object(number)
     wait(lambda: obj.asset, "it opens")
 
 
 def test_objects_that_nobody_looks_at_are_let_go_and_come_back(
-    bench_of, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workbench, "OPEN_KEPT", 1)
     paths = [tmp_path / f"box_{i}.ply" for i in range(3)]
     for path in paths:
         GOOD.export(path)
-    bench = bench_of(*paths)
-    first, shown, other = [r.id for r in bench.records()]
-    before = weakref.ref(settled(bench, first))
+    app_state = begin_app(*paths)
+    first, shown, other = [r.id for r in app_state.queue.records()]
+    before = weakref.ref(settled(app_state, first))
     before().do(cmd.AddPart(1, "door"), "tester")
     before().do(cmd.SetCategory("Oven"), "tester")
-    looked_at = settled(bench, shown)
+    looked_at = settled(app_state, shown)
     stop = looked_at.watch(lambda: None, lambda *_: None)
-    settled(bench, other)
+    settled(app_state, other)
     gc.collect()
     assert before() is None
-    assert bench.object(shown) is looked_at
-    back = settled(bench, first)
+    assert app_state.object(shown) is looked_at
+    back = settled(app_state, first)
     assert back.document.part_names == {1: "door"} and back.document.category == "Oven"
     back.do(cmd.Undo(), "tester")
     assert back.document.category is None
     stop()
-    bench.object(other)
-    assert bench.object(shown) is not looked_at
+    app_state.object(other)
+    assert app_state.object(shown) is not looked_at
 
 
-def test_what_was_undone_before_it_was_answered_is_not_shown(bench_of, tmp_path: Path) -> None:
+def test_what_was_undone_before_it_was_answered_is_not_shown(begin_app, tmp_path: Path) -> None:
     path = tmp_path / "box.ply"
     GOOD.export(path)
-    bench = bench_of(path)
-    obj = settled(bench, bench.records()[0].id)
+    app_state = begin_app(path)
+    obj = settled(app_state, app_state.queue.records()[0].id)
 
     def undone(command: Any) -> None:
-        busy = bench.segmentation.submit(time.sleep, 0.3, priority=99)
+        busy = app_state.workers.segmentation.submit(time.sleep, 0.3, priority=99)
         wait(lambda: busy.state == "running", "the segmenter is held up")
         obj.do(cmd.AddClick(Click((0.5, 0.0, 0.0), 1)), "tester")
         obj.do(command, "tester")
@@ -191,32 +192,29 @@ def test_what_was_undone_before_it_was_answered_is_not_shown(bench_of, tmp_path:
     assert obj.labels is None and obj.asset is not None
 
 
-def test_what_another_server_did_is_seen(bench_of, tmp_path: Path) -> None:
+def test_what_another_server_did_is_seen(begin_app, tmp_path: Path) -> None:
     for name in ("first", "second"):
         GOOD.export(tmp_path / f"{name}.ply")
-    bench = bench_of(tmp_path / "first.ply", tmp_path / "second.ply")
-    first, second = (r.id for r in bench.records())
-    obj = settled(bench, first)
+    app_state = begin_app(tmp_path / "first.ply", tmp_path / "second.ply")
+    first, second = (r.id for r in app_state.queue.records())
+    obj = settled(app_state, first)
     notes: list[tuple[str, str, str]] = []
     obj.watch(lambda: None, lambda *note: notes.append(note))
     obj.do(cmd.SetCategory("Box"), "ann")
-    bench.follow()
+    app_state.sync_remote()
     assert not notes
     store = Store(tmp_path / "workspace")
     for number in (first, second):
         LiveSession(store, number).do(cmd.AddPart(1, "lid"), "rob")
     store.close()
-    bench.follow()
+    app_state.sync_remote()
     assert obj.document.part_names == {1: "lid"} and obj.document.category == "Box"
     assert [n[0] for n in notes] == ["Changed elsewhere"]
-    assert [r.parts for r in bench.records()] == [2, 2]
+    assert [r.parts for r in app_state.queue.records()] == [2, 2]
 
 
-def test_who_waits_for_a_draft_hears_how_far_it_is(
-    bench_of, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_waits_for_a_draft_hears_how_far_it_is() -> None:
     """It is written since the joints were judged; the bar stood at nothing until it was there."""
-    bench = bench_of()
     source: Any = "the parts"
     tree: Any = "the joints"
     heard: list[Any] = []
@@ -224,11 +222,11 @@ def test_who_waits_for_a_draft_hears_how_far_it_is(
     def submit(*_: Any, **__: Any) -> Any:
         return SimpleNamespace(listen=heard.append, cancel=lambda: heard.append("cancelled"))
 
-    monkeypatch.setattr(bench.saving, "submit", submit)
-    bench.prepare_asset(source, tree)
-    bench.draft_asset(source, tree, print)
+    drafts = AssetDrafts(SimpleNamespace(submit=submit))  # type: ignore[arg-type]
+    drafts.prepare(source, tree)
+    drafts.finish(source, tree, print)
     assert heard == [print]
-    bench.prepare_asset("other parts", tree)  # type: ignore[arg-type]
+    drafts.prepare("other parts", tree)  # type: ignore[arg-type]
     assert heard == [print]  # what is looked at next doesn't stop it
-    bench.draft_asset(source, "other joints", print)  # type: ignore[arg-type]
+    drafts.finish(source, "other joints", print)  # type: ignore[arg-type]
     assert heard == [print, "cancelled"]

@@ -18,7 +18,8 @@ from app.server.tasks import ReadOptions, stamp
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.assets.reader import load_object
-from model.io.readers import find_assets, read_asset
+from model.io.find_assets import find_assets
+from model.io.open_asset import read_asset
 
 MJCF = """<!-- a comment --><mujoco model="cupboard"><compiler angle="radian" meshdir="meshes"/>
 <asset><mesh name="body" file="body.stl"/><mesh name="door" file="door.stl"/></asset><worldbody>

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from tests.model.io.test_named_meshes import glb
 
 from app.cli.headless import predict
 from app.cli.serve_command import _scene_of
@@ -30,7 +31,6 @@ from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.test_open_objects import wait
-from tests.model.io.test_named_meshes import glb
 
 NOW = "2026-01-01T00:00:00.000000Z"
 URDF = """<robot name="r"><link name="body"><visual><geometry>
@@ -55,24 +55,24 @@ def urdf(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def opened(tmp_path: Path) -> Iterator[Callable[[Path], OpenObject]]:
-    benches: list[AppState] = []
+    states: list[AppState] = []
 
     def begin(path: Path, *, parts: bool = True) -> OpenObject:
         workspace = tmp_path / "workspace"
-        bench = AppState(ServeConfig(workspace=workspace), Store(workspace), [path])
-        benches.append(bench)
-        obj = bench.object(bench.records()[0].id)
+        app_state = AppState(ServeConfig(workspace=workspace), Store(workspace), [path])
+        states.append(app_state)
+        obj = app_state.object(app_state.queue.records()[0].id)
         wait(lambda: obj.labels is not None if parts else obj.asset, "it is open")
         wait(lambda: not obj.jobs, "nothing is under way")
         return obj
 
     yield begin
-    for bench in benches:
-        bench.close()
+    for app_state in states:
+        app_state.close()
 
 
 def kinds(obj: OpenObject) -> list[str]:
-    return [e.kind for e in obj.bench.store.history(obj.record.id)]
+    return [e.kind for e in obj.services.store.history(obj.record.id)]
 
 
 def test_its_joints_are_there_at_once_and_the_segmenter_is_not_asked(opened, urdf: Path) -> None:
@@ -102,7 +102,7 @@ def test_it_can_be_taken_back_and_is_not_taken_again(opened, urdf: Path) -> None
     assert obj.document.tree is None and obj.document.prompts
     obj.do(cmd.Undo(), "tester")
     assert not obj.document.prompts
-    obj.bench.close()
+    obj.services.workers.close()
     again = opened(urdf, parts=False)
     assert again.document.tree is None and not again.document.prompts
 
@@ -188,7 +188,7 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
 def test_a_part_that_was_cut_again_has_a_mass_and_shapes_of_ours(opened, urdf: Path) -> None:
     urdf.write_text(URDF.replace('name="door">', 'name="door">' + MASS + COLLISION))
     obj = opened(urdf)
-    arrays = arrays_of(obj.bench.workspace)
+    arrays = arrays_of(obj.services.workspace)
     labels = arrays.get(obj.document.segmentation.labels).copy()
     labels[-2:] = 0
     source = replace(obj.source(obj.document), labels=arrays.put(labels))

@@ -40,7 +40,7 @@ def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> Non
     obj: Any = SimpleNamespace(
         _stored=None,
         document=SimpleNamespace(segmentation=SimpleNamespace(labels=ref), tree=None),
-        bench=SimpleNamespace(store=store),
+        services=SimpleNamespace(store=store),
         asset=SimpleNamespace(element=np.array([0, 2])),
         labels=np.array([0, 2], np.int16),
     )

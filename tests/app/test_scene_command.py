@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from app.cli.main import main
 from model.core.point_cloud import PointCloud
 from model.io.assets.asset_folder import load_object
-from model.io.readers import read_asset, read_part_files
+from model.io.open_asset import read_asset, read_part_files
 from model.io.urdf.writer import read_urdf
 from model.io.write.meshes import write_cloud, write_mesh
 from model.scenes.assets import asset_digest

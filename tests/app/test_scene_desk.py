@@ -17,14 +17,13 @@ from scipy.spatial import KDTree
 
 from app.cli.main import make_parser
 from app.cli.serve_command import make_config
-from app.server import app_state as workbench
 from app.server import scene_accepting, scene_tasks, tasks
 from app.server.accepting import accept
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
 from app.server.scene_rows import Row, decided_text
-from app.server.scene_workspace import SceneDesk
+from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_rows import joint_lines
 from app.viewer.panels.scene_card import count_text
 from app.viewer.panels.scene_list import order, page_buttons
@@ -35,7 +34,7 @@ from model.core.tree import KinematicTree
 from model.io.assets.reader import load_object
 from model.io.open_asset import read_asset
 from model.scenes.assets import asset_digest
-from model.validation.report import Finding, GateReport, JointVerdict
+from model.validation.report import Finding, JointReport, ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
@@ -82,14 +81,14 @@ class World:
         self.assets = make_assets(folder / "assets")
         (self.assets / "broken.glb").write_bytes(b"no glTF at all")
         self.scene = scene or write_scene(folder / "home.json", own(OBJECTS))
-        self.bench: Workbench | None = None
+        self.app_state: AppState | None = None
         self.open()
 
-    def open(self) -> SceneDesk:
+    def open(self) -> SceneWorkspace:
         workspace = self.folder / "workspace"
         config = ServeConfig(workspace=workspace, predictor="geometric", scene=self.scene)
-        self.bench = Workbench(config, Store(workspace), [])
-        self.desk = self.bench.desk = SceneDesk(self.bench, self.scene, (self.assets,))
+        self.app_state = AppState(config, Store(workspace), [])
+        self.desk = self.app_state.open_scene(self.scene, (self.assets,))
         wait(lambda: self.desk.scene is not None or self.desk.problem, "the scene is read")
         assert self.desk.problem is None
         self.settle()
@@ -104,9 +103,9 @@ class World:
         )  # fmt: skip
 
     def close(self) -> None:
-        assert self.bench is not None
-        self.bench.close()
-        self.bench.store.close()
+        assert self.app_state is not None
+        self.app_state.close()
+        self.app_state.store.close()
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +132,7 @@ def accepted(world: World) -> World:
     return world
 
 
-def statuses(desk: SceneDesk) -> dict[str, str]:
+def statuses(desk: SceneWorkspace) -> dict[str, str]:
     return {r.id: r.status for r in desk.rows()}
 
 
@@ -222,20 +221,19 @@ def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(world: World
     world.settle()
 
 
-def report_of(verdict: str) -> GateReport:
+def report_of(severity: str) -> ValidationReport:
     """What the gate would say of a door that runs into its cabinet, or of one that is free."""
-    sentence = "Runs 131 mm into link_0 at 104°."
-    found = () if verdict == "fine" else (Finding("collision", verdict, sentence),)  # type: ignore[arg-type]
-    return GateReport((JointVerdict("door", "link_1", found),), 1.0)
+    message = "Runs 131 mm into link_0 at 104°."
+    found = () if severity == "fine" else (Finding("collision", severity, message),)  # type: ignore[arg-type]
+    return ValidationReport((JointReport("door", "link_1", found),), 1.0)
 
 
 class Slow:
     """Stands in for the gate in the workers: its answers are given by the test."""
 
-    def __init__(self, desk: SceneDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, desk: SceneWorkspace, monkeypatch: pytest.MonkeyPatch) -> None:
         self.asked: list[Any] = []
-        assert desk.bench is not None
-        real = desk.bench.prediction.submit
+        real = desk.services.workers.prediction.submit
 
         def submit(function: Any, *args: Any, **more: Any) -> Any:
             if function is not scene_accepting.judge_joints:
@@ -246,11 +244,11 @@ class Slow:
             self.asked.append(job)
             return job
 
-        monkeypatch.setattr(desk.bench.prediction, "submit", submit)
+        monkeypatch.setattr(desk.services.workers.prediction, "submit", submit)
 
-    def answer(self, verdict: str) -> None:
+    def answer(self, severity: str) -> None:
         wait(lambda: self.asked, "the gate is asked")
-        self.asked.pop()._end("done", report_of(verdict))
+        self.asked.pop()._end("done", report_of(severity))
 
 
 def test_what_the_gate_objects_to_waits_for_who_asked(
@@ -381,9 +379,9 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
 ) -> None:
     """Whoever asked needn't wait there for the gate."""
     desk, small = world.desk, world.desk.work("small")
-    assert small is not None
+    assert small is not None and world.app_state is not None
     gate, refused = Slow(desk, monkeypatch), list[CommandError]()
-    obj = desk.bench.object(small.id)
+    obj = world.app_state.object(small.id)
     wait(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
     accept(obj, "the hinge is bent", "ann", "2026-01-01T00:00:00+00:00", refused=refused.append)
     row = desk.row(small.item)
@@ -409,11 +407,11 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk, small = world.desk, world.desk.work("small")
-    assert small is not None and world.bench is not None
-    monkeypatch.setattr(workbench, "FOLLOW_SECONDS", 1e6)
+    assert small is not None and world.app_state is not None
+    monkeypatch.setattr("app.server.app_state.SYNC_SECONDS", 1e6)
     store = Store(world.folder / "workspace")
-    bench = Workbench(world.bench.config, store, [])
-    other = bench.desk = SceneDesk(bench, world.scene, (world.assets,))
+    app_state = AppState(world.app_state.config, store, [])
+    other = app_state.open_scene(world.scene, (world.assets,))
     seen: list[str] = []
     other.watch(lambda: None, lambda *note: seen.append(note[0]))
     wait(lambda: other.scene is not None, "the scene is read")
@@ -421,11 +419,11 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
 
     before = small.live.state.seq
     desk.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
-    bench.follow()
+    app_state.sync_remote()
     assert statuses(other)["small"] == "rejected" and seen == ["Changed elsewhere"]
     assert small.live.state.seq == before + 1  # rejected once
     assert other.undo("rob") == "reject small"
-    world.bench.follow()
+    world.app_state.sync_remote()
     assert statuses(desk)["small"] == statuses(other)["small"] == "predicted"
 
     # While one server accepts, the other one neither does it as well nor is overruled.
@@ -439,10 +437,10 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
     assert mine == ["small, it was rejected meanwhile by rob. Choose it again: Enter opens it."]
     assert statuses(desk)["small"] == "rejected" and seen == ["Changed elsewhere"]
     assert other.undo("rob") == "reject small"
-    world.bench.follow()
+    world.app_state.sync_remote()
     desk.do(cmd.Undo(), "ann")
     assert statuses(desk)["small"] == "predicted"
-    bench.close()
+    app_state.close()
     store.close()
     world.settle()
 
@@ -481,8 +479,8 @@ def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
         prediction=Prediction(tree, confidence={"link_1": 0.9}),
     )  # fmt: skip
     assert [(name, line) for name, line, _ in joint_lines(doc)] == [
-        ("lift", "seat 1, first joint · prismatic · 0 to 80 mm · 90 %"),
-        ("turn", "seat 1, second joint · turns freely · 90 %"),
+        ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90 %"),
+        ("turn", "seat 1: swivel · turns freely · 90 %"),
     ]
 
 
@@ -596,11 +594,11 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     whole = read_asset(path).cloud
     assert whole is not None
     room = World(tmp_path, path)
-    desk, bench = room.desk, room.bench
-    assert bench is not None and statuses(desk) == {"room": "static"}
+    desk, app_state = room.desk, room.app_state
+    assert app_state is not None and statuses(desk) == {"room": "static"}
     opened: list[int] = []
     desk.picking.open("room", opened.append)
-    obj = bench.object(wait(lambda: opened, "the room is open")[0])
+    obj = app_state.object(wait(lambda: opened, "the room is open")[0])
     asset = wait(lambda: obj.asset, "its picture")
     # The cabinet stands round made.POSITION; a box round it is what a person would draw.
     world = desk.world_from_copy(desk.items["room"])
@@ -608,9 +606,9 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     points = points + world[:3, 3]  # type: ignore[index]
     kept = np.ones(len(points), bool)
     if obj.document.left_out is not None:
-        kept[tasks.arrays_of(bench.workspace).get(obj.document.left_out.elements)] = False
+        kept[tasks.arrays_of(app_state.workspace).get(obj.document.left_out.elements)] = False
     inside = np.flatnonzero((np.abs(points[kept][:, :2] - POSITION[:2]) < 0.5).all(1))
-    ref = tasks.arrays_of(bench.workspace).put(inside.astype(np.int64))
+    ref = tasks.arrays_of(app_state.workspace).put(inside.astype(np.int64))
     obj.do(cmd.AddRegion(1, ref, True, len(inside), "box"), "ann")
     wait(lambda: obj.document.segmentation_current and asset is obj.asset, "its parts")
     taken: list[str] = []

@@ -14,7 +14,7 @@ from defusedxml import ElementTree
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.formats.gltf import open_gltf
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.io.urdf.writer import read_urdf
 from model.io.write.meshes import write_cloud
 from model.scenes.registry import read_scene

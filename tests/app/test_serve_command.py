@@ -18,7 +18,7 @@ import pytest
 
 from app.cli.main import make_parser
 from app.cli.serve_command import make_config
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.network import url
 from app.server.server import paths_to_open
@@ -241,11 +241,15 @@ def test_what_cant_be_opened_beside_others_is_told_and_marked(scan, tmp_path):
         assert "/dev/null: is not a regular file" in printed
     store = Store(tmp_path / "v")
     config = ServeConfig(paths=words, workspace=tmp_path / "v")
-    bench = Workbench(config, store, paths_to_open(config))
+    app_state = AppState(config, store, paths_to_open(config))
     try:
-        assert [r.id in bench.broken for r in bench.records()] == [True, True, False]
+        assert [r.id in app_state.queue.unreadable for r in app_state.queue.records()] == [
+            True,
+            True,
+            False,
+        ]
     finally:
-        bench.close()
+        app_state.close()
 
 
 def test_the_pages_messages_are_known_whoever_asked_first():

@@ -12,7 +12,8 @@ from PIL import Image
 
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
-from model.io.readers import find_assets, read_asset
+from model.io.find_assets import find_assets
+from model.io.open_asset import read_asset
 
 OBJ = (
     b"mtllib door.mtl\nusemtl oak\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"

@@ -190,16 +190,16 @@ class RoomTab(SceneTab):
             report = wait_until(
                 lambda: not obj.busy and obj.judging.report, "the gate's answer", SLOW
             )
-            if report.verdict != "broken":
+            if report.severity != "broken":
                 break
             # A scan's door may graze its body: a person takes the range that is free.
             self.button(MENDS["limits"]).first.click()
             self.clicks += 1
             wait_until(lambda seen=report: obj.judging.report is not seen, "the gate asks again")
-        assert report.verdict != "broken"
+        assert report.severity != "broken"
         accept = self.page.get_by_role("button", name="ccept").locator("visible=true").first
         accept.click()
-        if report.verdict == "look":  # it is shown first
+        if report.severity == "look":  # it is shown first
             self.clicks += 1
             wait_until(lambda: self.app.review_panel.gate.looked_at(obj), "it was shown")
             self.wait_seen()

@@ -11,7 +11,7 @@ from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.geometry.parts import split
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 
 EXAMPLES = static_assets() / "examples"
 DEMOS = tuple(sorted(p.stem for p in (EXAMPLES / "truth").glob("*.json")))

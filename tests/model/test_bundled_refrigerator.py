@@ -10,7 +10,7 @@ import pytest
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.resources import static_assets
 from model.geometry.parts import split
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.prediction.registry import load_predictor
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter

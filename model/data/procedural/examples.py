@@ -35,7 +35,7 @@ from model.data.procedural.materials import Palette, metal, plain, wood
 from model.data.procedural.modules import Opening
 from model.data.procedural.scan import ScanSettings, View, simulate_scan, visible_elements
 from model.geometry.sampling import sample_surface
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.io.write.glb import mesh_to_glb
 from model.io.write.meshes import write_cloud
 from model.segmentation.prompts import Click, Prompts

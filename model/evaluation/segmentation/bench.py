@@ -344,8 +344,8 @@ def _as_seen(session: SegmentationSession, item: BenchObject, row: BenchRow) -> 
 def _reachable(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:
     """How far the cells go: those of which a part has most, as many as its IoU gains from."""
     encoding, weight = session.encoding, _Pointer(item).weight
-    cell = encoding.cells.of_node[encoding.nodes.elements.node_of_element]
-    size = np.bincount(cell, weight, len(encoding.cells))
+    cell = encoding.superpoints.of_node[encoding.nodes.elements.node_of_element]
+    size = np.bincount(cell, weight, len(encoding.superpoints))
     for part in item.parts:
         own = np.bincount(cell, weight * (item.labels == part), len(size))
         if own.sum() > 0:

@@ -13,6 +13,7 @@ from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import InputFileError
 from model.core.joint import ToldDynamics
 from model.core.progress import Progress, no_progress
+from model.io.geometry_files import SUFFIXES, read_geometry_file
 from model.io.model_files import read_model
 from model.io.part_folder import remarks_in
 from model.io.urdf.declared_physics import Told
@@ -64,8 +65,6 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     Raises:
         InputFileError: for anything else, or a damaged file in it.
     """
-    from model.io.readers import SUFFIXES, read_asset
-
     path = Path(asset)
     recover(path)
     if path.is_file():
@@ -90,7 +89,7 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
         entry = entries.get(part.link, {})
         cloud = None
         if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
-            cloud = read_asset(path / entry["cloud"], up_axis="z").cloud
+            cloud = read_geometry_file(path / entry["cloud"], up_axis="z").cloud
         said = (*remarks, *part.remarks)
         parts.append(replace(part, cloud=cloud, name=entry.get("name"), remarks=said))
     gives_way = kept.get("give_way")

@@ -24,11 +24,14 @@ from model.core.joint import Joint, Mimic, ToldDynamics
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
+from model.io.geometry_files import SUFFIXES
 from model.io.mjcf.appearance import Looks, compiled_mesh, ellipsoid
 from model.io.mjcf.source import MjcfSource, read_source
 from model.io.urdf.collision import ToldCollision, repeats
 from model.io.urdf.declared_physics import Told
-from model.io.urdf.model import UrdfModel, UrdfVisual, package_root, renamed_helpers
+from model.io.urdf.files import package_root
+from model.io.urdf.model import UrdfModel, renamed_helpers
+from model.io.urdf.visual import UrdfVisual
 
 LEAST_MASS = 1e-6
 """kg: MuJoCo refuses moving bodies without mass, which matters only once they are simulated."""
@@ -348,8 +351,6 @@ class _Reader:
         return UrdfVisual(link, None, pose, primitive=shape, material=material)
 
     def _of_mesh(self, number: int, link: str, pose: FloatArray, material: Any) -> UrdfVisual:
-        from model.io.readers import SUFFIXES
-
         model, name = self.model, self.model.mesh(number).name
         file = self.source.meshes.get(name)
         if file is None or file.suffix.lower() not in SUFFIXES:

@@ -47,6 +47,11 @@ def semantic_names(folder: Path) -> dict[str, str]:
 
 
 def read_json_beside(path: Path) -> object:
+    """The JSON value in a file; an empty object where the file is absent.
+
+    Raises:
+        InputFileError: where it is not JSON.
+    """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -22,7 +22,7 @@ from model.core.mesh import Material
 from model.io.formats.loaded import Loaded, check_indices, colors_from
 from model.io.formats.srgb import to_srgb
 from model.io.formats.triangulate import triangulate
-from model.io.readers import turned_up
+from model.io.geometry_files import turned_up
 from model.scenes.embedded import Unpacked, Unpacker, placed_frame
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import (

@@ -159,7 +159,7 @@ def test_is_a_dataset(folder: Path) -> None:
 
 @pytest.mark.parametrize("with_names", [True, False])
 def test_exported_parts_are_read_back(folder: Path, tmp_path: Path, with_names: bool) -> None:
-    from model.io.readers import read_part_files
+    from model.io.open_asset import read_part_files
 
     truth = read_partnet_mobility(folder)
     rng = np.random.default_rng(5)

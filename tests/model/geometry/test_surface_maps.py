@@ -13,7 +13,7 @@ from PIL import Image
 
 from model.core.asset import Asset
 from model.core.surface_maps import SurfaceMaps
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 
 TRIANGLE = (
     "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nusemtl a\nf 1/1 2/2 3/3\n"

@@ -16,8 +16,10 @@ import pytest
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.io.find_assets import find_assets
 from model.io.formats.npz import read_npz
-from model.io.readers import SUFFIXES, find_assets, read_asset, read_part_files
+from model.io.geometry_files import SUFFIXES
+from model.io.open_asset import read_asset, read_part_files
 from model.io.write.meshes import write_cloud, write_mesh
 
 HEAD = (

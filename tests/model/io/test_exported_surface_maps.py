@@ -30,7 +30,7 @@ from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
 from model.io.export.registry import export, losses_of
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 

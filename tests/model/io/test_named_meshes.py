@@ -10,7 +10,7 @@ import trimesh
 
 from model.core.errors import InputFileError
 from model.core.part_names import MOST_NAMED, named_parts
-from model.io.readers import read_asset, read_part_files
+from model.io.open_asset import read_asset, read_part_files
 
 
 def glb(path: Path, *names: str) -> Path:

@@ -19,7 +19,8 @@ from model.core.tree import KinematicTree
 from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.export.registry import load_exporter
-from model.io.readers import find_assets, read_asset
+from model.io.find_assets import find_assets
+from model.io.open_asset import read_asset
 from model.io.urdf.reader import MOST_LINKS
 from model.physics.simulation_values import plain_physics
 

@@ -20,7 +20,7 @@ from model.core.point_cloud import PointCloud
 from model.core.textures import encode
 from model.geometry.appearance import face_colors
 from model.geometry.parts import split
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.io.write.glb import face_order
 from model.io.write.meshes import mesh_to_glb, write_cloud, write_mesh
 

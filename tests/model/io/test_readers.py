@@ -15,7 +15,8 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.surface_maps import SurfaceMaps
 from model.geometry.appearance import face_colors
-from model.io.readers import find_assets, read_asset, read_part_files
+from model.io.find_assets import find_assets
+from model.io.open_asset import read_asset, read_part_files
 from model.io.write.meshes import write_cloud, write_mesh
 
 

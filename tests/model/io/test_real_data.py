@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.io.readers import SUFFIXES, find_assets, read_asset
+from model.io.find_assets import find_assets
+from model.io.geometry_files import SUFFIXES
+from model.io.open_asset import read_asset
 
 
 def test_partnet_mobility_objects_open_with_their_textures(shared_data: Path) -> None:

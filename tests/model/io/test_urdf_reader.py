@@ -11,7 +11,7 @@ import trimesh
 import yourdfpy
 
 from model.core.errors import InputFileError
-from model.io.urdf.reader import rotation_from_rpy
+from model.core.rotations import rotation_from_rpy
 from model.io.urdf.writer import read_urdf, read_urdf_model
 
 

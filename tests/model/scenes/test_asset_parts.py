@@ -12,7 +12,7 @@ import trimesh
 
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.physics.simulation_values import plain_physics
 from model.scenes.asset_parts import known_parts
 from model.scenes.jobs import AssetJob, ConvertAsset

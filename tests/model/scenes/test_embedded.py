@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from model.core.errors import InputFileError
-from model.io.readers import read_asset, read_part_files
+from model.io.open_asset import read_asset, read_part_files
 from model.scenes.asset_parts import known_parts
 from model.scenes.embedded import Unpacked, placed_frame, unpack
 from model.scenes.registry import read_scene, recognised

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.io.readers import read_asset
+from model.io.open_asset import read_asset
 from model.scenes.embedded import unpack
 from model.scenes.native_format import scene_to_json
 from model.scenes.readers.house import THICKNESS

@@ -7,7 +7,7 @@ import pytest
 
 from model.core.asset import Asset
 from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode_cells
+from model.segmentation.encode.encoding import encode_superpoints
 from model.segmentation.propose.box_ranking import (
     BOX_SCORE_FEATURES,
     Believed,
@@ -26,18 +26,18 @@ from tests.model.segmentation.conftest import cabinet_cloud
 @pytest.fixture(scope="module")
 def cabinet():
     data = cabinet_cloud()
-    nodes, _, _, cells = encode_cells(data.asset, shipped_edge_model())
-    grid = Boxes(cells)
-    return nodes, cells, grid, grid.between_planes(cells), data.labels
+    nodes, _, _, superpoints = encode_superpoints(data.asset, shipped_edge_model())
+    grid = Boxes(superpoints)
+    return nodes, superpoints, grid, grid.between_planes(superpoints), data.labels
 
 
 def test_sums_are_what_the_boxes_hold(cabinet) -> None:
-    _, cells, grid, boxes, _ = cabinet
-    held = boxes.sums(grid.place, cells.size)
-    assert np.allclose(held / cells.size.sum(), boxes.share, atol=1e-6)
+    _, superpoints, grid, boxes, _ = cabinet
+    held = boxes.sums(grid.place, superpoints.size)
+    assert np.allclose(held / superpoints.size.sum(), boxes.share, atol=1e-6)
     some = np.linspace(0, len(held) - 1, 50).astype(int)
     inside = grid.contents(boxes.low[:, some].T, boxes.high[:, some].T, 0)
-    assert np.allclose(inside @ cells.size, held[some])
+    assert np.allclose(inside @ superpoints.size, held[some])
 
 
 def test_a_side_along_a_gap_is_strong_and_one_on_a_wall_is_lined(cabinet) -> None:
@@ -89,9 +89,9 @@ def test_features_are_the_same_for_mirrored_objects_and_turned_ones(cabinet) -> 
 
 
 def test_clicks_leave_boxes_that_hold_them_the_likeliest_first(cabinet) -> None:
-    _, cells, grid, boxes, labels = cabinet
+    _, superpoints, grid, boxes, labels = cabinet
     beliefs = BoxBeliefs(boxes, grid.place, grid.facing, grid.step, shipped_box_model())
-    left, right = (int(cells.of_node[np.nonzero(labels == p)[0][50]]) for p in (1, 2))
+    left, right = (int(superpoints.of_node[np.nonzero(labels == p)[0][50]]) for p in (1, 2))
     before, after = beliefs((left,), ()), beliefs((left,), (right,))
     assert 0 < len(after.score) < len(before.score)
     for left_over in (before, after):

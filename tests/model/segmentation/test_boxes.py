@@ -53,7 +53,7 @@ def drawers():
 
 
 def overlap(mask, encoding, truth) -> float:
-    of_node = mask[encoding.cells.of_node]
+    of_node = mask[encoding.superpoints.of_node]
     return float((of_node & truth).sum() / (of_node | truth).sum())
 
 
@@ -62,41 +62,41 @@ def cell_at(encoding, labels, spot) -> int:
     at = Rotation.from_euler("z", 0.4).as_matrix() @ np.asarray(spot, float)
     own = np.nonzero(labels == DRAWER)[0]
     node = own[np.linalg.norm(encoding.nodes.points[own] - at, axis=1).argmin()]
-    return int(encoding.cells.of_node[node])
+    return int(encoding.superpoints.of_node[node])
 
 
-def best(solver, drawers, cells) -> float:
+def best(solver, drawers, superpoints) -> float:
     """Best overlap on offer after positive clicks, the front's own region being the first mask."""
     encoding, labels = drawers
     truth = labels == DRAWER
     state, found = PartState(), 0.0
-    for cell in cells:
-        answer = solver.answer(state, cell, True, None)
+    for superpoint in superpoints:
+        answer = solver.answer(state, superpoint, True, None)
         all_ = [overlap(m, encoding, truth) for m in answer.candidates.masks]
         found = max(all_)
-        state = solver.moved(state, cell, True, answer.candidates.masks[int(np.argmax(all_))])
+        state = solver.moved(state, superpoint, True, answer.candidates.masks[int(np.argmax(all_))])
     return found
 
 
 def test_a_drawer_is_on_offer_after_its_front_and_its_back(drawers) -> None:
     encoding, labels = drawers
-    made = (encoding.cells, encoding.hierarchy, encoding.walk, None, None)
-    cells = [cell_at(encoding, labels, s) for s in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))]
-    with_boxes = best(ObjectSolver(*made), drawers, cells)
+    made = (encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
+    superpoints = [cell_at(encoding, labels, s) for s in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))]
+    with_boxes = best(ObjectSolver(*made), drawers, superpoints)
     assert with_boxes > 0.75
-    assert with_boxes > best(PartSolver(*made), drawers, cells) + 0.1
+    assert with_boxes > best(PartSolver(*made), drawers, superpoints) + 0.1
 
 
 def test_a_negative_click_cuts_along_a_plane(drawers) -> None:
     """The carcass with a drawer by mistake: a click on the drawer takes all of that off."""
     encoding, labels = drawers
-    solver = ObjectSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, None)
+    solver = ObjectSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
     chosen = np.isin(labels, (1, 2))
-    mask = np.bincount(encoding.cells.of_node, chosen, len(encoding.cells)) > 0.5 * (
-        encoding.cells.size
+    mask = np.bincount(encoding.superpoints.of_node, chosen, len(encoding.superpoints)) > 0.5 * (
+        encoding.superpoints.size
     )
     front = cell_at(encoding, labels, (0.4, -0.02, 0.3))
-    below = int(encoding.cells.of_node[np.nonzero(labels == 1)[0][0]])
+    below = int(encoding.superpoints.of_node[np.nonzero(labels == 1)[0][0]])
     state = PartState((below,), (), mask)
     answer = solver.answer(state, front, False, None)
     assert max(overlap(m, encoding, labels == 1) for m in answer.candidates.masks) > 0.9
@@ -108,7 +108,7 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
     asset = Asset("chest", mesh=mesh)
     encoding = encode(asset, shipped_edge_model())
     labels = part[encoding.nodes.elements.element_of_node]
-    of_node = encoding.cells.of_node
+    of_node = encoding.superpoints.of_node
     solver = solver_of(encoding, None, None)
     spots = encoding.nodes.points
     front, back = (
@@ -116,7 +116,7 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
         for at in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))
     )
     panel = (spots[:, 1] < 0.001) & (labels == DRAWER)
-    mask = np.bincount(of_node, panel, len(encoding.cells)) > 0.5 * encoding.cells.size
+    mask = np.bincount(of_node, panel, len(encoding.superpoints)) > 0.5 * encoding.superpoints.size
     state = PartState((front,), (), mask)
     answer = solver.answer(state, back, True, None)
     assert max(overlap(m, encoding, labels == DRAWER) for m in answer.candidates.masks) > 0.99
@@ -141,10 +141,12 @@ def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
 
 def test_features_have_their_names_and_are_finite(drawers) -> None:
     encoding, labels = drawers
-    solver = ObjectSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, None)
-    cell = cell_at(encoding, labels, (0.4, -0.02, 0.3))
-    first = solver.answer(PartState(), cell, True, None)
-    later = solver.answer(PartState((cell,), (), first.best), int(labels.argmin()), False, None)
+    solver = ObjectSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
+    superpoint = cell_at(encoding, labels, (0.4, -0.02, 0.3))
+    first = solver.answer(PartState(), superpoint, True, None)
+    later = solver.answer(
+        PartState((superpoint,), (), first.best), int(labels.argmin()), False, None
+    )
     for answer in (first, later):
         assert answer.features.shape == (len(answer.candidates), len(solver.describe.names))
         assert np.isfinite(answer.features).all()
@@ -157,15 +159,15 @@ def feature(solver: ObjectSolver, masks, clicked: Clicked, name: str) -> list[fl
 
 def test_features_say_on_which_side_of_the_clicks_a_mask_lies(drawers) -> None:
     """Halves of the chest, told by a click in the middle of each."""
-    cells, hierarchy, walk = drawers[0].cells, drawers[0].hierarchy, drawers[0].walk
-    solver = ObjectSolver(cells, hierarchy, walk, None, None)
-    at = cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
+    solver = ObjectSolver(superpoints, hierarchy, walk, None, None)
+    at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
     left, right = (int(np.linalg.norm(at - [x, 0.25, 0.3], axis=1).argmin()) for x in (0.2, 0.6))
     masks = np.stack([across < 0.4, across > 0.4, across < 9])
     clicked = Clicked((left,), (right,), right, False, masks[2])
     near = feature(solver, masks, clicked, "near_negatives")
-    size = cells.size
+    size = superpoints.size
     beyond = float(size[across > 0.4].sum() / size.sum())
     assert near[0] < 0.2 and near[1] > 0.8 and near[2] == pytest.approx(beyond, abs=0.15)
 
@@ -178,9 +180,9 @@ def test_features_say_on_which_side_of_the_clicks_a_mask_lies(drawers) -> None:
 
 
 def test_a_first_click_in_the_middle_is_deep_in_what_it_means(drawers) -> None:
-    cells, hierarchy, walk = drawers[0].cells, drawers[0].hierarchy, drawers[0].walk
-    solver = ObjectSolver(cells, hierarchy, walk, None, None)
-    at = cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
+    solver = ObjectSolver(superpoints, hierarchy, walk, None, None)
+    at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     half = at[:, 0] < 0.4
     middle, edge = (
         int(np.where(half, np.linalg.norm(at - [x, 0.25, 0.3], axis=1), 9).argmin())
@@ -197,9 +199,9 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     """The chest's left half is meant; a first answer took the right one along, and two clicks in
     the middle of what was too much were needed.
     """
-    cells, hierarchy, walk = drawers[0].cells, drawers[0].hierarchy, drawers[0].walk
-    solver = ObjectSolver(cells, hierarchy, walk, None, None)
-    at = cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
+    solver = ObjectSolver(superpoints, hierarchy, walk, None, None)
+    at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
     left, right, edge = (
         int(np.where((across > low) & (across < high),
@@ -210,7 +212,7 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     without_edge = all_ & ~((across > 0.72) & (at[:, 2] > 0.2))
     without_edge[right] = False
     masks = np.stack([meant, without_edge])
-    first = MendingClick(left, True, np.zeros(len(cells), bool))
+    first = MendingClick(left, True, np.zeros(len(superpoints), bool))
     clicked = Clicked((left,), (right,), right, False, all_, steps=(first,))
     deepest = feature(solver, masks, clicked, "change_deepest")
     assert deepest[0] > -0.5 and deepest[0] >= deepest[1]
@@ -237,21 +239,23 @@ def test_states_remember_the_masks_that_clicks_were_to_change(drawers) -> None:
     a = cell_at(encoding, labels, (0.4, -0.02, 0.3))
     b = cell_at(encoding, labels, (0.4, -0.02, 0.1))
     state, masks = PartState(), []
-    for cell, positive in ((a, True), (b, False)):
-        found = solver.answer(state, cell, positive, None)
-        masks.append(np.zeros(len(encoding.cells), bool) if state.mask is None else state.mask)
-        state = solver.moved(state, cell, positive, found.best)
-    assert [(s.cell, s.positive) for s in state.steps] == [(a, True), (b, False)]
+    for superpoint, positive in ((a, True), (b, False)):
+        found = solver.answer(state, superpoint, positive, None)
+        masks.append(
+            np.zeros(len(encoding.superpoints), bool) if state.mask is None else state.mask
+        )
+        state = solver.moved(state, superpoint, positive, found.best)
+    assert [(s.superpoint, s.positive) for s in state.steps] == [(a, True), (b, False)]
     assert all(np.array_equal(s.before, m) for s, m in zip(state.steps, masks, strict=True))
 
 
 def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:
-    boxes = Boxes(drawers[0].cells)
+    boxes = Boxes(drawers[0].superpoints)
     truth = drawers[1] == DRAWER
-    mask = np.bincount(drawers[0].cells.of_node, truth, len(drawers[0].cells)) > 0
+    mask = np.bincount(drawers[0].superpoints.of_node, truth, len(drawers[0].superpoints)) > 0
     low, high = boxes.bounds(mask[None])
     held = boxes.contents(low, high)[0]
-    size = drawers[0].cells.size
+    size = drawers[0].superpoints.size
     # All but the hundredth that is trimmed at each of six ends.
     assert size[held & mask].sum() > 0.93 * size[mask].sum()
     assert (high > low).all()
@@ -260,8 +264,8 @@ def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:
 
 
 def test_behind_a_front_a_box_ends_at_the_back(drawers) -> None:
-    boxes = Boxes(drawers[0].cells)
-    points = drawers[0].cells.center @ Rotation.from_euler("z", 0.4).as_matrix()
+    boxes = Boxes(drawers[0].superpoints)
+    points = drawers[0].superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     front = (points[:, 1] < 0.002) & (abs(points[:, 2] - 0.3) < 0.08)
     low, high = boxes.behind(*boxes.bounds(front[None]), 4)
     depth = ((high - low + 1) * boxes.step).min(1)

@@ -7,8 +7,8 @@ from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
 from model.segmentation.encode.edge_features import lab_colors
 from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode_cells
-from model.segmentation.encode.superpoint_colors import parted_by_color
+from model.segmentation.encode.encoding import encode_superpoints
+from model.segmentation.encode.superpoint_colors import split_by_color
 
 RED, BLUE = (180, 40, 40), (40, 60, 170)
 
@@ -26,13 +26,15 @@ def _layers(noise: float) -> tuple[PointCloud, np.ndarray]:
 def _mixed(noise: float) -> float:
     """Share of the points that are in a cell of more points of the other sheet."""
     cloud, layer = _layers(noise)
-    nodes, _, _, cells = encode_cells(Asset("layers", cloud=cloud), shipped_edge_model())
+    nodes, _, _, superpoints = encode_superpoints(
+        Asset("layers", cloud=cloud), shipped_edge_model()
+    )
     layer = layer[nodes.elements.element_of_node]
-    share = np.bincount(cells.of_node, layer, len(cells)) / cells.size
-    links = cells.links
-    assert cells.size.sum() == len(nodes)
-    assert (links.a < links.b).all() and links.b.max() < len(cells)
-    return float((np.minimum(share, 1 - share) * cells.size).sum() / cells.size.sum())
+    share = np.bincount(superpoints.of_node, layer, len(superpoints)) / superpoints.size
+    links = superpoints.links
+    assert superpoints.size.sum() == len(nodes)
+    assert (links.a < links.b).all() and links.b.max() < len(superpoints)
+    return float((np.minimum(share, 1 - share) * superpoints.size).sum() / superpoints.size.sum())
 
 
 def test_layers_a_millimetre_apart_are_told_by_their_plain_colours() -> None:
@@ -43,10 +45,10 @@ def test_noisy_colours_part_no_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on scans, where they would cost cells and bring nothing."""
     cloud, _ = _layers(noise=3)
     asset = Asset("layers", cloud=cloud)
-    cells = encode_cells(asset, shipped_edge_model())[3]
-    monkeypatch.setattr("model.segmentation.encode.superpoints.has_plain_colors", lambda *_: False)
+    superpoints = encode_superpoints(asset, shipped_edge_model())[3]
+    monkeypatch.setattr("model.segmentation.encode.superpoints.has_flat_colors", lambda *_: False)
     np.testing.assert_array_equal(
-        cells.of_node, encode_cells(asset, shipped_edge_model())[3].of_node
+        superpoints.of_node, encode_superpoints(asset, shipped_edge_model())[3].of_node
     )
 
 
@@ -57,11 +59,11 @@ def test_one_colour_and_a_gradient_are_left_whole_and_noise_nearly() -> None:
     plain = np.tile([90, 120, 60], (len(of_node), 1))
     for rgb in (plain, np.c_[x, x, 255 - x]):
         lab = lab_colors(np.clip(rgb, 0, 255).astype(np.uint8))
-        now, number = parted_by_color(of_node, lab, 500)
+        now, number = split_by_color(of_node, lab, 500)
         assert number == 500
         np.testing.assert_array_equal(now, of_node)
     noisy = np.clip(plain + rng.normal(0, 12, plain.shape), 0, 255).astype(np.uint8)
-    assert parted_by_color(of_node, lab_colors(noisy), 500)[1] < 525
+    assert split_by_color(of_node, lab_colors(noisy), 500)[1] < 525
 
 
 def test_a_point_of_another_colour_alone_is_no_cell() -> None:
@@ -70,7 +72,7 @@ def test_a_point_of_another_colour_alone_is_no_cell() -> None:
     rgb[3] = BLUE
     rgb[8:12] = BLUE
     rgb[22:] = BLUE
-    now, number = parted_by_color(of_node, lab_colors(rgb.astype(np.uint8)), 3)
+    now, number = split_by_color(of_node, lab_colors(rgb.astype(np.uint8)), 3)
     assert number == 5
     assert len(set(now[:8])) == 1
     assert now[8] != now[12]

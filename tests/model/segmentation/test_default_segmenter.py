@@ -84,9 +84,9 @@ def test_clicks_for_two_parts_in_one_cell_share_it(session, cloud_cabinet, close
     if not close:  # cells alone: nodes follow the nearest click
         session = DefaultSession(session.asset, session.encoding, session.solver)
         session.closeups = None
-    cells, points = session.encoding.cells, cloud_cabinet.asset.element_centers
-    cell = int(cells.size.argmax())
-    nodes = np.nonzero(cells.of_node == cell)[0]
+    superpoints, points = session.encoding.superpoints, cloud_cabinet.asset.element_centers
+    superpoint = int(superpoints.size.argmax())
+    nodes = np.nonzero(superpoints.of_node == superpoint)[0]
     along = points[nodes] @ (points[nodes[-1]] - points[nodes[0]])
     low, high = int(nodes[along.argmin()]), int(nodes[along.argmax()])
     for last in (low, high):
@@ -199,16 +199,16 @@ def test_what_comes_again_is_counted() -> None:
     count = 3 * len(triangles)
     mesh = Mesh(triangles.reshape(-1, 3), np.arange(count, dtype=np.int32).reshape(-1, 3))
     encoding = DefaultSegmenter().encode(Asset("studs", mesh=mesh)).encoding
-    cells = encoding.cells
-    corner, diagonal = cells.center.min(0), np.linalg.norm(np.ptp(cells.center, axis=0))
-    at = (cells.center - corner) / diagonal
-    share = cells.size / cells.size.sum()
-    stud = (np.abs(cells.center[:, :2] - low[0, :2] - 0.25) < 0.3).all(1) & (
-        cells.center[:, 2] > -0.005
+    superpoints = encoding.superpoints
+    corner, diagonal = superpoints.center.min(0), np.linalg.norm(np.ptp(superpoints.center, axis=0))
+    at = (superpoints.center - corner) / diagonal
+    share = superpoints.size / superpoints.size.sum()
+    stud = (np.abs(superpoints.center[:, :2] - low[0, :2] - 0.25) < 0.3).all(1) & (
+        superpoints.center[:, 2] > -0.005
     )
     moments = np.concatenate([np.ones((len(at), 1)), at, at**2], axis=1) * share[:, None]
-    sums = np.stack([moments[stud].sum(0), moments[cells.center[:, 2] < -0.005].sum(0)])
-    counted = np.expm1(Repeats(cells, encoding.hierarchy, at)(sums))
+    sums = np.stack([moments[stud].sum(0), moments[superpoints.center[:, 2] < -0.005].sum(0)])
+    counted = np.expm1(Repeats(superpoints, encoding.hierarchy, at)(sums))
     assert counted[0] >= 5 and counted[1] == 0
 
 
@@ -301,14 +301,14 @@ def test_a_first_click_leaves_something_of_what_others_left(session) -> None:
     zero = np.zeros(len(FEATURE_NAMES), np.float32)
     greedy = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
     encoding = session.encoding
-    solver = PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, greedy, None)
-    taken = encoding.cells.center[:, 0] < 0.5
-    free = float(encoding.cells.size[~taken].sum())
+    solver = PartSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, greedy, None)
+    taken = encoding.superpoints.center[:, 0] < 0.5
+    free = float(encoding.superpoints.size[~taken].sum())
     for x, y, z in ((0.75, -0.02, 0.4), (0.99, 0.25, 0.4), (0.75, 0.25, 0.8)):
-        cell = int(np.abs(encoding.cells.center - (x, y, z)).sum(1).argmin())
-        best = solver.answer(PartState(), cell, True, taken).best
+        superpoint = int(np.abs(encoding.superpoints.center - (x, y, z)).sum(1).argmin())
+        best = solver.answer(PartState(), superpoint, True, taken).best
         assert not best[taken].any()
-        assert encoding.cells.size[best].sum() < 0.95 * free
+        assert encoding.superpoints.size[best].sum() < 0.95 * free
 
 
 def test_a_first_click_on_a_mesh_seldom_means_most_of_it(mesh_cabinet) -> None:
@@ -319,9 +319,11 @@ def test_a_first_click_on_a_mesh_seldom_means_most_of_it(mesh_cabinet) -> None:
     weight = np.array([[0.5 * (n == "log_size") for n in names]], np.float32)
     zero = np.zeros(len(names), np.float32)
     solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
     best = solver.answer(PartState(), door, True, None).best
-    assert best[door] and encoding.cells.size[best].sum() < 0.6 * encoding.cells.size.sum()
+    assert (
+        best[door] and encoding.superpoints.size[best].sum() < 0.6 * encoding.superpoints.size.sum()
+    )
 
 
 def test_a_first_click_beside_others_seldom_means_most_of_a_scan(session) -> None:
@@ -331,7 +333,7 @@ def test_a_first_click_beside_others_seldom_means_most_of_a_scan(session) -> Non
     weight = np.array([[1.0 * (n == "log_size") for n in names]], np.float32)
     zero = np.zeros(len(names), np.float32)
     solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    size, center = encoding.cells.size, encoding.cells.center
+    size, center = encoding.superpoints.size, encoding.superpoints.center
     door = int(np.abs(center - (0.25, -0.02, 0.4)).sum(1).argmin())
     alone = solver.answer(PartState(), door, True, None, of_a_part=False).best
     assert size[alone].sum() > 0.7 * size.sum()
@@ -348,8 +350,8 @@ def test_a_first_click_means_no_speck(session) -> None:
     weight = np.array([[-0.5 * (n == "log_size") for n in names]], np.float32)
     zero = np.zeros(len(names), np.float32)
     solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    size = encoding.cells.size
-    door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    size = encoding.superpoints.size
+    door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
     found = solver.answer(PartState(), door, True, None, of_a_part=False)
     held = found.candidates.masks @ size
     assert held.min() < 16 < size[found.best].sum() < 0.1 * size.sum()
@@ -363,8 +365,8 @@ def test_of_equally_likely_masks_no_detail_is_meant(session) -> None:
     same = Mlp(names, zero, np.ones_like(zero), ((zero[None], np.zeros(1, np.float32)),))
     solver._first = same
     door = int(np.abs(encoding.nodes.points - (0.25, -0.02, 0.4)).sum(1).argmin())
-    best = solver.answer(PartState(), int(encoding.cells.of_node[door]), True, None).best
-    assert encoding.cells.size[best].sum() > 0.018 * encoding.cells.size.sum()
+    best = solver.answer(PartState(), int(encoding.superpoints.of_node[door]), True, None).best
+    assert encoding.superpoints.size[best].sum() > 0.018 * encoding.superpoints.size.sum()
     closeup = session.closeups[door]
     near = copy(closeup._solver)
     near._first = same
@@ -381,40 +383,40 @@ def stubborn(session) -> PartSolver:
     zero = np.zeros(len(FEATURE_NAMES), np.float32)
     keeps = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
     encoding = session.encoding
-    return PartSolver(encoding.cells, encoding.hierarchy, encoding.walk, None, keeps)
+    return PartSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, keeps)
 
 
 def test_clicks_in_vain_make_the_next_one_count(session, stubborn) -> None:
     """The scorer is heard at first, not for ever."""
     encoding, solver = session.encoding, stubborn
-    everything = np.ones(len(encoding.cells), bool)
-    body = int(np.abs(encoding.cells.center - (0.0, 0.25, 0.4)).sum(1).argmin())
-    door = int(np.abs(encoding.cells.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    everything = np.ones(len(encoding.superpoints), bool)
+    body = int(np.abs(encoding.superpoints.center - (0.0, 0.25, 0.4)).sum(1).argmin())
+    door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
     state = PartState((door,), tuple(range(8)), everything)
 
     def lost(state: PartState) -> float:
         answer = solver.answer(state, body, False, None)
-        gone = encoding.cells.size[~answer.best].sum()
-        return float(gone / encoding.cells.size.sum())
+        gone = encoding.superpoints.size[~answer.best].sum()
+        return float(gone / encoding.superpoints.size.sum())
 
     assert lost(state) < 0.01
     for _ in range(3):
         state = solver.moved(state, body, False, everything)
     assert state.stalls == 3
     assert lost(state) > 0.1
-    assert solver.moved(state, body, False, encoding.cells.center[:, 0] < 0.5).stalls == 0
+    assert solver.moved(state, body, False, encoding.superpoints.center[:, 0] < 0.5).stalls == 0
 
 
 def test_a_click_far_from_a_small_mask_means_more_than_a_speck(session, stubborn) -> None:
     encoding, solver = session.encoding, stubborn
-    knob = np.linalg.norm(encoding.cells.center - (0.42, -0.05, 0.37), axis=1) < 0.04
+    knob = np.linalg.norm(encoding.superpoints.center - (0.42, -0.05, 0.37), axis=1) < 0.04
     assert knob.any()
     first = int(np.nonzero(knob)[0][0])
-    door = int(np.abs(encoding.cells.center - (0.2, -0.02, 0.4)).sum(1).argmin())
-    before = tuple(int(c) for c in np.nonzero(encoding.cells.center[:, 0] > 0.5)[0][:8])
+    door = int(np.abs(encoding.superpoints.center - (0.2, -0.02, 0.4)).sum(1).argmin())
+    before = tuple(int(c) for c in np.nonzero(encoding.superpoints.center[:, 0] > 0.5)[0][:8])
     answer = solver.answer(PartState((first,), before, knob), door, True, None)
-    gained = encoding.cells.size[answer.best & ~knob].sum()
-    assert gained > 3 * encoding.cells.size[door], gained
+    gained = encoding.superpoints.size[answer.best & ~knob].sum()
+    assert gained > 3 * encoding.superpoints.size[door], gained
 
 
 def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
@@ -452,9 +454,9 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
 
 
 def test_one_kind_of_click_again_and_again_counts_as_in_vain(session, cloud_cabinet) -> None:
-    solver, size = session.solver, session.encoding.cells.size
+    solver, size = session.solver, session.encoding.superpoints.size
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
-    door = int(session.encoding.cells.of_node[deepest(points, truth)])
+    door = int(session.encoding.superpoints.of_node[deepest(points, truth)])
     wide = solver.chain(door).masks
     masks = wide[np.argsort(wide @ size)[[2, len(wide) // 3, len(wide) // 2]]]
     state = solver.moved(PartState(), door, True, masks[0])
@@ -476,30 +478,30 @@ def test_one_kind_of_click_again_and_again_counts_as_in_vain(session, cloud_cabi
 
 
 def test_what_is_taken_away_leaves_no_speck(session, cloud_cabinet) -> None:
-    solver, cells = session.solver, session.encoding.cells
+    solver, superpoints = session.solver, session.encoding.superpoints
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
-    door = int(cells.of_node[deepest(points, truth)])
+    door = int(superpoints.of_node[deepest(points, truth)])
     wide = solver.chain(door).masks
-    mask = wide[np.argsort(wide @ cells.size)[len(wide) // 2]]
+    mask = wide[np.argsort(wide @ superpoints.size)[len(wide) // 2]]
     state = solver.moved(PartState(), door, True, mask)
-    small = np.argsort(np.where(mask, cells.size, np.inf))[:30]
-    kept = np.zeros((30, len(cells)), bool)
+    small = np.argsort(np.where(mask, superpoints.size, np.inf))[:30]
+    kept = np.zeros((30, len(superpoints)), bool)
     kept[np.arange(30), small] = True
     kept = np.maximum.accumulate(kept)
     against = solver._unlikely(state, door, False, kept, np.ones(30, np.float32))
-    left = kept @ cells.size
+    left = kept @ superpoints.size
     assert (left < 16).any() and (left > 16).any()
     expected = np.clip(3 * np.log(16 / left), 0, 9)
     np.testing.assert_allclose(against - against[-1], expected, atol=0.1)
 
 
 def test_a_click_beside_the_border_means_what_is_there(session, cloud_cabinet) -> None:
-    solver, cells = session.solver, session.encoding.cells
+    solver, superpoints = session.solver, session.encoding.superpoints
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
-    door = int(cells.of_node[deepest(points, truth)])
+    door = int(superpoints.of_node[deepest(points, truth)])
     wide = solver.chain(door).masks
-    mask = wide[np.argsort(wide @ cells.size)[len(wide) // 2]]
-    links = cells.links
+    mask = wide[np.argsort(wide @ superpoints.size)[len(wide) // 2]]
+    links = superpoints.links
     edge = int(links.b[mask[links.a] & ~mask[links.b]][0])
     state = solver.moved(PartState(), door, True, mask)
 
@@ -512,27 +514,27 @@ def test_a_click_beside_the_border_means_what_is_there(session, cloud_cabinet) -
     same, fell = scores(0.3)
     del solver._far_penalty
     assert np.array_equal(masks, same)
-    apart = ((cells.center - cells.center[edge]) ** 2).sum(1)
-    near = cells.size[apart < apart[mask].min()].sum()
-    large = (masks ^ mask) @ cells.size > 10 * near
+    apart = ((superpoints.center - superpoints.center[edge]) ** 2).sum(1)
+    near = superpoints.size[apart < apart[mask].min()].sum()
+    large = (masks ^ mask) @ superpoints.size > 10 * near
     assert 0 < large.sum() < len(large) and np.array_equal(free > fell + 1e-6, large)
     assert (free - fell).max() <= 0.9 + 1e-5
 
 
 def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabinet) -> None:
     solver, encoding = session.solver, session.encoding
-    size = encoding.cells.size
+    size = encoding.superpoints.size
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
-    door = int(encoding.cells.of_node[deepest(points, truth)])
+    door = int(encoding.superpoints.of_node[deepest(points, truth)])
     wide = solver.chain(door).masks
     mask = wide[np.argsort(wide @ size)[len(wide) // 2]]
     own = float(size[mask].sum())
-    cell = int(np.nonzero(~mask)[0][0])
+    superpoint = int(np.nonzero(~mask)[0][0])
     state = solver.moved(PartState(), door, True, mask)
     assert state.least == 0 and np.isinf(state.most)
 
     def scores(known: PartState) -> dict[bytes, float]:
-        answer = solver.answer(known, cell, True, None)
+        answer = solver.answer(known, superpoint, True, None)
         pairs = zip(answer.candidates.masks, answer.scores, strict=True)
         return {m.tobytes(): float(s) for m, s in pairs}
 
@@ -544,7 +546,7 @@ def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabine
     # whoever clicks so mends what comes next, and only the last click counts.
     odd = replace(state, most=1.1 * own)
     assert scores(odd) == free
-    after = solver.moved(odd, cell, True, mask)
+    after = solver.moved(odd, superpoint, True, mask)
     assert after.least == own and np.isinf(after.most)
 
 

@@ -72,17 +72,19 @@ def panels():
 @pytest.fixture(scope="module")
 def fronts(panels) -> Fronts:
     encoding, _ = panels
-    return Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
+    return Fronts(
+        encoding.nodes, encoding.graph, encoding.strength, encoding.superpoints, np.eye(3)
+    )
 
 
 def cell_at(encoding, spot) -> int:
-    return int(encoding.cells.of_node[encoding.nodes.tree.query(spot)[1]])
+    return int(encoding.superpoints.of_node[encoding.nodes.tree.query(spot)[1]])
 
 
 def best_overlap(encoding, masks, truth) -> float:
-    own = np.bincount(encoding.cells.of_node, truth, len(encoding.cells))
+    own = np.bincount(encoding.superpoints.of_node, truth, len(encoding.superpoints))
     common = masks @ own
-    return float((common / (masks @ encoding.cells.size + own.sum() - common)).max())
+    return float((common / (masks @ encoding.superpoints.size + own.sum() - common)).max())
 
 
 @pytest.mark.parametrize(("part", "spot"), [
@@ -90,11 +92,11 @@ def best_overlap(encoding, masks, truth) -> float:
 ])  # fmt: skip
 def test_flush_panels_are_found_by_the_lines_between_them(fronts, panels, part, spot) -> None:
     encoding, labels = panels
-    cell = cell_at(encoding, spot)
-    (front,) = fronts.of(cell)
-    rects = fronts.rectangles(front, cell)
+    superpoint = cell_at(encoding, spot)
+    (front,) = fronts.of(superpoint)
+    rects = fronts.rectangles(front, superpoint)
     masks = fronts.masks(front, rects)
-    assert masks[:, cell].all(), "each holds what was clicked"
+    assert masks[:, superpoint].all(), "each holds what was clicked"
     assert best_overlap(encoding, masks[:6], labels == part) > 0.85, "among the likeliest"
     whole = np.isin(labels, (1, 2, 3, 4))
     assert best_overlap(encoding, masks, whole) > 0.85, "and the whole front is there, too"
@@ -105,7 +107,7 @@ def test_a_line_that_nothing_shows_is_no_line(panels) -> None:
     plain = encode(Asset("plain", cloud=cloud), shipped_edge_model())
     worth = []
     for there in (plain, panels[0]):
-        of = Fronts(there.nodes, there.graph, there.strength, there.cells, np.eye(3))
+        of = Fronts(there.nodes, there.graph, there.strength, there.superpoints, np.eye(3))
         (front,) = of.of(cell_at(there, (1.0, 0, 0.2)))
         ends = np.array([(COLUMNS[1], ROWS[0]), (COLUMNS[2], ROWS[1])])
         (u0, v0), (u1, v1) = np.round((ends - front.low) / front.side).astype(int)
@@ -116,31 +118,35 @@ def test_a_line_that_nothing_shows_is_no_line(panels) -> None:
 
 def test_what_other_clicks_hold_is_left_out(fronts, panels) -> None:
     encoding, _ = panels
-    cell, other = cell_at(encoding, (0.12, 0, 0.1)), cell_at(encoding, (0.12, 0, 0.7))
-    (front,) = fronts.of(cell)
-    masks = fronts.masks(front, fronts.rectangles(front, cell, (other,)))
-    assert len(masks) and not masks[:, other].any() and masks[:, cell].all()
+    superpoint, other = cell_at(encoding, (0.12, 0, 0.1)), cell_at(encoding, (0.12, 0, 0.7))
+    (front,) = fronts.of(superpoint)
+    masks = fronts.masks(front, fronts.rectangles(front, superpoint, (other,)))
+    assert len(masks) and not masks[:, other].any() and masks[:, superpoint].all()
 
 
 def test_what_is_found_does_not_depend_on_what_was_looked_at_before(fronts, panels) -> None:
     encoding, _ = panels
     spots = [(0.12, 0, 0.1), (0.85, -0.05, 0.55), (1.0, 0.1, HIGH), (0.4, 0, 0.7)]
     for spot in spots:
-        cell = cell_at(encoding, spot)
-        fresh = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
-        for known, new in zip(fronts.of(cell), fresh.of(cell), strict=True):
+        superpoint = cell_at(encoding, spot)
+        fresh = Fronts(
+            encoding.nodes, encoding.graph, encoding.strength, encoding.superpoints, np.eye(3)
+        )
+        for known, new in zip(fronts.of(superpoint), fresh.of(superpoint), strict=True):
             assert np.array_equal(known.region, new.region) and known.depth == new.depth
-            assert np.array_equal(fronts.rectangles(known, cell), fresh.rectangles(new, cell))
+            assert np.array_equal(
+                fronts.rectangles(known, superpoint), fresh.rectangles(new, superpoint)
+            )
 
 
 def test_a_knob_is_clicked_for_the_panel_behind_it(fronts, panels) -> None:
     encoding, labels = panels
-    cell = cell_at(encoding, (0.85, -0.05, 0.55))
-    own, behind = fronts.of(cell)
+    superpoint = cell_at(encoding, (0.85, -0.05, 0.55))
+    own, behind = fronts.of(superpoint)
     assert behind.region.sum() > 10 * own.region.sum()
     assert len(behind.knobs) == 4
-    masks = fronts.masks(behind, fronts.rectangles(behind, cell))
-    assert masks[:, cell].all()
+    masks = fronts.masks(behind, fronts.rectangles(behind, superpoint))
+    assert masks[:, superpoint].all()
     assert best_overlap(encoding, masks, labels == 4) > 0.85, "with its knob"
 
 
@@ -227,8 +233,8 @@ def test_a_handle_of_a_door_is_set_apart_by_a_click_with_another_number(refriger
 
 def test_a_line_behind_a_handle_goes_by_what_is_beside_it(fronts, panels) -> None:
     encoding, _ = panels
-    cell = cell_at(encoding, (1.0, 0, 0.2))
-    (front,) = fronts.of(cell)
+    superpoint = cell_at(encoding, (1.0, 0, 0.2))
+    (front,) = fronts.of(superpoint)
     u, v = np.round(front.knobs[0]).astype(int)
     assert front.knob_of[u, v] == 0 and (front.length < 2).all()
     low, high = front.bounds[2:]
@@ -243,10 +249,12 @@ def test_a_line_behind_a_handle_goes_by_what_is_beside_it(fronts, panels) -> Non
 
 def test_a_normal_that_was_turned_round_changes_nothing(fronts, panels) -> None:
     encoding, _ = panels
-    cell = cell_at(encoding, (1.0, 0, 0.2))
-    turned = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
-    turned._turn[cell] *= -1
-    (right,), (wrong,) = fronts.of(cell), turned.of(cell)
+    superpoint = cell_at(encoding, (1.0, 0, 0.2))
+    turned = Fronts(
+        encoding.nodes, encoding.graph, encoding.strength, encoding.superpoints, np.eye(3)
+    )
+    turned._turn[superpoint] *= -1
+    (right,), (wrong,) = fronts.of(superpoint), turned.of(superpoint)
     assert (wrong.outward, wrong.depth) == (right.outward, right.depth)
     assert len(wrong.knobs) == 4
 
@@ -256,37 +264,41 @@ def test_a_round_thing_has_no_front() -> None:
     points = rng.normal(size=(20_000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     encoding = encode(Asset("ball", cloud=PointCloud(points.astype(np.float32))), None)
-    of = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.cells, np.eye(3))
+    of = Fronts(encoding.nodes, encoding.graph, encoding.strength, encoding.superpoints, np.eye(3))
     assert of.of(cell_at(encoding, np.ones(3) / 3**0.5)) == []
 
 
 def test_features_tell_a_panel_from_its_half(fronts, panels) -> None:
     encoding, labels = panels
-    cells = encoding.cells
-    cell = cell_at(encoding, (1.0, 0, 0.2))
-    (front,) = fronts.of(cell)
-    of_cell = np.bincount(cells.of_node, labels == 2, len(cells)) > 0.5 * cells.size
-    right = of_cell & (cells.center[:, 0] > 0.85)
-    shown = front_features(np.stack([of_cell, right, ~of_cell]), cells, np.eye(3), front)
+    superpoints = encoding.superpoints
+    superpoint = cell_at(encoding, (1.0, 0, 0.2))
+    (front,) = fronts.of(superpoint)
+    of_superpoint = (
+        np.bincount(superpoints.of_node, labels == 2, len(superpoints)) > 0.5 * superpoints.size
+    )
+    right = of_superpoint & (superpoints.center[:, 0] > 0.85)
+    shown = front_features(
+        np.stack([of_superpoint, right, ~of_superpoint]), superpoints, np.eye(3), front
+    )
     assert shown.shape == (3, len(FRONT_FEATURES)) and np.isfinite(shown).all()
     column = {name: shown[:, i] for i, name in enumerate(FRONT_FEATURES)}
     assert column["side_1"][0] > column["side_1"][1] + 0.2, "the half ends where no line is"
     assert column["front_filled"][0] > 0.9 > column["front_filled"][2]
     assert column["knobs"][0] == 1 and column["knobs_of_front"][0] == 4
-    nothing = front_features(np.stack([of_cell]), cells, np.eye(3), None)
+    nothing = front_features(np.stack([of_superpoint]), superpoints, np.eye(3), None)
     assert not nothing.any()
 
 
 def test_the_solver_offers_rectangles_for_parts_alone(panels) -> None:
     encoding, labels = panels
     solver = solver_of(encoding, *shipped_scorers())
-    cell = cell_at(encoding, (1.0, 0, 0.2))
-    part = solver.answer(PartState(), cell, True, None)
-    anything = solver.answer(PartState(), cell, True, None, of_a_part=False)
+    superpoint = cell_at(encoding, (1.0, 0, 0.2))
+    part = solver.answer(PartState(), superpoint, True, None)
+    anything = solver.answer(PartState(), superpoint, True, None, of_a_part=False)
     assert part.features.shape[1] == len(MOVING_FEATURE_NAMES)
     assert len(part.candidates) > len(anything.candidates)
     assert best_overlap(encoding, part.candidates.masks, labels == 2) > 0.85
-    again = solver.answer(PartState(), cell, True, None)
+    again = solver.answer(PartState(), superpoint, True, None)
     assert np.array_equal(part.candidates.masks, again.candidates.masks)
     assert np.array_equal(part.scores, again.scores)
 
@@ -295,10 +307,10 @@ def test_the_solver_offers_rectangles_for_parts_alone(panels) -> None:
 def test_a_later_click_knows_where_the_panel_ends(panels, begin: float) -> None:
     """Half a panel was taken; a click on the other half means all of it."""
     encoding, labels = panels
-    cells = encoding.cells
-    own = np.bincount(cells.of_node, labels == 2, len(cells)) > 0.5 * cells.size
+    superpoints = encoding.superpoints
+    own = np.bincount(superpoints.of_node, labels == 2, len(superpoints)) > 0.5 * superpoints.size
     first, missing = cell_at(encoding, (1.0, 0, 0.2)), cell_at(encoding, (0.62, 0, 0.1))
-    state = PartState(positive=(first,), mask=own & (cells.center[:, 0] > begin))
+    state = PartState(positive=(first,), mask=own & (superpoints.center[:, 0] > begin))
     solver = solver_of(encoding, *shipped_scorers(), shipped_moving_scorers())
     part = solver.answer(state, missing, True, None)
     anything = solver.answer(state, missing, True, None, of_a_part=False)
@@ -331,11 +343,11 @@ def test_what_may_be_the_base_is_asked_for_by_name(panels) -> None:
     prompts = Prompts((Click((1.2, 0.2, 0.4), 1),))
     anything = session.of_anything()
     assert anything.encoding is session.encoding
-    cell = cell_at(session.encoding, (1.2, 0.2, 0.4))
-    expected = session.solver.first_answer(cell, of_a_part=False).best
+    superpoint = cell_at(session.encoding, (1.2, 0.2, 0.4))
+    expected = session.solver.first_answer(superpoint, of_a_part=False).best
     taken = np.bincount(
-        session.encoding.cells.of_node,
+        session.encoding.superpoints.of_node,
         anything.segment(prompts).labels[session.encoding.nodes.elements.element_of_node] == 1,
-        len(session.encoding.cells),
+        len(session.encoding.superpoints),
     )
     assert ((taken > 0) & expected).sum() > 0.9 * expected.sum()

@@ -47,12 +47,12 @@ def test_parts_exclude_each_other_but_small_ones_may_sit_on_large_ones() -> None
 
 
 def test_what_cells_speak_of_is_described(session: DefaultSession) -> None:
-    solver, cells = session.solver, session.encoding.cells
+    solver, superpoints = session.solver, session.encoding.superpoints
     assert isinstance(solver, ObjectSolver)
-    asked = proposal.spread(cells.center, 12)
+    asked = proposal.spread(superpoints.center, 12)
     assert len(set(asked.tolist())) == 12
     spoken = spoken_of(solver, asked)
-    assert spoken.masks.shape == (len(spoken.features), len(cells))
+    assert spoken.masks.shape == (len(spoken.features), len(superpoints))
     assert len(np.unique(np.packbits(spoken.masks, axis=1), axis=0)) == len(spoken.masks)
     assert spoken.masks[:, asked].any(1).all(), "some cell within speaks of each"
     assert np.isfinite(spoken.features).all()

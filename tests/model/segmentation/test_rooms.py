@@ -32,13 +32,13 @@ def session(room: LabelledCloud) -> DefaultSession:
 def test_floor_and_walls_are_known_and_hold_nothing_together(
     room: LabelledCloud, session: DefaultSession
 ) -> None:
-    found, cells = session.encoding.room, session.encoding.cells
+    found, superpoints = session.encoding.room, session.encoding.superpoints
     assert found is not None
-    flat = found.border[cells.of_node][session.encoding.nodes.elements.node_of_element]
+    flat = found.border[superpoints.of_node][session.encoding.nodes.elements.node_of_element]
     nothing = room.labels == NOTHING
     assert flat[nothing].mean() > 0.9 and flat[~nothing].mean() < 0.2
-    across = found.border[cells.links.a] != found.border[cells.links.b]
-    assert (cells.links.strength[across] == 9 * cells.links.count[across]).all()
+    across = found.border[superpoints.links.a] != found.border[superpoints.links.b]
+    assert (superpoints.links.strength[across] == 9 * superpoints.links.count[across]).all()
     assert -0.05 < np.percentile(found.position[found.border, 2], 1) < 0.05
 
 

@@ -1,0 +1,338 @@
+"""Articulated objects that somebody else made, as an asset to look at: parts, names and joints.
+
+What a URDF or MJCF fixes together is one part, as for a data set. Unlike there, the order of the
+elements is the file's, and an empty root keeps its joints: whoever checks a file wants to see them
+all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.asset import MAX_PARTS
+from model.core.errors import InputFileError
+from model.core.inertial import Inertial
+from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress, no_progress
+from model.core.shapes import Shape, moved_shape
+from model.core.tree import KinematicTree
+from model.io.assets.reader import PROVENANCE, URDF, load_object, reading_notes, told_links
+from model.io.export.manifest import category_told
+from model.io.formats.mtl import MaterialFiles
+from model.io.merging import group_inertial, rigid_groups
+from model.io.model_files import read_model
+from model.io.urdf.collision import ToldCollision, told_shapes
+from model.io.urdf.files import MOBILITY, package_root
+from model.io.urdf.meshes import load_part, merged, merged_clouds, moved_mesh
+from model.io.urdf.model import UrdfModel
+from model.io.urdf.sidecar import description_beside, partnet_category, semantic_names
+
+_LINK = re.compile(r"link_(\d+)")
+_NOTES_SHOWN = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """An articulated object with its parts numbered as in the app.
+
+    Attributes:
+        mesh, cloud: all geometry in the file's order; one of them.
+        element_part: (E,) int32 part of each face or point; None where there is but one part.
+        part_names: by part, "" for none.
+        tree: joints of the links ``link_<part>`` and of helpers; None where none moves.
+        notes: what was changed or passed over on reading, for people.
+        files: what was read.
+        inertials: by those links, mass properties where the file tells them.
+        shapes: by those links, collision shapes where the file tells them.
+    """
+
+    mesh: Mesh | None
+    cloud: PointCloud | None
+    element_part: npt.NDArray[np.int32] | None
+    part_names: tuple[str, ...]
+    tree: KinematicTree | None
+    category: str | None
+    notes: tuple[str, ...]
+    files: tuple[Path, ...]
+    inertials: Mapping[str, Inertial]
+    shapes: Mapping[str, tuple[Shape, ...]]
+
+
+def open_model(
+    path: Path,
+    target_from_file: npt.NDArray[np.float64],
+    max_bytes: int,
+    progress: Progress = no_progress,
+) -> Opened:
+    """Read a URDF or MJCF with what lies beside it and tells more: names, a category.
+
+    Args:
+        path: the file; its meshes lie in its folder, or in that of its ROS package.
+        target_from_file: (4, 4) rotation and uniform scale to metres and +z up.
+        max_bytes: refuse larger meshes.
+        progress: told of each link.
+
+    Raises:
+        InputFileError: naming the file and everything that is wrong in it.
+    """
+    model = read_model(path, max_bytes)
+    for visual in model.visuals:
+        if visual.file is not None and visual.file.is_file():
+            _check_size(visual.file, max_bytes)
+    files = MaterialFiles(package_root(path))
+    if path.name == URDF and (path.parent / PROVENANCE).is_file():
+        obj = load_object(path.parent, progress)
+        told = {p.link: p.name for p in obj.parts if p.name}
+        notes = reading_notes(path.parent, obj)
+    else:
+        obj, told = _loaded(model, files, progress)
+        obj = replace(model.told, collision={}).of(obj)  # those go by part, not by link
+        notes = (*model.notes, *model.told.notes, *remarks_of(obj.parts))
+    plain = {*model.rescaled, *model.renamed}  # they change nothing that is seen
+    notes = tuple(n for n in dict.fromkeys(notes) if n not in plain)
+    meshes = [v.file for v in model.visuals if v.file is not None]
+    collision = model.told.collision
+    meshes += [
+        v.file for c in collision.values() for v in c.pieces
+        if v.file is not None and v.file.is_file()
+    ]  # fmt: skip
+    listed = told_links(path.parent, "collision") if path.name == URDF else None
+    if listed is not None:  # of an asset of ours: the others were made from what is seen
+        collision = {
+            link: c if link in listed else replace(c, repeated=True)
+            for link, c in collision.items()
+        }
+    files_read = (path, *meshes, *model.files, *files.paths)
+    return _opened(obj, told, collision, target_from_file, notes, files_read)
+
+
+def _check_size(path: Path, most: int) -> None:
+    size = path.stat().st_size
+    if size > most:
+        said = f"{size / 2**30:.1f} GiB is over the limit of {most / 2**30:.1f} GiB"
+        raise InputFileError(path, said, "thin or cut the mesh first")
+
+
+def _loaded(
+    model: UrdfModel, files: MaterialFiles, progress: Progress
+) -> tuple[ArticulatedObject, dict[str, str]]:
+    """The object link by link, and what its parts are called by what lies beside the URDF."""
+    path = model.path
+    parts = []
+    for i, (link, visuals) in enumerate(model.by_link.items()):
+        progress(i / len(model.by_link), f"reading {link}")
+        parts.append(load_part(link, visuals, files))
+    if not parts:
+        raise InputFileError(path, "no link has a visual or a collision mesh", "one is needed")
+    if path.name == MOBILITY:
+        category, told = partnet_category(path.parent), semantic_names(path.parent)
+    else:
+        said = description_beside(path)
+        category, names = said.get("category"), said.get("names")
+        told = {k: str(v) for k, v in names.items()} if isinstance(names, dict) else {}
+        exported, ours = category_told(path.parent)
+        if ours:  # in an export of ours a visual is called as its part
+            category = category or exported
+            told = {p.link: p.name for p in parts if p.name} | told
+        told = dict(model.part_names) | told
+    known = category if isinstance(category, str) else None
+    return ArticulatedObject(model.name, tuple(parts), model.tree, known), told
+
+
+def _opened(
+    obj: ArticulatedObject,
+    told: Mapping[str, str],
+    collision: Mapping[str, ToldCollision],
+    matrix: npt.NDArray[np.float64],
+    notes: Sequence[str],
+    files: Sequence[Path],
+) -> Opened:
+    path, said = files[0], list(notes)
+    meshes, clouds = _geometry(path, obj.parts)
+    sizes = [len(m.faces) for m in meshes] or [len(c) for c in clouds]
+    mesh = moved_mesh(merged(meshes), matrix) if meshes else None
+    cloud = None
+    if clouds:
+        whole = merged_clouds(clouds)
+        points = whole.points @ matrix[:3, :3].T
+        normals = whole.normals
+        if normals is not None:
+            normals = normals @ (matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))).T
+        cloud = PointCloud(points.astype(np.float32), normals, whole.colors)
+    tree = _without_bare_ends(obj.tree, {p.link for p in obj.parts}, said)
+    moves = any(j.moves for j in tree.joints)
+    # Where nothing moves, links are all that tells parts; to be predicted, they stay apart.
+    apart = () if moves else [j.name for j in tree.joints]
+    groups = rigid_groups(tree, apart)
+    head = {link: top for top, links in groups.items() for link in links}
+    holding = {head[p.link] for p in obj.parts}
+    number = _numbers([top for top in groups if top in holding], tree.root)
+    if max(number.values()) >= MAX_PARTS:
+        raise InputFileError(path, f"has {len(number)} parts; {MAX_PARTS - 1} are possible")
+    parts = np.repeat([number[head[p.link]] for p in obj.parts], sizes).astype(np.int32)
+    names = [""] * (max(number.values()) + 1)
+    own = {p.link for p in obj.parts}
+    for top, part in number.items():
+        names[part] = _name([n for n in groups[top] if n in told or n in own], told)
+    # Frames that carry nothing have a weight, and may have shapes, all the same.
+    groups_told = rigid_groups(obj.tree, apart)
+    shapes = _shaped(groups_told, collision, number, matrix, said)
+    return Opened(
+        mesh,
+        cloud,
+        parts if len(number) > 1 or moves else None,
+        tuple(names) if len(number) > 1 or moves else (),
+        _numbered(tree, groups, head, number, matrix) if moves else None,
+        obj.category,
+        (*said[:_NOTES_SHOWN], *([f"and {len(said) - _NOTES_SHOWN} remarks more"]
+                                 if len(said) > _NOTES_SHOWN else [])),
+        tuple(dict.fromkeys(files)),
+        _weighed(obj, groups_told, number, matrix),
+        shapes,
+    )  # fmt: skip
+
+
+def _geometry(path: Path, parts: Sequence[Part]) -> tuple[list[Mesh], list[PointCloud]]:
+    """The meshes of all parts, or the clouds of all; an asset is one or the other."""
+    meshes = [p.mesh for p in parts if p.mesh is not None]
+    if len(meshes) == len(parts):
+        return meshes, []
+    if meshes:
+        cloud = next(p.link for p in parts if p.mesh is None)
+        raise InputFileError(
+            path, f"link {cloud!r} is a cloud among meshes",
+            "give all links as meshes or all as clouds",
+        )  # fmt: skip
+    return [], [p.cloud for p in parts if p.cloud is not None]
+
+
+def _without_bare_ends(tree: KinematicTree, holding: set[str], notes: list[str]) -> KinematicTree:
+    """Without the moving links at the ends that carry nothing: tool frames, sensors."""
+    needed = set(holding) | {tree.root}
+    leaders = {j.mimic.joint for j in tree.joints if j.mimic is not None}
+    needed |= {j.child for j in tree.joints if j.name in leaders}
+    for link in list(needed):
+        while (joint := tree.joint_of.get(link)) is not None:
+            needed.add(link := joint.parent)
+    bare = [j for j in tree.joints if j.child not in needed]
+    moving = [j.name for j in bare if j.moves]
+    if moving:
+        notes.append(f"joints that carry nothing were left out: {', '.join(moving[:5])}"
+                     + (", …" if len(moving) > 5 else ""))  # fmt: skip
+    if not bare:
+        return tree
+    gone = {j.child for j in bare}
+    joints = tuple(j for j in tree.joints if j.child not in gone)
+    return KinematicTree(tuple(n for n in tree.links if n not in gone), joints)
+
+
+def _numbers(tops: Sequence[str], root: str) -> dict[str, int]:
+    """Topmost link of each part → its number; 0 is what the others hang on.
+
+    Objects that the app wrote keep the numbers that they have there.
+    """
+    kept = {top: int(m[1]) for top in tops if (m := _LINK.fullmatch(top)) and len(m[1]) < 4}
+    based = kept.get(root) == 0 if root in tops else 0 not in kept.values()
+    if len(set(kept.values())) == len(tops) and based:
+        return kept
+    first = 0 if tops[0] == root else 1
+    return {top: first + i for i, top in enumerate(tops)}
+
+
+def _name(links: Sequence[str], told: Mapping[str, str]) -> str:
+    """What a part is called: as is told, else as its first link, unless that is a number."""
+    chosen = next((n for n in links if n in told), None)
+    if chosen is not None:
+        return told[chosen]
+    return "" if _LINK.fullmatch(links[0]) else links[0].removeprefix("link_")
+
+
+def _numbered(
+    tree: KinematicTree,
+    groups: Mapping[str, Sequence[str]],
+    head: Mapping[str, str],
+    number: Mapping[str, int],
+    matrix: npt.NDArray[np.float64],
+) -> KinematicTree:
+    """The moving joints between the parts, under ``matrix``."""
+    link = {top: f"link_{number[top]}" if top in number else top for top in groups}
+    types = {j.name: j for j in tree.joints}
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    joints = []
+    for joint in (j for j in tree.joints if j.moves):
+        parent, child = link[head[joint.parent]], link[head[joint.child]]
+        joints.append(replace(_moved(joint, types, matrix, scale), parent=parent, child=child))
+    return KinematicTree(tuple(link.values()), tuple(joints))
+
+
+def _weighed(
+    obj: ArticulatedObject,
+    groups: Mapping[str, Sequence[str]],
+    number: Mapping[str, int],
+    matrix: npt.NDArray[np.float64],
+) -> dict[str, Inertial]:
+    """Link of each part, or helper → what its links weigh together."""
+    told, seen = obj.inertials, {p.link for p in obj.parts}
+    out: dict[str, Inertial] = {}
+    for top, links in groups.items():
+        own = group_inertial(links, seen, told)
+        if own is not None:
+            out[f"link_{number[top]}" if top in number else top] = own.moved(matrix)
+    return out
+
+
+def _shaped(
+    groups: Mapping[str, Sequence[str]],
+    collision: Mapping[str, ToldCollision],
+    number: Mapping[str, int],
+    matrix: npt.NDArray[np.float64],
+    notes: list[str],
+) -> dict[str, tuple[Shape, ...]]:
+    """Link of each part, or helper → the collision shapes of its links."""
+    out: dict[str, tuple[Shape, ...]] = {}
+    for top, links in groups.items():
+        held = told_shapes(links, collision, notes)
+        if held:
+            link = f"link_{number[top]}" if top in number else top
+            out[link] = tuple(moved_shape(s, matrix) for s in held)
+    return out
+
+
+def _moved(
+    joint: Joint, all_: Mapping[str, Joint], matrix: npt.NDArray[np.float64], scale: float
+) -> Joint:
+    if (matrix == np.eye(4)).all():
+        return joint
+    own = 1.0 if joint.rotates else scale
+    mimic = joint.mimic
+    if mimic is not None:
+        other = 1.0 if all_[mimic.joint].rotates else scale
+        mimic = replace(mimic, multiplier=mimic.multiplier * own / other, offset=mimic.offset * own)
+    dynamics = joint.dynamics
+    if dynamics is not None:  # newtons stay newtons, whatever the unit of length
+        slow, fast = dynamics.damping, dynamics.velocity
+        dynamics = replace(
+            dynamics,
+            damping=None if slow is None else slow / own,
+            velocity=None if fast is None else fast * own,
+        )
+    ax, ay, az = (matrix[:3, :3] @ np.asarray(joint.axis) / scale).tolist()
+    ox, oy, oz = (matrix[:3, :3] @ np.asarray(joint.origin)).tolist()
+    return replace(
+        joint,
+        axis=(ax, ay, az),
+        origin=(ox, oy, oz),
+        lower=None if joint.lower is None else joint.lower * own,
+        upper=None if joint.upper is None else joint.upper * own,
+        mimic=mimic,
+        dynamics=dynamics,
+    )
