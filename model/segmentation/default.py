@@ -180,7 +180,7 @@ class DefaultSession:
         ranked, own = state.ranked[part], state.parts[part].mask
         assert own is not None
         masks, most = ranked.candidates.masks, ALTERNATIVES + _SPARE
-        index = offered(masks, ranked.scores, own, self.encoding.cells.size, most)
+        index = offered(masks, ranked.scores, own, self.encoding.superpoints.size, most)
         whole = (_with_mask(state, part, masks[i]) for i in index)
         close = state.close.get(part)
         if close is None or self.closeups is None:
@@ -195,16 +195,16 @@ class DefaultSession:
             if other is not None:
                 yield other
 
-    def preview(self, cell: int) -> Bool:
+    def preview(self, superpoint: int) -> Bool:
         """(C,) the cells that a first click on ``cell`` would take."""
-        found = self.solver.first_answer(cell, of_a_part=self.of_parts)
+        found = self.solver.first_answer(superpoint, of_a_part=self.of_parts)
         best = found.best
         if self.fittings is not None:
-            node = int(np.argmax(self.encoding.cells.of_node == cell))
+            node = int(np.argmax(self.encoding.superpoints.of_node == superpoint))
             element = int(self.encoding.nodes.elements.element_of_node[node])
             found = self._with_mount(found, PartState(), element, None)
             best = self._not_all(found, _State(), (ClickStep(1, True, element, node),))
-        mask = self.solver.tidy(best, PartState(), cell)
+        mask = self.solver.tidy(best, PartState(), superpoint)
         return self._with_islands(mask.astype(np.int16), ()) > BASE if self._islands else mask
 
     def _steps(self, prompts: Prompts) -> tuple[Step, ...]:
@@ -239,51 +239,55 @@ class DefaultSession:
         step = steps[-1]
         if isinstance(step, RegionStep):
             return self._after_region(state, step)
-        cell = int(self.encoding.cells.of_node[step.node])
+        superpoint = int(self.encoding.superpoints.of_node[step.node])
         if step.part == BASE:
-            return self._after_base_click(state, cell, step.positive)
+            return self._after_base_click(state, superpoint, step.positive)
         parts, ranked = dict(state.parts), dict(state.ranked)
         handle: Bool | None = None
         own = parts.get(step.part, self._begun(state, step.part))
-        inside = own.mask is not None and bool(own.mask[cell])
+        inside = own.mask is not None and bool(own.mask[superpoint])
         others = {q: s for q, s in parts.items() if q != step.part and s.mask is not None}
         if inside == step.positive and own.mask is not None:
             # The answer already agrees: a click that confirms must not disturb anything.
-            parts[step.part] = agreeing(own, cell, step.positive)
+            parts[step.part] = agreeing(own, superpoint, step.positive)
         else:
-            blocked = np.zeros(len(self.encoding.cells), bool)
+            blocked = np.zeros(len(self.encoding.superpoints), bool)
             for other in others.values():
-                if step.positive and not other.mask[cell]:  # type: ignore[index]
+                if step.positive and not other.mask[superpoint]:  # type: ignore[index]
                     blocked |= other.mask  # type: ignore[operator]
-            handle = self._handle_of(cell, others) if step.positive and own.mask is None else None
+            handle = (
+                self._handle_of(superpoint, others) if step.positive and own.mask is None else None
+            )
             if handle is not None:
                 blocked |= ~handle
-            self.encoding.walk.ask(cell)
-            found = self.solver.answer(own, cell, step.positive, blocked, of_a_part=self.of_parts)
+            self.encoding.walk.ask(superpoint)
+            found = self.solver.answer(
+                own, superpoint, step.positive, blocked, of_a_part=self.of_parts
+            )
             if step.positive and own.mask is None:
                 found = self._with_mount(found, own, step.element, blocked)
             best = found.best
             if step.positive and own.mask is None and self.fittings is not None:
                 best = self._not_all(found, state, steps)
-            mask = self.solver.tidy(best, own, cell) & ~blocked
+            mask = self.solver.tidy(best, own, superpoint) & ~blocked
             if self._joins and step.positive and own.mask is not None and own.stalls >= _IN_VAIN:
-                mask = self._not_in_vain(own, mask, cell, blocked)
-            parts[step.part] = self.solver.moved(own, cell, step.positive, mask)
+                mask = self._not_in_vain(own, mask, superpoint, blocked)
+            parts[step.part] = self.solver.moved(own, superpoint, step.positive, mask)
             ranked[step.part] = found
         if step.positive:
             taken = parts[step.part].mask
             assert taken is not None
             for q, other in others.items():
                 assert other.mask is not None
-                if other.mask[cell] and handle is None:
+                if other.mask[superpoint] and handle is None:
                     # The click says that this part was too large: ask again what it is.
                     rest = _union([s.mask for r, s in parts.items() if r != q], len(taken))
-                    parts[q], ranked[q] = self._without(other, cell, rest)
+                    parts[q], ranked[q] = self._without(other, superpoint, rest)
                 else:
-                    parts[q] = replace(agreeing(other, cell, False), mask=other.mask & ~taken)
+                    parts[q] = replace(agreeing(other, superpoint, False), mask=other.mask & ~taken)
         return _State(parts, state.base, ranked)
 
-    def _without(self, own: PartState, cell: int, rest: Bool) -> tuple[PartState, Ranked]:
+    def _without(self, own: PartState, superpoint: int, rest: Bool) -> tuple[PartState, Ranked]:
         """A part after a click on something else that it had taken, and its hypotheses.
 
         One click so far: what that meant is asked anew, knowing more. Else the mask is mended.
@@ -292,32 +296,34 @@ class DefaultSession:
             rest: (C,) what other parts have now.
         """
         if not self._asks_anew or len(own.positive) != 1 or own.drawn or own.run:
-            found = self.solver.answer(own, cell, False, rest, of_a_part=self.of_parts)
-            return self.solver.moved(own, cell, False, found.best & ~rest), found
+            found = self.solver.answer(own, superpoint, False, rest, of_a_part=self.of_parts)
+            return self.solver.moved(own, superpoint, False, found.best & ~rest), found
         (first,) = own.positive
-        begun = agreeing(PartState(negative=own.negative, agreed=(0, own.agreed[1])), cell, False)
+        begun = agreeing(
+            PartState(negative=own.negative, agreed=(0, own.agreed[1])), superpoint, False
+        )
         free = rest.copy()
         free[first] = False
         found = self.solver.answer(begun, first, True, free)
         mask = self.solver.tidy(found.best, begun, first) & ~free
         return self.solver.moved(begun, first, True, mask), found
 
-    def _handle_of(self, cell: int, others: dict[int, PartState]) -> Bool | None:
+    def _handle_of(self, superpoint: int, others: dict[int, PartState]) -> Bool | None:
         """(C,) the handle that a cell is on, where another part has it and what is behind it: who
         clicks there wants no half of a door, but the handle as a part of its own.
         """
         if not self._asks_anew:
             return None
         assert isinstance(self.solver, ObjectSolver) and self.solver.fronts is not None
-        bar = self.solver.fronts.bar(cell)
+        bar = self.solver.fronts.bar(superpoint)
         if bar is None or bar.length < BAR_LENGTH:
             return None
-        size = self.encoding.cells.size
+        size = self.encoding.superpoints.size
         for other in others.values():
             mask = other.mask
             assert mask is not None
-            if mask[cell] and size[mask & bar.behind].sum() > 0.5 * size[bar.behind].sum():
-                return bar.cells | (np.arange(len(size)) == cell)
+            if mask[superpoint] and size[mask & bar.behind].sum() > 0.5 * size[bar.behind].sum():
+                return bar.superpoints | (np.arange(len(size)) == superpoint)
         return None
 
     def _with_mount(
@@ -334,13 +340,13 @@ class DefaultSession:
         face = self.fittings.mount(element)
         if face is None:
             return found
-        elements, of_node = self.encoding.nodes.elements, self.encoding.cells.of_node
-        cell, beside = (int(of_node[elements.node_of_element[f]]) for f in (element, face))
-        if cell == beside or (blocked is not None and blocked[beside]):
+        elements, of_node = self.encoding.nodes.elements, self.encoding.superpoints.of_node
+        superpoint, beside = (int(of_node[elements.node_of_element[f]]) for f in (element, face))
+        if superpoint == beside or (blocked is not None and blocked[beside]):
             return found
         moved = self.solver.answer(own, beside, True, blocked)
         masks = moved.candidates.masks.copy()
-        masks[:, cell] = True
+        masks[:, superpoint] = True
         moved = replace(moved, candidates=replace(moved.candidates, masks=masks))
         alone = found.take(np.flatnonzero(~found.candidates.masks[:, beside]))
         if not len(alone.scores):
@@ -361,27 +367,29 @@ class DefaultSession:
                 return masks[index]
         return found.best
 
-    def _not_in_vain(self, own: PartState, mask: Bool, cell: int, blocked: Bool) -> Bool:
+    def _not_in_vain(self, own: PartState, mask: Bool, superpoint: int, blocked: Bool) -> Bool:
         """``mask``, widened where yet another positive click beside it brought hardly anything.
 
         A person who keeps clicking there means more than a speck: the best first answer there that
         is neither a speck nor far larger than the part joins it.
         """
-        size = self.encoding.cells.size
+        size = self.encoding.superpoints.size
         total = size.sum()
         assert own.mask is not None
         least = min(_SPECK * total, _SPECK_OF_PART * size[own.mask].sum())
         if size[mask & ~own.mask].sum() >= least:
             return mask
-        apart = ((self.encoding.cells.center - self.encoding.cells.center[cell]) ** 2).sum(1)
+        apart = (
+            (self.encoding.superpoints.center - self.encoding.superpoints.center[superpoint]) ** 2
+        ).sum(1)
         if size[apart < apart[own.mask].min()].sum() < least:
             # Right beside the part a click means what it brought: a near-perfect mask is mended.
             return mask
         most = max(_FAR_LARGER * size[own.mask].sum(), 20 * least)
-        first = self.solver.first_answer(cell)
+        first = self.solver.first_answer(superpoint)
         for index in np.argsort(-first.scores, kind="stable"):
             more = first.candidates.masks[index] & ~blocked
-            if not more[cell] or more[list(own.negative)].any():
+            if not more[superpoint] or more[list(own.negative)].any():
                 continue
             if least <= size[more & ~mask].sum() <= most:
                 return mask | more
@@ -389,40 +397,43 @@ class DefaultSession:
 
     def _begun(self, state: _State, part: int) -> PartState:
         """A part without clicks of its own: what was clicked as something else is not in it."""
-        cells = [c for q, s in state.parts.items() if q != part for c in s.positive]
-        foreign = tuple(dict.fromkeys([*state.base, *cells]))
+        superpoints = [c for q, s in state.parts.items() if q != part for c in s.positive]
+        foreign = tuple(dict.fromkeys([*state.base, *superpoints]))
         return PartState(negative=foreign, agreed=(0, len(foreign)))
 
-    def _after_base_click(self, state: _State, cell: int, positive: bool) -> _State:
+    def _after_base_click(self, state: _State, superpoint: int, positive: bool) -> _State:
         if not positive:
-            return replace(state, base=tuple(c for c in state.base if c != cell))
+            return replace(state, base=tuple(c for c in state.base if c != superpoint))
         parts, ranked = dict(state.parts), dict(state.ranked)
         for part, own in state.parts.items():
-            if own.mask is not None and own.mask[cell]:
+            if own.mask is not None and own.mask[superpoint]:
                 none = np.zeros(len(own.mask), bool)
-                parts[part], ranked[part] = self._without(own, cell, none)
+                parts[part], ranked[part] = self._without(own, superpoint, none)
             else:
-                parts[part] = agreeing(own, cell, False)
-        base = (*(c for c in state.base if c != cell), cell)
+                parts[part] = agreeing(own, superpoint, False)
+        base = (*(c for c in state.base if c != superpoint), superpoint)
         return _State(parts, base, ranked)
 
     def _after_region(self, state: _State, step: RegionStep) -> _State:
-        cells = self.encoding.cells
-        inside = np.bincount(cells.of_node[step.nodes], minlength=len(cells)) > 0.5 * cells.size
+        superpoints = self.encoding.superpoints
+        inside = (
+            np.bincount(superpoints.of_node[step.nodes], minlength=len(superpoints))
+            > 0.5 * superpoints.size
+        )
         parts = dict(state.parts)
         for part, own in state.parts.items():
             if own.mask is not None and (step.positive or part == step.part):
                 parts[part] = replace(own, mask=own.mask & ~inside)
         if step.positive and step.part != BASE:
             own = parts.get(step.part, self._begun(state, step.part))
-            before = own.mask if own.mask is not None else np.zeros(len(cells), bool)
+            before = own.mask if own.mask is not None else np.zeros(len(superpoints), bool)
             parts[step.part] = replace(own, mask=before | inside)
         own, now = state.parts.get(step.part), parts.get(step.part)
         if own is not None and own.positive and own.mask is not None and now is not None:
             # After clicks, a region that changes this much is what the person settled for.
             assert now.mask is not None
-            changed = cells.size[now.mask ^ own.mask].sum()
-            if changed > _CHOSEN_SHARE * cells.size[now.mask].sum():
+            changed = superpoints.size[now.mask ^ own.mask].sum()
+            if changed > _CHOSEN_SHARE * superpoints.size[now.mask].sum():
                 parts[step.part] = replace(now, drawn=own.drawn + 1)
         return replace(state, parts=parts)
 
@@ -430,16 +441,18 @@ class DefaultSession:
 
     def _labels(self, steps: tuple[Step, ...], state: _State) -> npt.NDArray[np.int16]:
         told = telling(steps)
-        of_cell = self._of_cells(state, told)
-        of_node = of_cell[self.encoding.cells.of_node]
-        self._split_cells(of_node, of_cell, told)
+        of_superpoint = self._of_cells(state, told)
+        of_node = of_superpoint[self.encoding.superpoints.of_node]
+        self._split_cells(of_node, of_superpoint, told)
         if self.closeups is not None:
             self.closeups.place(of_node, state.close)
         labels = self.encoding.nodes.elements.to_elements(of_node)
         if not steps:
             return labels
         labels = self._whole(labels, steps)
-        labels = enforce(labels, steps, self._instead(steps, of_cell), _released(steps, labels))
+        labels = enforce(
+            labels, steps, self._instead(steps, of_superpoint), _released(steps, labels)
+        )
         return labels if self._first_of is None else labels[self._first_of]
 
     def _whole(
@@ -451,18 +464,18 @@ class DefaultSession:
         labels = labels if self.fittings is None else self.fittings.joined(labels, steps)
         return labels if self._first_of is None else labels[self._first_of]
 
-    def without_prompts(self, of_cell: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
+    def without_prompts(self, of_superpoint: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
         """(E,) labels of the parts that cells (C,) were given by something else than prompts."""
-        of_cell = self._with_islands(of_cell, ()) if self._islands else of_cell
-        cells, elements = self.encoding.cells, self.encoding.nodes.elements
-        labels = self._whole(elements.to_elements(of_cell[cells.of_node]), ())
+        of_superpoint = self._with_islands(of_superpoint, ()) if self._islands else of_superpoint
+        superpoints, elements = self.encoding.superpoints, self.encoding.nodes.elements
+        labels = self._whole(elements.to_elements(of_superpoint[superpoints.of_node]), ())
         if self.fittings is None:
             return labels
         return self.fittings.joined(self.fittings.merged(self.fittings.freed(labels)), ())
 
     def _of_cells(self, state: _State, steps: tuple[Step, ...]) -> npt.NDArray[np.int16]:
         """(C,) the part of each cell, islands with what they lie beside."""
-        out = np.zeros(len(self.encoding.cells), np.int16)
+        out = np.zeros(len(self.encoding.superpoints), np.int16)
         for part, own in state.parts.items():
             if own.mask is not None:
                 out[own.mask] = part
@@ -472,9 +485,9 @@ class DefaultSession:
         """``state`` with islands in the masks: the next click is about what is seen."""
         if not self._islands or not state.parts:
             return state
-        of_cell = self._of_cells(state, steps)
+        of_superpoint = self._of_cells(state, steps)
         parts = {
-            part: own if own.mask is None else replace(own, mask=own.mask | (of_cell == part))
+            part: own if own.mask is None else replace(own, mask=own.mask | (of_superpoint == part))
             for part, own in state.parts.items()
         }
         return replace(state, parts=parts)
@@ -485,31 +498,31 @@ class DefaultSession:
         close = self.closeups.after(before.close, after.parts, steps)
         parts = dict(after.parts)
         for part, its in close.items():
-            parts[part] = replace(parts[part], mask=self.closeups.cells(its, parts[part]))
+            parts[part] = replace(parts[part], mask=self.closeups.superpoints(its, parts[part]))
         return replace(after, parts=parts, close=close)
 
     def _with_islands(
-        self, of_cell: npt.NDArray[np.int16], steps: tuple[Step, ...]
+        self, of_superpoint: npt.NDArray[np.int16], steps: tuple[Step, ...]
     ) -> npt.NDArray[np.int16]:
-        """``of_cell`` where small pieces of the base beside one part alone belong to it.
+        """``of_superpoint`` where small pieces of the base beside one part alone belong to it.
 
         A handle in front of a door, its window, a hole in what clicks found. Pieces of which a
         prompt says something else stay as they are, and so do those beside a part that was drawn.
         """
-        cells, links = self.encoding.cells, self.encoding.cells.links
-        width, free = int(of_cell.max()) + 1, of_cell == BASE
+        superpoints, links = self.encoding.superpoints, self.encoding.superpoints.links
+        width, free = int(of_superpoint.max()) + 1, of_superpoint == BASE
         one, two = free[links.a], free[links.b]
         inner = one & two
-        count, piece = groups(len(cells), links.a[inner], links.b[inner])
-        size = np.bincount(piece[free], cells.size[free], count)
+        count, piece = groups(len(superpoints), links.a[inner], links.b[inner])
+        size = np.bincount(piece[free], superpoints.size[free], count)
         out, back = np.flatnonzero(one & ~two), np.flatnonzero(two & ~one)
         mine = np.concatenate([links.a[out], links.b[back]])
         beside = np.concatenate([links.b[out], links.a[back]])
         weight = links.count[np.concatenate([out, back])]
-        key = piece[mine].astype(np.int64) * width + of_cell[beside]
+        key = piece[mine].astype(np.int64) * width + of_superpoint[beside]
         votes = np.bincount(key, weight, count * width).reshape(count, width)
         best = votes.argmax(1)
-        part_size = np.bincount(of_cell, cells.size, width)
+        part_size = np.bincount(of_superpoint, superpoints.size, width)
         joins = (best != BASE) & (votes.max(1) >= _ISLAND_ALONE * votes.sum(1))
         joins &= size <= _ISLAND_SHARE * part_size[best]
         joins[size.argmax()] = False  # something has to stay behind
@@ -523,14 +536,14 @@ class DefaultSession:
             if step.positive and step.part != BASE:
                 continue
             nodes = step.node if isinstance(step, ClickStep) else step.nodes
-            told = np.unique(piece[cells.of_node[nodes]])
+            told = np.unique(piece[superpoints.of_node[nodes]])
             joins[told] &= (not step.positive) & (best[told] != step.part)
-        return np.where(free & joins[piece], best[piece], of_cell).astype(np.int16)
+        return np.where(free & joins[piece], best[piece], of_superpoint).astype(np.int16)
 
     def _split_cells(
         self,
         of_node: npt.NDArray[np.int16],
-        of_cell: npt.NDArray[np.int16],
+        of_superpoint: npt.NDArray[np.int16],
         steps: tuple[Step, ...],
     ) -> None:
         """Share the nodes of cells that were clicked for different parts among those clicks.
@@ -538,37 +551,37 @@ class DefaultSession:
         A border may run through a cell: each of its nodes follows the nearest click. Changes
         ``of_node`` in place.
         """
-        cells, points = self.encoding.cells, self.encoding.nodes.points
+        superpoints, points = self.encoding.superpoints, self.encoding.nodes.points
         said: dict[int, dict[int, ClickStep]] = {}
         for step in steps:
             if isinstance(step, ClickStep):
-                said.setdefault(int(cells.of_node[step.node]), {})[step.node] = step
-        for cell, clicks in said.items():
+                said.setdefault(int(superpoints.of_node[step.node]), {})[step.node] = step
+        for superpoint, clicks in said.items():
             if len(clicks) < 2:
                 continue
-            own = int(of_cell[cell])
+            own = int(of_superpoint[superpoint])
             wanted = [
                 s.part if s.positive else (own if own != s.part else BASE) for s in clicks.values()
             ]
             if len(set(wanted)) > 1:
-                nodes = np.nonzero(cells.of_node == cell)[0]
+                nodes = np.nonzero(superpoints.of_node == superpoint)[0]
                 apart = points[nodes][:, None] - points[list(clicks)][None]
                 nearest = np.linalg.norm(apart, axis=2).argmin(1)
                 of_node[nodes] = np.array(wanted, np.int16)[nearest]
 
     def _instead(
-        self, steps: tuple[Step, ...], of_cell: npt.NDArray[np.int16]
+        self, steps: tuple[Step, ...], of_superpoint: npt.NDArray[np.int16]
     ) -> npt.NDArray[np.int16]:
         """What refused elements become: the base, or the nearest part where the base is refused."""
         count = self.asset.element_count
-        taken = np.nonzero(of_cell)[0]
+        taken = np.nonzero(of_superpoint)[0]
         if not len(taken) or all(s.positive or s.part != BASE for s in steps):
             return np.zeros(count, np.int16)
-        cells = self.encoding.cells
-        _, near = KDTree(cells.center[taken]).query(cells.center)
-        nearest = of_cell[taken[near]]
-        instead = np.where(of_cell == BASE, nearest, BASE).astype(np.int16)
-        return self.encoding.nodes.elements.to_elements(instead[cells.of_node])
+        superpoints = self.encoding.superpoints
+        _, near = KDTree(superpoints.center[taken]).query(superpoints.center)
+        nearest = of_superpoint[taken[near]]
+        instead = np.where(of_superpoint == BASE, nearest, BASE).astype(np.int16)
+        return self.encoding.nodes.elements.to_elements(instead[superpoints.of_node])
 
 
 def _with_mask(state: _State, part: int, mask: Bool) -> _State:

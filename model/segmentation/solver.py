@@ -20,8 +20,8 @@ from model.segmentation.describe.masks import (
     joined,
 )
 from model.segmentation.encode.hierarchy import TREES, Hierarchy
-from model.segmentation.encode.random_walk import Walk
-from model.segmentation.encode.superpoints import Cells, groups
+from model.segmentation.encode.random_walk import RandomWalk
+from model.segmentation.encode.superpoints import Superpoints, groups
 from model.segmentation.score.trees import Scorer
 
 Bool = npt.NDArray[np.bool_]
@@ -149,15 +149,15 @@ class PartSolver:
 
     def __init__(
         self,
-        cells: Cells,
+        superpoints: Superpoints,
         hierarchy: Hierarchy,
-        walk: Walk,
+        walk: RandomWalk,
         first_scorer: Scorer | None,
         later_scorer: Scorer | None,
         describe: MaskDescriber | None = None,
     ) -> None:
-        self.cells = cells
-        self.describe = describe or MaskDescriber(cells, hierarchy)
+        self.superpoints = superpoints
+        self.describe = describe or MaskDescriber(superpoints, hierarchy)
         self._walk = walk
         self._first = first_scorer
         self._later = later_scorer
@@ -168,22 +168,22 @@ class PartSolver:
         self._offset = hierarchy.offset[:-1]
         self._sizes = np.bincount(
             (hierarchy.labels + self._offset[:, None]).ravel(),
-            np.tile(cells.size, len(hierarchy.labels)),
+            np.tile(superpoints.size, len(hierarchy.labels)),
         )
 
     # Regions around a cell -------------------------------------------------------------
 
-    def chain(self, cell: int) -> Candidates:
+    def chain(self, superpoint: int) -> Candidates:
         """The nested regions around a cell, those of nearly the same size only once."""
-        if cell not in self._chains:
-            self._chains[cell] = self._nested(cell)
+        if superpoint not in self._chains:
+            self._chains[superpoint] = self._nested(superpoint)
             if len(self._chains) > _CHAINS_KEPT:
                 self._chains.popitem(last=False)
-        return self._chains[cell]
+        return self._chains[superpoint]
 
-    def _nested(self, cell: int) -> Candidates:
-        sizes = self._sizes[self._labels[:, cell] + self._offset]
-        total = self.cells.size.sum()
+    def _nested(self, superpoint: int) -> Candidates:
+        sizes = self._sizes[self._labels[:, superpoint] + self._offset]
+        total = self.superpoints.size.sum()
         levels: list[int] = []
         lives: list[float] = []
         for tree in range(len(TREES)):
@@ -205,25 +205,25 @@ class PartSolver:
             keep = np.sort(np.argsort(-np.array(lives), kind="stable")[: _CHAIN + 20])
             levels, lives = [levels[k] for k in keep], [lives[k] for k in keep]
         index = np.array(levels)
-        masks = self._labels[index] == self._labels[index, cell][:, None]
+        masks = self._labels[index] == self._labels[index, superpoint][:, None]
         return joined(
             [Candidates(masks, self._tree[index], self._height[index], np.array(lives, np.float32))]
         )
 
-    def first_regions(self, cell: int) -> Candidates:
+    def first_regions(self, superpoint: int) -> Candidates:
         """What a first click on a cell may mean."""
-        return self.chain(cell)
+        return self.chain(superpoint)
 
-    def part_regions(self, cell: int, outside: tuple[int, ...]) -> Candidates:
+    def part_regions(self, superpoint: int, outside: tuple[int, ...]) -> Candidates:
         """What a first click on a cell may mean if that is a part that moves, without others."""
         del outside
-        return self.first_regions(cell)
+        return self.first_regions(superpoint)
 
     def part_hypotheses(
-        self, state: PartState, after: PartState, cell: int, positive: bool
+        self, state: PartState, after: PartState, superpoint: int, positive: bool
     ) -> list[Candidates]:
         """What a later click may mean beside the usual, where the part is one that moves."""
-        del state, after, cell, positive
+        del state, after, superpoint, positive
         return []
 
     def _as_part(
@@ -244,13 +244,13 @@ class PartSolver:
         del found, clicked
         return features, scores
 
-    def first_answer(self, cell: int, *, of_a_part: bool = True) -> Ranked:
+    def first_answer(self, superpoint: int, *, of_a_part: bool = True) -> Ranked:
         """Hypotheses for a first click on ``cell`` with nothing else said.
 
         Args:
             of_a_part: see :meth:`answer`.
         """
-        return self.answer(PartState(), cell, True, None, of_a_part=of_a_part)
+        return self.answer(PartState(), superpoint, True, None, of_a_part=of_a_part)
 
     def with_first(self, scorer: Scorer | None) -> Self:
         """The same solver with another scorer of first clicks."""
@@ -258,18 +258,18 @@ class PartSolver:
         other._first = scorer
         return other
 
-    def tidy(self, mask: Bool, state: PartState, cell: int) -> Bool:
+    def tidy(self, mask: Bool, state: PartState, superpoint: int) -> Bool:
         """``mask`` without crumbs and pinholes that no click asked for.
 
         A piece of the mask (or of the rest) goes to the other side where it has less than a
         thousandth of all nodes and a fiftieth of the mask, and holds no click.
         """
-        links, size = self.cells.links, self.cells.size
+        links, size = self.superpoints.links, self.superpoints.size
         same = mask[links.a] == mask[links.b]
         number, piece = groups(len(mask), links.a[same], links.b[same])
         held = np.bincount(piece, size, number)
         small = held < min(0.001 * size.sum(), 0.02 * size[mask].sum())
-        small[piece[[cell, *state.positive, *state.negative]]] = False
+        small[piece[[superpoint, *state.positive, *state.negative]]] = False
         return mask ^ small[piece]
 
     # Hypotheses ----------------------------------------------------------------------
@@ -277,7 +277,7 @@ class PartSolver:
     def answer(
         self,
         state: PartState,
-        cell: int,
+        superpoint: int,
         positive: bool,
         blocked: Bool | None,
         *,
@@ -293,15 +293,21 @@ class PartSolver:
             of_a_part: a first click means a part that moves, as people's do: what they don't click
                 is the base. Without that the base, too, may be meant.
         """
-        after = with_click(state, cell, positive)
+        after = with_click(state, superpoint, positive)
         if state.mask is None or not state.mask.any():
-            return self._first_answer(after, cell, blocked, of_a_part)
+            return self._first_answer(after, superpoint, blocked, of_a_part)
         clicked = Clicked(
-            after.positive, after.negative, cell, positive, state.mask, state.agreed, state.steps
+            after.positive,
+            after.negative,
+            superpoint,
+            positive,
+            state.mask,
+            state.agreed,
+            state.steps,
         )
-        made = self._region_hypotheses(state, after, cell, positive)
+        made = self._region_hypotheses(state, after, superpoint, positive)
         if of_a_part:
-            made = joined([made, *self.part_hypotheses(state, after, cell, positive)])
+            made = joined([made, *self.part_hypotheses(state, after, superpoint, positive)])
         found = self._finish(made, after, blocked)
         if self._later is None:
             scores = self._rule(found, clicked)
@@ -317,21 +323,21 @@ class PartSolver:
             features, scores = self._as_mended(both, features, scores, clicked)
         lost = np.clip(1 - features[:, _OVERLAP_BEFORE] / _USUAL_OVERLAP, 0, 1)
         return Ranked(
-            both, features, scores - self._unlikely(state, cell, positive, both.masks, lost)
+            both, features, scores - self._unlikely(state, superpoint, positive, both.masks, lost)
         )
 
-    def moved(self, state: PartState, cell: int, positive: bool, mask: Bool) -> PartState:
+    def moved(self, state: PartState, superpoint: int, positive: bool, mask: Bool) -> PartState:
         """``state`` after a click that made the part ``mask``."""
         stalls = run = 0
         if state.mask is not None and state.mask.any():
-            size = self.cells.size
+            size = self.superpoints.size
             little = size[mask ^ state.mask].sum() < _STALL_SHARE * size[state.mask].sum()
             stalls = state.stalls + 1 if little else 0
             run = max(state.run, 0) + 1 if positive else min(state.run, 0) - 1
         least, most = self._bounds(state, positive)
-        after = with_click(state, cell, positive)
+        after = with_click(state, superpoint, positive)
         before = np.zeros_like(mask) if state.mask is None else state.mask
-        steps = (*state.steps, MendingClick(cell, positive, before))
+        steps = (*state.steps, MendingClick(superpoint, positive, before))
         return replace(
             after, mask=mask, stalls=stalls, run=run, least=least, most=most, steps=steps
         )
@@ -340,7 +346,7 @@ class PartSolver:
         """``least`` and ``most`` after a click: most people mend the larger error first."""
         if state.mask is None or not state.mask.any():
             return state.least, state.most
-        own = float(self.cells.size[state.mask].sum())
+        own = float(self.superpoints.size[state.mask].sum())
         least = max(state.least, own) if positive else state.least
         most = state.most if positive else min(state.most, own)
         if _ROOM * least > most:
@@ -349,7 +355,7 @@ class PartSolver:
         return least, most
 
     def _unlikely(
-        self, state: PartState, cell: int, positive: bool, masks: Bool, lost: Float
+        self, state: PartState, superpoint: int, positive: bool, masks: Bool, lost: Float
     ) -> Float:
         """(H,) what speaks against each mask whatever it looks like: nobody clicks for that.
 
@@ -359,7 +365,7 @@ class PartSolver:
             lost: (H,) 0..1 how much of the mask before is gone.
         """
         assert state.mask is not None
-        size = self.cells.size
+        size = self.superpoints.size
         own = float(size[state.mask].sum())
         sides = np.stack([size, size * state.mask], axis=1).astype(np.float32)
         now, kept = (masks.astype(np.float32) @ sides).T
@@ -378,8 +384,8 @@ class PartSolver:
         log_now = np.log(np.maximum(now, 1))
         over, under = log_now - np.log(max(most, 1)), np.log(max(least, 1)) - log_now
         against += _SIZE_PENALTY * np.clip(np.maximum(over, under), 0, _SIZE_MOST)
-        apart = ((self.cells.center - self.cells.center[cell]) ** 2).sum(1)
-        other = state.mask != state.mask[cell]
+        apart = ((self.superpoints.center - self.superpoints.center[superpoint]) ** 2).sum(1)
+        other = state.mask != state.mask[superpoint]
         near = float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
         # Nobody wants a part of a handful of nodes, whoever takes something away least of all.
         speck = np.log(np.minimum(_SPECK_NODES, own) / np.maximum(now, 1.0))
@@ -388,7 +394,7 @@ class PartSolver:
         far = np.log(np.maximum(changed, 1.0) / (_FAR * max(near, 1e-9)))
         against += self._far_penalty * np.clip(far, 0, _FAR_MOST)
         # A first answer that lies far from the next click was a detail: the handle of a door.
-        detail = near > own and not state.mask[cell]
+        detail = near > own and not state.mask[superpoint]
         run = state.run if positive else -state.run
         stalls = state.stalls + self._run_stalls * max(run - _RUN_FREE, 0)
         if stalls or detail:
@@ -399,13 +405,17 @@ class PartSolver:
         return against
 
     def _first_answer(
-        self, after: PartState, cell: int, blocked: Bool | None, of_a_part: bool
+        self, after: PartState, superpoint: int, blocked: Bool | None, of_a_part: bool
     ) -> Ranked:
-        clicked = Clicked(after.positive, after.negative, cell, True)
+        clicked = Clicked(after.positive, after.negative, superpoint, True)
         if not after.positive:
-            empty = Candidates.of([np.zeros(len(self.cells), bool)], "keep")
+            empty = Candidates.of([np.zeros(len(self.superpoints), bool)], "keep")
             return Ranked(empty, self.describe(empty, clicked), np.zeros(1, np.float32))
-        found = self.part_regions(cell, after.negative) if of_a_part else self.first_regions(cell)
+        found = (
+            self.part_regions(superpoint, after.negative)
+            if of_a_part
+            else self.first_regions(superpoint)
+        )
         if blocked is not None:
             found = replace(found, masks=found.masks & ~blocked)
         if after.negative:
@@ -428,7 +438,7 @@ class PartSolver:
 
         A part moves against something, and what nobody claims is the base without a click.
         """
-        held, size = self._nodes(masks), self.cells.size
+        held, size = self._nodes(masks), self.superpoints.size
         free = size if blocked is None else size[~blocked]
         share = held / max(float(free.sum()), 1e-9)
         against = _ALL_PENALTY * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
@@ -445,21 +455,21 @@ class PartSolver:
 
     def _large(self, held: Float) -> Float:
         """(H,) 0..1 how much more than half of the object masks of ``held`` (H,) nodes are."""
-        share = held / self.cells.size.sum()
+        share = held / self.superpoints.size.sum()
         return np.clip((share - _LARGE) / _LARGE_RAMP, 0, 1)
 
     def _nodes(self, masks: Bool) -> Float:
         """(H,) nodes in each mask."""
-        return masks.astype(np.float32) @ self.cells.size.astype(np.float32)
+        return masks.astype(np.float32) @ self.superpoints.size.astype(np.float32)
 
     def _region_hypotheses(
-        self, state: PartState, after: PartState, cell: int, positive: bool
+        self, state: PartState, after: PartState, superpoint: int, positive: bool
     ) -> Candidates:
         assert state.mask is not None
         mask, positives, negatives = state.mask, list(after.positive), list(after.negative)
-        chain = self.chain(cell)
+        chain = self.chain(superpoint)
         keep = mask.copy()
-        keep[cell] = positive
+        keep[superpoint] = positive
         made = [Candidates.of([keep], "keep")]
         if positive:
             clean = ~chain.masks[:, negatives].any(1) if negatives else np.ones(len(chain), bool)
@@ -502,7 +512,7 @@ class PartSolver:
             for row in rows[self._tree[rows] == tree]:
                 regions = np.array(sorted(set(own[row].tolist())))
                 now = float(self._sizes[regions + self._offset[row]].sum())
-                if now < 1.15 * size or now > 0.97 * self.cells.size.sum():
+                if now < 1.15 * size or now > 0.97 * self.superpoints.size.sum():
                     continue
                 size = now
                 if len(regions) == 1:
@@ -518,7 +528,7 @@ class PartSolver:
 
     def _walks(self, mask: Bool, after: PartState) -> list[Candidates]:
         seeds, values = _seeds(after)
-        flat = np.repeat(np.array(_BIASES, np.float32)[:, None], len(self.cells), axis=1)
+        flat = np.repeat(np.array(_BIASES, np.float32)[:, None], len(self.superpoints), axis=1)
         free = self._walk.fields(flat, seeds, values, 0)
         sets = _level_sets(self._walk, free[1], 3)
         before = np.where(mask, np.float32(1), np.float32(-1))[None]
@@ -548,33 +558,33 @@ class PartSolver:
         return features[:, 1] / 9 + 0.1 * features[:, 25]
 
 
-def _level_sets(walk: Walk, field: Float, most: int) -> list[Candidates]:
+def _level_sets(walk: RandomWalk, field: Float, most: int) -> list[Candidates]:
     masks = walk.sweep(field, most)
     return [Candidates.of(list(masks), "sweep")] if len(masks) else []
 
 
-def with_click(state: PartState, cell: int, positive: bool) -> PartState:
+def with_click(state: PartState, superpoint: int, positive: bool) -> PartState:
     """The clicks after one more; a cell is on the side where it was clicked last."""
-    yes = tuple(c for c in state.positive if c != cell)
-    no = tuple(c for c in state.negative if c != cell)
+    yes = tuple(c for c in state.positive if c != superpoint)
+    no = tuple(c for c in state.negative if c != superpoint)
     if positive:
-        return replace(state, positive=(*yes, cell), negative=no)
-    return replace(state, positive=yes, negative=(*no, cell))
+        return replace(state, positive=(*yes, superpoint), negative=no)
+    return replace(state, positive=yes, negative=(*no, superpoint))
 
 
-def agreeing(state: PartState, cell: int, positive: bool) -> PartState:
+def agreeing(state: PartState, superpoint: int, positive: bool) -> PartState:
     """The clicks after one more that changes nothing: the part has ``cell``, or has it not.
 
     Whoever clicks five places of a door's glass has told where it is, but has mended nothing: so
     that the next click may still change much, such clicks don't count as steps.
     """
-    new = cell not in (state.positive if positive else state.negative)
+    new = superpoint not in (state.positive if positive else state.negative)
     yes, no = state.agreed
     agreed = (yes + (new and positive), no + (new and not positive))
-    return replace(with_click(state, cell, positive), agreed=agreed)
+    return replace(with_click(state, superpoint, positive), agreed=agreed)
 
 
 def _seeds(state: PartState) -> tuple[npt.NDArray[np.int64], Float]:
-    cells = np.array([*state.positive, *state.negative], np.int64)
+    superpoints = np.array([*state.positive, *state.negative], np.int64)
     values = np.r_[np.ones(len(state.positive)), -np.ones(len(state.negative))]
-    return cells, values.astype(np.float32)
+    return superpoints, values.astype(np.float32)

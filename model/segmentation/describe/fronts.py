@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.superpoints import Superpoints
 from model.segmentation.propose.fronts import (
     CHANNELS,
     NODES_A_SQUARE,
@@ -42,7 +42,7 @@ _FIRST_CUTS = np.cumsum([0, *(pieces - 1 for pieces in PIECES[:-1])])
 
 
 def front_features(
-    masks: Bool, cells: Cells, axes: Float, front: Front | None
+    masks: Bool, superpoints: Superpoints, axes: Float, front: Front | None
 ) -> npt.NDArray[np.float32]:
     """(H, F) features, in the order of ``FRONT_FEATURES``; zeros where there is no front.
 
@@ -52,10 +52,10 @@ def front_features(
     out = np.zeros((len(masks), len(FRONT_FEATURES)), np.float32)
     if front is None:
         return out
-    at = cells.center @ axes.T
+    at = superpoints.center @ axes.T
     layer = np.flatnonzero(np.abs(front.outward * at[:, front.axis] - front.depth) < front.reach)
     flat = (at[layer][:, list(front.across)] - front.low) / front.side
-    size = cells.size[layer].astype(np.float32)
+    size = superpoints.size[layer].astype(np.float32)
     if not len(layer):
         return out
     half = 0.5 * float(np.sqrt(np.median(size))) / NODES_A_SQUARE
@@ -68,7 +68,7 @@ def front_features(
     rects = np.concatenate(
         [_bounds(held, flat[:, k], half, front.shape[k]) for k in (0, 1)], axis=1
     )
-    total = masks[there].astype(np.float32) @ cells.size.astype(np.float32)
+    total = masks[there].astype(np.float32) @ superpoints.size.astype(np.float32)
     whole = np.array(front.bounds)
     wide, high = whole[1] + 1 - whole[0], whole[3] + 1 - whole[2]
     w, h = rects[:, 1] + 1 - rects[:, 0], rects[:, 3] + 1 - rects[:, 2]

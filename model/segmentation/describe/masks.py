@@ -11,7 +11,7 @@ from scipy.linalg import get_blas_funcs
 
 from model.segmentation.describe.repeats import Repeats
 from model.segmentation.encode.hierarchy import Hierarchy
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.superpoints import Superpoints
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
@@ -114,7 +114,7 @@ class MendingClick:
         before: (C,) the mask that whoever clicked saw, all False at the first click.
     """
 
-    cell: int
+    superpoint: int
     positive: bool
     before: Bool
 
@@ -164,14 +164,16 @@ class MaskDescriber:
     names: tuple[str, ...] = FEATURE_NAMES
     among: tuple[str, ...] = _AMONG
 
-    def __init__(self, cells: Cells, hierarchy: Hierarchy) -> None:
-        links = cells.links
-        self._cells = cells
+    def __init__(self, superpoints: Superpoints, hierarchy: Hierarchy) -> None:
+        links = superpoints.links
+        self._superpoints = superpoints
         self._a, self._b = links.a, links.b
         mean = links.strength / np.maximum(links.count, 1)
-        unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
+        unit = superpoints.normal / np.maximum(
+            np.linalg.norm(superpoints.normal, axis=1, keepdims=True), 1e-9
+        )
         turn = 1 - np.abs(np.einsum("ij,ij->i", unit[links.a], unit[links.b]))
-        hue = np.linalg.norm(cells.color[links.a] - cells.color[links.b], axis=1) / 20
+        hue = np.linalg.norm(superpoints.color[links.a] - superpoints.color[links.b], axis=1) / 20
         per_link = np.stack(
             [
                 np.ones(len(mean)),
@@ -185,32 +187,32 @@ class MaskDescriber:
             axis=1,
         )
         self._link = (per_link * links.count[:, None]).astype(np.float32)
-        incident = np.zeros((len(cells), 7))
+        incident = np.zeros((len(superpoints), 7))
         for column in range(7):
             incident[:, column] = np.bincount(
-                links.a, self._link[:, column], len(cells)
-            ) + np.bincount(links.b, self._link[:, column], len(cells))
-        low, high = cells.center.min(0), cells.center.max(0)
+                links.a, self._link[:, column], len(superpoints)
+            ) + np.bincount(links.b, self._link[:, column], len(superpoints))
+        low, high = superpoints.center.min(0), superpoints.center.max(0)
         self._diagonal = max(float(np.linalg.norm(high - low)), 1e-9)
-        x = (cells.center - (low + high) / 2) / self._diagonal
+        x = (superpoints.center - (low + high) / 2) / self._diagonal
         self._x = x.astype(np.float32)
-        self._root = float(np.sqrt(cells.size.sum()))
-        size = cells.size / cells.size.sum()
+        self._root = float(np.sqrt(superpoints.size.sum()))
+        size = superpoints.size / superpoints.size.sum()
         pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
         outer = np.stack([x[:, i] * x[:, j] for i, j in pairs], axis=1)
-        color = cells.color / 20
+        color = superpoints.color / 20
         square = (color**2).sum(1, keepdims=True)
         one = np.ones((len(x), 1))
-        moments = np.concatenate([one, x, outer, cells.normal, color, square], axis=1)
+        moments = np.concatenate([one, x, outer, superpoints.normal, color, square], axis=1)
         self._cell = np.concatenate([moments * size[:, None], incident], axis=1).astype(np.float32)
-        self._repeats = Repeats(cells, hierarchy, x)
+        self._repeats = Repeats(superpoints, hierarchy, x)
         self._column = {name: i for i, name in enumerate(self.names)}
         self._own_names = tuple(n for n in self.names if n not in self.among)
         self._own_columns = [self._column[n] for n in self._own_names]
         self._click: Clicked | None = None
         self._seen: dict[bytes, Float] = {}
         self._near_to: OrderedDict[int, tuple[Float, npt.NDArray[np.int64]]] = OrderedDict()
-        self._has_color = float(np.ptp(cells.color) > 1e-6)
+        self._has_color = float(np.ptp(superpoints.color) > 1e-6)
 
     def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
         """(H, F) features, in the order of ``names``."""
@@ -356,14 +358,14 @@ class MaskDescriber:
         held = self._link[touched if links is None else links[touched]]
         return bits.astype(np.float32).T @ held
 
-    def _around(self, cell: int) -> tuple[Float, npt.NDArray[np.int64]]:
+    def _around(self, superpoint: int) -> tuple[Float, npt.NDArray[np.int64]]:
         """(C,) distances from a cell, diagonal = 1, and the cells by it."""
-        if cell not in self._near_to:
-            apart = np.linalg.norm(self._x - self._x[cell], axis=1)
-            self._near_to[cell] = apart, np.argsort(apart)
+        if superpoint not in self._near_to:
+            apart = np.linalg.norm(self._x - self._x[superpoint], axis=1)
+            self._near_to[superpoint] = apart, np.argsort(apart)
             if len(self._near_to) > _KEPT:
                 self._near_to.popitem(last=False)
-        return self._near_to[cell]
+        return self._near_to[superpoint]
 
     def _extents(self, second: Float, center: Float) -> Float:
         covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
@@ -372,16 +374,18 @@ class MaskDescriber:
             np.float32
         )
 
-    def _depth(self, words: npt.NDArray[np.uint64], number: int, cell: int) -> Float:
+    def _depth(self, words: npt.NDArray[np.uint64], number: int, superpoint: int) -> Float:
         """(H,) distance from a cell to the nearest cell on the other side, diagonal = 1."""
-        apart, order = self._around(cell)
+        apart, order = self._around(superpoint)
         out = np.ones(number, np.float32)
         open_ = np.ones(number, bool)
         begin, step = 0, 256
         # Most borders are near: look at ever larger rings until every mask has met its own.
         while begin < len(order) and open_.any():
             ring = order[begin : begin + step]
-            other = np.unpackbits((words[ring] ^ words[cell]).view(np.uint8), axis=1)[:, :number]
+            other = np.unpackbits((words[ring] ^ words[superpoint]).view(np.uint8), axis=1)[
+                :, :number
+            ]
             first = other.argmax(0)
             met = open_ & (other[first, np.arange(number)] > 0)
             out[met] = apart[ring[first[met]]]

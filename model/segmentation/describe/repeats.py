@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.segmentation.encode.hierarchy import Hierarchy
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.superpoints import Superpoints
 
 _LEAST_CELLS = 3
 _MOST_SHARE = 0.35
@@ -26,13 +26,13 @@ Float = npt.NDArray[np.floating]
 class Repeats:
     """The regions of an object's merge trees, ready to be looked up by shape."""
 
-    def __init__(self, cells: Cells, hierarchy: Hierarchy, x: Float) -> None:
+    def __init__(self, superpoints: Superpoints, hierarchy: Hierarchy, x: Float) -> None:
         """``x`` (C, 3): centres of the cells, the object's diagonal being 1."""
         labels, offset = hierarchy.labels, hierarchy.offset
         flat = (labels + offset[:-1, None]).ravel()
         number, levels = int(offset[-1]), len(labels)
         cell_count = np.bincount(flat, minlength=number)
-        share = cells.size / cells.size.sum()
+        share = superpoints.size / superpoints.size.sum()
         moments = np.concatenate([np.ones((len(x), 1)), x, x**2], axis=1) * share[:, None]
         sums = np.stack([np.bincount(flat, np.tile(m, levels), number) for m in moments.T], axis=1)
         keep = (cell_count >= _LEAST_CELLS) & (sums[:, 0] <= _MOST_SHARE)

@@ -13,9 +13,9 @@ from model.segmentation.encode.edge_strength import edge_strength, edge_weight
 from model.segmentation.encode.graph import Graph, build_graph
 from model.segmentation.encode.hierarchy import Hierarchy, build_hierarchy
 from model.segmentation.encode.nodes import Nodes, nodes_of_asset
-from model.segmentation.encode.random_walk import Walk
+from model.segmentation.encode.random_walk import RandomWalk
 from model.segmentation.encode.room import Room, fenced, room_of
-from model.segmentation.encode.superpoints import Cells, build_cells
+from model.segmentation.encode.superpoints import Superpoints, build_superpoints
 from model.segmentation.parallel import together
 from model.segmentation.score.mlp import Mlp
 
@@ -32,15 +32,15 @@ class Encoding:
     nodes: Nodes
     graph: Graph
     strength: npt.NDArray[np.float32]
-    cells: Cells
+    superpoints: Superpoints
     hierarchy: Hierarchy
-    walk: Walk
+    walk: RandomWalk
     room: Room | None = None
 
 
-def encode_cells(
+def encode_superpoints(
     asset: Asset, edges: Mlp | None, progress: Progress = no_progress
-) -> tuple[Nodes, Graph, npt.NDArray[np.float32], Cells]:
+) -> tuple[Nodes, Graph, npt.NDArray[np.float32], Superpoints]:
     """Nodes, graph, strengths and cells of ``asset``, without what answers clicks on them."""
     progress(0.0, "sampling the surface")
     nodes = nodes_of_asset(asset)
@@ -49,18 +49,25 @@ def encode_cells(
     progress(0.45, "creases and colours")
     strength = edge_strength(nodes, graph, edges)
     progress(0.7, "small patches")
-    return nodes, graph, strength, build_cells(nodes, graph, strength, edge_weight(strength, graph))
+    return (
+        nodes,
+        graph,
+        strength,
+        build_superpoints(nodes, graph, strength, edge_weight(strength, graph)),
+    )
 
 
 def encode(asset: Asset, edges: Mlp | None, progress: Progress = no_progress) -> Encoding:
     """Over-segment ``asset``; ``edges`` is the edge model, None for the hand-set rule."""
-    nodes, graph, strength, cells = encode_cells(asset, edges, progress)
-    room = room_of(asset, nodes, cells)
+    nodes, graph, strength, superpoints = encode_superpoints(asset, edges, progress)
+    room = room_of(asset, nodes, superpoints)
     if room is not None:
-        cells = fenced(cells, room)
+        superpoints = fenced(superpoints, room)
     progress(0.8, "patches that belong together")
     # SuperLU frees only what the same thread has asked for: the factors are made on this one.
-    walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
+    walk, hierarchy = together(
+        lambda: RandomWalk(superpoints), lambda: build_hierarchy(superpoints)
+    )
     nodes.elements.prepare()
     progress(1.0, "ready")
-    return Encoding(nodes, graph, strength, cells, hierarchy, walk, room)
+    return Encoding(nodes, graph, strength, superpoints, hierarchy, walk, room)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.encode.nodes import distinct
-from model.segmentation.encode.superpoints import Cells, Links, groups, totals
+from model.segmentation.encode.superpoints import Links, Superpoints, groups, totals
 
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")
@@ -94,23 +94,23 @@ def _cost(regions: _Regions, tree: int, total: float) -> Float:
     return 0.6 * cost + (1.5 * turn + 1.2 * np.minimum(hue, 2)) * np.sqrt(grown)
 
 
-def build_hierarchy(cells: Cells) -> Hierarchy:
+def build_hierarchy(superpoints: Superpoints) -> Hierarchy:
     """Three merge trees over the cells."""
-    total = float(cells.size.sum())
+    total = float(superpoints.size.sum())
     thresholds = 9.0 * (np.arange(1, LEVELS + 1) / LEVELS) ** 1.6
     labels, trees, heights = [], [], []
-    perimeter = totals(cells.links.a, cells.links.count, len(cells)) + np.bincount(
-        cells.links.b, cells.links.count, len(cells)
-    )
+    perimeter = totals(
+        superpoints.links.a, superpoints.links.count, len(superpoints)
+    ) + np.bincount(superpoints.links.b, superpoints.links.count, len(superpoints))
     for tree in range(len(TREES)):
         regions = _Regions(
-            cells.links,
-            cells.size,
+            superpoints.links,
+            superpoints.size,
             perimeter,
-            cells.normal * cells.size[:, None],
-            cells.color * cells.size[:, None],
+            superpoints.normal * superpoints.size[:, None],
+            superpoints.color * superpoints.size[:, None],
         )
-        label = np.arange(len(cells), dtype=np.int32)
+        label = np.arange(len(superpoints), dtype=np.int32)
         for threshold in thresholds:
             before = len(regions.size)
             for _ in range(_ROUNDS):
@@ -133,5 +133,5 @@ def build_hierarchy(cells: Cells) -> Hierarchy:
             if len(regions.size) == 1:
                 break
     if not labels:
-        labels, trees, heights = [np.arange(len(cells), dtype=np.int32)], [0], [0.0]
+        labels, trees, heights = [np.arange(len(superpoints), dtype=np.int32)], [0], [0.0]
     return Hierarchy(np.stack(labels), np.array(trees, np.int8), np.array(heights, np.float32))

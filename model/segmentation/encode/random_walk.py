@@ -16,7 +16,7 @@ from scipy.sparse import diags
 from scipy.sparse.linalg import splu
 
 from model.segmentation.encode.graph import adjacency
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.superpoints import Superpoints
 
 LEAKS = (1e-4, 2e-2, 2e-1)
 _COLUMNS = 512
@@ -24,15 +24,15 @@ _COLUMNS = 512
 Float = npt.NDArray[np.floating]
 
 
-class Walk:
+class RandomWalk:
     """Factorised walks with one reach for each of ``LEAKS``."""
 
-    def __init__(self, cells: Cells) -> None:
-        links = cells.links
-        apart = np.linalg.norm(cells.center[links.a] - cells.center[links.b], axis=1)
+    def __init__(self, superpoints: Superpoints) -> None:
+        links = superpoints.links
+        apart = np.linalg.norm(superpoints.center[links.a] - superpoints.center[links.b], axis=1)
         typical = float(np.median(apart)) if len(apart) else 1.0
         weight = links.conductance / np.maximum(apart / max(typical, 1e-12), 0.3)
-        matrix = adjacency(len(cells), links.a, links.b, weight)
+        matrix = adjacency(len(superpoints), links.a, links.b, weight)
         degree = np.asarray(matrix.sum(1)).ravel()
         median = float(np.median(degree)) if len(links.a) else 1.0
         self._factors = [
@@ -44,35 +44,35 @@ class Walk:
             )
             for leak in LEAKS
         ]
-        self._count = len(cells)
-        self._a, self._b, self._weight, self._size = links.a, links.b, weight, cells.size
+        self._count = len(superpoints)
+        self._a, self._b, self._weight, self._size = links.a, links.b, weight, superpoints.size
         self._columns: OrderedDict[tuple[int, int], Future[Float]] = OrderedDict()
         self._ahead: ThreadPoolExecutor | None = None
 
-    def column(self, cell: int, reach: int) -> Float:
+    def column(self, superpoint: int, reach: int) -> Float:
         """(C,) the Green's function of a cell; ``reach`` indexes ``LEAKS``."""
-        found = self._columns.get((cell, reach))
+        found = self._columns.get((superpoint, reach))
         if found is None:
             found = Future()
-            found.set_result(self._solved(cell, reach))
-            self._keep(cell, reach, found)
+            found.set_result(self._solved(superpoint, reach))
+            self._keep(superpoint, reach, found)
         return found.result()
 
-    def ask(self, cell: int) -> None:
+    def ask(self, superpoint: int) -> None:
         """Begin to solve for a cell on another thread; :meth:`column` waits where it must."""
         if self._ahead is None:
             self._ahead = ThreadPoolExecutor(1, thread_name_prefix="walk")
         for reach in range(len(LEAKS)):
-            if (cell, reach) not in self._columns:
-                self._keep(cell, reach, self._ahead.submit(self._solved, cell, reach))
+            if (superpoint, reach) not in self._columns:
+                self._keep(superpoint, reach, self._ahead.submit(self._solved, superpoint, reach))
 
-    def _solved(self, cell: int, reach: int) -> Float:
+    def _solved(self, superpoint: int, reach: int) -> Float:
         unit = np.zeros(self._count)
-        unit[cell] = 1
+        unit[superpoint] = 1
         return self._factors[reach].solve(unit).astype(np.float32)
 
-    def _keep(self, cell: int, reach: int, column: Future[Float]) -> None:
-        self._columns[cell, reach] = column
+    def _keep(self, superpoint: int, reach: int, column: Future[Float]) -> None:
+        self._columns[superpoint, reach] = column
         if len(self._columns) > _COLUMNS:
             self._columns.popitem(last=False)
 

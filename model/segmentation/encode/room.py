@@ -23,8 +23,8 @@ from model.segmentation.describe.masks import (
 )
 from model.segmentation.encode.hierarchy import Hierarchy
 from model.segmentation.encode.nodes import Nodes
-from model.segmentation.encode.random_walk import Walk
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.random_walk import RandomWalk
+from model.segmentation.encode.superpoints import Superpoints
 from model.segmentation.score.trees import Scorer
 from model.segmentation.solver import PartSolver, PartState
 
@@ -70,31 +70,33 @@ class Room:
     position: npt.NDArray[np.float32]
 
 
-def room_of(asset: Asset, nodes: Nodes, cells: Cells) -> Room | None:
+def room_of(asset: Asset, nodes: Nodes, superpoints: Superpoints) -> Room | None:
     """The room that a scan shows, or None where it shows a lone object.
 
     A room is wide, and has a floor, or many things in it where floor and walls were left out.
     """
     if asset.cloud is None or np.ptp(nodes.points[:, :2], axis=0).max() < ROOM_METRES:
         return None
-    border, floor = np.zeros(len(cells), bool), _floor(cells)
+    border, floor = np.zeros(len(superpoints), bool), _floor(superpoints)
     if floor is not None:
         on_border = floor_and_walls(Asset(asset.name, cloud=PointCloud(nodes.points)))
-        border = np.bincount(cells.of_node, on_border, len(cells)) > 0.5 * cells.size
+        border = (
+            np.bincount(superpoints.of_node, on_border, len(superpoints)) > 0.5 * superpoints.size
+        )
     elif largest_piece(nodes.points).mean() > _LONE:
         return None
-    yaw = _yaw(cells, border)
+    yaw = _yaw(superpoints, border)
     cos, sin = np.cos(yaw), np.sin(yaw)
-    turned = cells.center @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    turned = superpoints.center @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     turned[:, 2] -= np.percentile(nodes.points[:, 2], 1) if floor is None else floor
     return Room(border, turned.astype(np.float32))
 
 
-def _floor(cells: Cells) -> float | None:
+def _floor(superpoints: Superpoints) -> float | None:
     """Height of the floor, level and below everything; None where there is none."""
-    height, weight = cells.center[:, 2], cells.size / cells.size.sum()
-    length = np.maximum(np.linalg.norm(cells.normal, axis=1), 1e-9)
-    level = np.abs(cells.normal[:, 2]) / length > _LEVEL
+    height, weight = superpoints.center[:, 2], superpoints.size / superpoints.size.sum()
+    length = np.maximum(np.linalg.norm(superpoints.normal, axis=1), 1e-9)
+    level = np.abs(superpoints.normal[:, 2]) / length > _LEVEL
     order = np.argsort(height)
     low = float(height[order[np.searchsorted(np.cumsum(weight[order]), 0.001)]])
     best, found = _LEAST_FLOOR, None
@@ -105,12 +107,14 @@ def _floor(cells: Cells) -> float | None:
     return found
 
 
-def _yaw(cells: Cells, border: Bool) -> float:
+def _yaw(superpoints: Superpoints, border: Bool) -> float:
     """Radians, 0 to a quarter of a turn: the commonest direction of upright surfaces."""
-    normal = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
+    normal = superpoints.normal / np.maximum(
+        np.linalg.norm(superpoints.normal, axis=1, keepdims=True), 1e-9
+    )
     upright = np.abs(normal[:, 2]) < 0.3
     angle = np.arctan2(normal[upright, 1], normal[upright, 0])
-    weight = cells.size[upright] * (1 + 2 * border[upright])
+    weight = superpoints.size[upright] * (1 + 2 * border[upright])
     if not len(angle):
         return 0.0
     counts, _ = np.histogram(angle % (np.pi / 2), 90, (0, np.pi / 2), weights=weight)
@@ -122,14 +126,14 @@ def _yaw(cells: Cells, border: Bool) -> float:
     return float(middle + np.average(off[near], weights=weight[near]))
 
 
-def fenced(cells: Cells, room: Room) -> Cells:
+def fenced(superpoints: Superpoints, room: Room) -> Superpoints:
     """The cells with strong cuts between floor or walls and everything else."""
-    links = cells.links
+    links = superpoints.links
     across = room.border[links.a] != room.border[links.b]
     strength = np.where(across, _FENCE * links.count, links.strength)
     weakest = np.exp(-_FENCE) * links.count
     conductance = np.where(across, np.minimum(links.conductance, weakest), links.conductance)
-    return replace(cells, links=replace(links, strength=strength, conductance=conductance))
+    return replace(superpoints, links=replace(links, strength=strength, conductance=conductance))
 
 
 class RoomDescriber(MaskDescriber):
@@ -137,10 +141,10 @@ class RoomDescriber(MaskDescriber):
 
     names = ROOM_FEATURE_NAMES
 
-    def __init__(self, cells: Cells, hierarchy: Hierarchy, room: Room) -> None:
-        super().__init__(cells, hierarchy)
+    def __init__(self, superpoints: Superpoints, hierarchy: Hierarchy, room: Room) -> None:
+        super().__init__(superpoints, hierarchy)
         self._room = room
-        self._size = cells.size.astype(np.float32)
+        self._size = superpoints.size.astype(np.float32)
 
     def _own(self, masks: Bool, words: npt.NDArray[np.uint64], clicked: Clicked) -> Float:
         room = self._room
@@ -206,34 +210,34 @@ class RoomSolver(PartSolver):
 
     def __init__(
         self,
-        cells: Cells,
+        superpoints: Superpoints,
         hierarchy: Hierarchy,
-        walk: Walk,
+        walk: RandomWalk,
         room: Room,
         first_scorer: Scorer | None,
         later_scorer: Scorer | None,
     ) -> None:
-        describe = RoomDescriber(cells, hierarchy, room)
-        super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
+        describe = RoomDescriber(superpoints, hierarchy, room)
+        super().__init__(superpoints, hierarchy, walk, first_scorer, later_scorer, describe)
         self._room = room
-        self._size = cells.size.astype(np.float32)
-        self._most = _LARGEST * cells.size.sum()
+        self._size = superpoints.size.astype(np.float32)
+        self._most = _LARGEST * superpoints.size.sum()
 
-    def first_regions(self, cell: int) -> Candidates:
+    def first_regions(self, superpoint: int) -> Candidates:
         """The nested regions, and boxes that reach from them as deep as furniture is."""
-        chain = super().first_regions(cell)
+        chain = super().first_regions(superpoint)
         masks = self._some(chain.masks)
         return joined([chain, *self._boxed(*self._deeper(*bounds_of(masks, self._room.position)))])
 
     def _region_hypotheses(
-        self, state: PartState, after: PartState, cell: int, positive: bool
+        self, state: PartState, after: PartState, superpoint: int, positive: bool
     ) -> Candidates:
-        found = super()._region_hypotheses(state, after, cell, positive)
+        found = super()._region_hypotheses(state, after, superpoint, positive)
         assert state.mask is not None
-        regions = self._some(self.chain(cell).masks)
+        regions = self._some(self.chain(superpoint).masks)
         position = self._room.position
         if not positive:
-            return joined([found, *self._cut(state.mask, regions, after, cell)])
+            return joined([found, *self._cut(state.mask, regions, after, superpoint)])
         wider = regions | state.mask
         low, high = bounds_of(wider, position)
         clicked = np.zeros((1, len(position)), bool)
@@ -280,7 +284,9 @@ class RoomSolver(PartSolver):
             return []
         return [Candidates.of(list(masks), "union")]
 
-    def _cut(self, mask: Bool, regions: Bool, after: PartState, cell: int) -> list[Candidates]:
+    def _cut(
+        self, mask: Bool, regions: Bool, after: PartState, superpoint: int
+    ) -> list[Candidates]:
         """The mask without what lies beyond an upright or level plane.
 
         The planes are the sides of the boxes round the clicked regions, and those between the
@@ -289,24 +295,24 @@ class RoomSolver(PartSolver):
         """
         position = self._room.position
         kept = position[list(after.positive)]
-        links = self.cells.links
+        links = self.superpoints.links
         inside = np.nonzero(mask[links.a] & mask[links.b])[0]
         low, high = bounds_of(regions[~regions[:, list(after.positive)].any(1)], position)
         made: list[Bool] = []
         for axis in range(3):
             for bound, sign in ((low, 1.0), (high, -1.0)):
-                spot = sign * float(position[cell, axis])
+                spot = sign * float(position[superpoint, axis])
                 nearest = float((sign * kept[:, axis]).max()) if len(kept) else -np.inf
                 edges = sign * np.unique(bound[:, axis].round(2)) - 1e-3
                 if np.isfinite(nearest) and spot - nearest > _LEAST_CUT:
                     edges = np.r_[edges, self._planes(inside, axis, sign, nearest, spot)]
                 for edge in edges[(edges > nearest) & (edges <= spot)]:
                     stays = sign * position[:, axis] < edge
-                    if not stays[cell] and (mask & stays).any():
+                    if not stays[superpoint] and (mask & stays).any():
                         made.append(mask & stays)
         if not made:
             return []
-        size = np.array([self.cells.size[m].sum() for m in made])
+        size = np.array([self.superpoints.size[m].sum() for m in made])
         best = np.argsort(-size, kind="stable")[:_CUTS]
         return [Candidates.of([made[int(k)] for k in best], "cut")]
 
@@ -315,7 +321,7 @@ class RoomSolver(PartSolver):
     ) -> Float:
         """Where between two coordinates the links ``inside`` a mask look most like cuts, and the
         middle."""
-        links, at = self.cells.links, sign * self._room.position[:, axis]
+        links, at = self.superpoints.links, sign * self._room.position[:, axis]
         a, b = at[links.a[inside]], at[links.b[inside]]
         number = max(int((end - start) / _CUT_STEP), 2)
         low, high = (

@@ -24,13 +24,13 @@ _PLAIN = 0.5
 _NEAR = 6
 
 
-def has_plain_colors(colors: npt.NDArray[np.uint8], neighbors: npt.NDArray[np.integer]) -> bool:
+def has_flat_colors(colors: npt.NDArray[np.uint8], neighbors: npt.NDArray[np.integer]) -> bool:
     """Whether most points (N, 3) have the very colour of one of their (N, K) neighbours."""
     same = (colors[neighbors[:, :_NEAR]] == colors[:, None]).all(axis=2).any(axis=1)
     return bool(same.mean() > _PLAIN)
 
 
-def parted_by_color(
+def split_by_color(
     of_node: npt.NDArray[np.integer], lab: Float, number: int
 ) -> tuple[npt.NDArray[np.int64], int]:
     """Split each cell whose nodes have two colours, or up to four.
@@ -43,17 +43,17 @@ def parted_by_color(
     Returns:
         (N,) the cell of each node now, and how many cells there are.
     """
-    cells: npt.NDArray[np.int64] = of_node.astype(np.int64)
+    superpoints: npt.NDArray[np.int64] = of_node.astype(np.int64)
     for _ in range(_ROUNDS):
-        side, step, spread, fewer = _two_colors(cells, lab, number)
+        side, step, spread, fewer = _two_colors(superpoints, lab, number)
         cut = (step > _LEAST_STEP) & (step > _CLEAR * spread) & (fewer >= _LEAST_NODES)
         if not cut.any():
             break
-        other = (side == 1) & cut[cells]
+        other = (side == 1) & cut[superpoints]
         new = np.cumsum(cut) - 1 + number
-        cells = np.where(other, new[cells], cells)
+        superpoints = np.where(other, new[superpoints], superpoints)
         number += int(cut.sum())
-    return cells, number
+    return superpoints, number
 
 
 def _two_colors(

@@ -16,9 +16,9 @@ from scipy.sparse.csgraph import connected_components
 from model.segmentation.encode.edge_features import lab_colors
 from model.segmentation.encode.graph import Graph
 from model.segmentation.encode.nodes import Nodes
-from model.segmentation.encode.superpoint_colors import has_plain_colors, parted_by_color
+from model.segmentation.encode.superpoint_colors import has_flat_colors, split_by_color
 
-TARGET_CELLS = 12_000
+TARGET_SUPERPOINTS = 12_000
 _MAX_NODES = 40
 
 
@@ -75,7 +75,7 @@ class Links:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class Superpoints:
     """The cells of an encoded asset.
 
     Attributes:
@@ -104,13 +104,13 @@ def groups(number: int, a: npt.NDArray, b: npt.NDArray) -> tuple[int, npt.NDArra
     return connected_components(links, directed=False)
 
 
-def build_cells(
+def build_superpoints(
     nodes: Nodes,
     graph: Graph,
     strength: npt.NDArray[np.float32],
     weight: npt.NDArray[np.float32],
-    target: int = TARGET_CELLS,
-) -> Cells:
+    target: int = TARGET_SUPERPOINTS,
+) -> Superpoints:
     """Pair nodes along their most certain edges until about ``target`` clusters are left.
 
     Those of two colours are parted then where a cloud's are plain, see :mod:`.cell_colors`; a mesh
@@ -153,8 +153,8 @@ def build_cells(
         far = np.zeros(len(links.a))
         number = left
     colors = None if nodes.of_mesh else nodes.colors
-    if colors is not None and has_plain_colors(colors, graph.neighbors):
-        of_node, after = parted_by_color(of_node, lab_colors(colors), number)
+    if colors is not None and has_flat_colors(colors, graph.neighbors):
+        of_node, after = split_by_color(of_node, lab_colors(colors), number)
         if after > number:
             number, links = after, edges.contract(of_node, after)
     return _describe(nodes, graph, of_node.astype(np.int32), links, number)
@@ -162,7 +162,7 @@ def build_cells(
 
 def _describe(
     nodes: Nodes, graph: Graph, of_node: npt.NDArray[np.int32], links: Links, number: int
-) -> Cells:
+) -> Superpoints:
     size = np.bincount(of_node, minlength=number).astype(np.float64)
 
     def mean(values: npt.NDArray) -> npt.NDArray[np.float64]:
@@ -171,4 +171,4 @@ def _describe(
     color = np.zeros((number, 3))
     if nodes.colors is not None:
         color = mean(lab_colors(nodes.colors))
-    return Cells(of_node, links, size, mean(nodes.points), mean(graph.normals), color)
+    return Superpoints(of_node, links, size, mean(nodes.points), mean(graph.normals), color)

@@ -22,8 +22,8 @@ from model.segmentation.encode.encoding import Encoding
 from model.segmentation.encode.graph import Graph
 from model.segmentation.encode.hierarchy import build_hierarchy
 from model.segmentation.encode.nodes import ElementMap, Nodes
-from model.segmentation.encode.random_walk import Walk
-from model.segmentation.encode.superpoints import build_cells
+from model.segmentation.encode.random_walk import RandomWalk
+from model.segmentation.encode.superpoints import build_superpoints
 from model.segmentation.finish.alternatives import offered
 from model.segmentation.parallel import together
 from model.segmentation.prompt_steps import ClickStep, Step
@@ -87,11 +87,15 @@ class Closeup:
         nodes, graph = self._encoding.nodes, self._encoding.graph
         part, edges = _part_of(nodes, graph, self.nodes, self._place)
         strength = self._encoding.strength[edges]
-        cells = build_cells(*part, strength, edge_weight(strength, part[1]), len(self.nodes))
+        superpoints = build_superpoints(
+            *part, strength, edge_weight(strength, part[1]), len(self.nodes)
+        )
         # Factors are freed by the thread that made them.
-        walk, hierarchy = together(lambda: Walk(cells), lambda: build_hierarchy(cells))
+        walk, hierarchy = together(
+            lambda: RandomWalk(superpoints), lambda: build_hierarchy(superpoints)
+        )
         return ObjectSolver(
-            cells,
+            superpoints,
             hierarchy,
             walk,
             *shipped_scorers("mesh" if nodes.of_mesh else "close-up"),
@@ -115,27 +119,27 @@ class Closeup:
             if not isinstance(step, ClickStep):
                 state = self._with_region(state, step.nodes, step.part == part, step.positive)
                 continue
-            cell, own = int(self._place[step.node]), step.part == part
-            if cell < 0:
+            superpoint, own = int(self._place[step.node]), step.part == part
+            if superpoint < 0:
                 continue
             if state is None or state.mask is None:
                 if own and step.positive:
                     state = PartState(negative=tuple(foreign))
                 else:
                     if not own and step.positive:
-                        foreign.append(cell)
+                        foreign.append(superpoint)
                     continue
             elif not own and not step.positive:
                 continue
             positive = own and step.positive
-            if state.mask is not None and bool(state.mask[cell]) == positive:
-                state = with_click(state, cell, positive)
+            if state.mask is not None and bool(state.mask[superpoint]) == positive:
+                state = with_click(state, superpoint, positive)
                 continue
             stopped = blocked.copy()
-            stopped[cell] = False
-            ranked = self._solver.answer(state, cell, positive, stopped)
-            mask = self._solver.tidy(ranked.best, state, cell)
-            state = self._solver.moved(state, cell, positive, mask)
+            stopped[superpoint] = False
+            ranked = self._solver.answer(state, superpoint, positive, stopped)
+            mask = self._solver.tidy(ranked.best, state, superpoint)
+            state = self._solver.moved(state, superpoint, positive, mask)
         if state is None or state.mask is None or ranked is None:
             return None
         fits = 0 < state.mask.sum() <= _LARGE * len(self.nodes)
@@ -206,7 +210,7 @@ class Closeups:
 
     def small(self, mask: Bool) -> bool:
         """Whether a mask over the object's cells (C,) is looked at closely."""
-        size = self._encoding.cells.size
+        size = self._encoding.superpoints.size
         return 0 < float(size[mask].sum()) <= SMALL * float(size.sum())
 
     def after(
@@ -221,7 +225,7 @@ class Closeups:
             known: the same before the last of ``steps``.
             parts: what is known of all parts after it, in cells of the whole object.
         """
-        cells = self._encoding.cells
+        superpoints = self._encoding.superpoints
         out: dict[int, ClosePart] = {}
         for part, own in parts.items():
             if own.mask is None or not self.small(own.mask):
@@ -237,7 +241,7 @@ class Closeups:
                 out[part] = before
                 continue
             closeup = self[anchor]
-            blocked = self._blocked(parts, part)[cells.of_node[closeup.nodes]]
+            blocked = self._blocked(parts, part)[superpoints.of_node[closeup.nodes]]
             todo = steps if before is None else steps[-1:]
             close = closeup.after(before, todo, part, blocked)
             if close is not None:
@@ -246,14 +250,14 @@ class Closeups:
 
     def _blocked(self, parts: Mapping[int, PartState], part: int) -> Bool:
         """(C,) cells that other parts have for certain: those inside them, not at their border."""
-        cells, links = self._encoding.cells, self._encoding.cells.links
-        of_cell = np.zeros(len(cells), np.int32)
+        superpoints, links = self._encoding.superpoints, self._encoding.superpoints.links
+        of_superpoint = np.zeros(len(superpoints), np.int32)
         for other, its in parts.items():
             if its.mask is not None:
-                of_cell[its.mask] = other
-        out = (of_cell != BASE) & (of_cell != part)
+                of_superpoint[its.mask] = other
+        out = (of_superpoint != BASE) & (of_superpoint != part)
         if out.any():
-            border = of_cell[links.a] != of_cell[links.b]
+            border = of_superpoint[links.a] != of_superpoint[links.b]
             out[links.a[border]] = False
             out[links.b[border]] = False
         return out
@@ -276,17 +280,17 @@ class Closeups:
             here[mask] = part
             of_node[its.nodes] = here
 
-    def cells(self, close: ClosePart, own: PartState) -> Bool:
+    def superpoints(self, close: ClosePart, own: PartState) -> Bool:
         """(C,) cells of the whole object most of which are in a mask, at least one.
 
         Args:
             own: what is known of the part in these cells; it counts outside the close-up.
         """
-        cells = self._encoding.cells
+        superpoints = self._encoding.superpoints
         assert own.mask is not None and close.state.mask is not None
-        node = own.mask[cells.of_node]
+        node = own.mask[superpoints.of_node]
         node[close.nodes] = close.state.mask
-        held = np.bincount(cells.of_node, node, len(cells)) / cells.size
+        held = np.bincount(superpoints.of_node, node, len(superpoints)) / superpoints.size
         out = held > 0.5
         out[held.argmax()] = True
         return out

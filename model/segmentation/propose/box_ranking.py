@@ -159,20 +159,20 @@ class BoxBeliefs:
         self._model = model
         self._of: OrderedDict[int, tuple[npt.NDArray[np.int64], Float]] = OrderedDict()
 
-    def _scored(self, cell: int) -> tuple[npt.NDArray[np.int64], Float]:
+    def _scored(self, superpoint: int) -> tuple[npt.NDArray[np.int64], Float]:
         """Boxes that hold a cell, the likeliest first, and their scores."""
-        if cell not in self._of:
-            found = self._boxes.holding(self._place[:, cell])
+        if superpoint not in self._of:
+            found = self._boxes.holding(self._place[:, superpoint])
             if self._model is None or self._describe is None:
                 score = -np.log(self._boxes.leak[found] + 1e-6)
             else:
-                faces = self._facing[:, cell]
-                score = self._model(self._describe(found, self._place[:, cell], faces))
+                faces = self._facing[:, superpoint]
+                score = self._model(self._describe(found, self._place[:, superpoint], faces))
             order = np.argsort(-score, kind="stable")
-            self._of[cell] = found[order], score[order]
+            self._of[superpoint] = found[order], score[order]
             if len(self._of) > _KEPT:
                 self._of.popitem(last=False)
-        return self._of[cell]
+        return self._of[superpoint]
 
     def __call__(self, positive: tuple[int, ...], negative: tuple[int, ...]) -> Believed:
         """The boxes that clicks on these cells leave, as the first positive one sees them."""
@@ -180,12 +180,12 @@ class BoxBeliefs:
         left = self._left(found, positive[1:], negative)
         return self._believed(found[left], score[left])
 
-    def tight(self, cell: int, negative: tuple[int, ...]) -> Believed:
+    def tight(self, superpoint: int, negative: tuple[int, ...]) -> Believed:
         """The boxes that hold a cell and no negative ones, the least leak first.
 
         For what a later click is about; to score these boxes as well would cost every click.
         """
-        found = self._boxes.holding(self._place[:, cell])
+        found = self._boxes.holding(self._place[:, superpoint])
         found = found[self._left(found, (), negative)]
         return self._believed(found, -self._boxes.leak[found])
 
@@ -194,9 +194,9 @@ class BoxBeliefs:
     ) -> npt.NDArray[np.int64]:
         low, high = self._boxes.low[:, found], self._boxes.high[:, found]
         ok = np.ones(len(found), bool)
-        for cells, wanted in ((positive, True), (negative, False)):
-            for cell in cells:
-                spot = self._place[:, cell].astype(np.int16)[:, None]
+        for superpoints, wanted in ((positive, True), (negative, False)):
+            for superpoint in superpoints:
+                spot = self._place[:, superpoint].astype(np.int16)[:, None]
                 ok &= ((low <= spot) & (high >= spot)).all(0) == wanted
         return np.nonzero(ok)[0]
 

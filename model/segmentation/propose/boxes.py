@@ -25,8 +25,8 @@ from model.segmentation.describe.masks import (
     joined,
 )
 from model.segmentation.encode.hierarchy import Hierarchy
-from model.segmentation.encode.random_walk import Walk
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.random_walk import RandomWalk
+from model.segmentation.encode.superpoints import Superpoints
 from model.segmentation.parallel import together
 from model.segmentation.propose.box_ranking import Believed, BoxBeliefs, shipped_box_model
 from model.segmentation.propose.fronts import Front, Fronts
@@ -153,33 +153,35 @@ class Boxes:
         axes: (3, 3) the directions, in rows.
     """
 
-    def __init__(self, cells: Cells, axes: Float | None = None) -> None:
-        unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
-        axes = main_directions(unit, cells.size) if axes is None else axes
+    def __init__(self, superpoints: Superpoints, axes: Float | None = None) -> None:
+        unit = superpoints.normal / np.maximum(
+            np.linalg.norm(superpoints.normal, axis=1, keepdims=True), 1e-9
+        )
+        axes = main_directions(unit, superpoints.size) if axes is None else axes
         self.axes = axes
-        at = cells.center @ axes.T
+        at = superpoints.center @ axes.T
         low, side = at.min(0), np.maximum(np.ptp(at, axis=0), 1e-9)
         self.step = side / _STEPS
         place = np.minimum((at - low) / self.step, _STEPS - 1)
         self.place = np.ascontiguousarray(place.T.astype(np.uint8))
         self.facing = np.ascontiguousarray(np.abs(unit @ axes.T).T > 0.9)
-        self.size = cells.size.astype(np.float32)
+        self.size = superpoints.size.astype(np.float32)
         self.square = self.facing.any(0) * self.size
-        number = len(cells)
+        number = len(superpoints)
         rows = (self.place.astype(np.int64) + _STEPS * np.arange(3)[:, None]).ravel()
         self._bins = csr_matrix(
             (np.tile(self.size, 3), (rows, np.tile(np.arange(number), 3))),
             shape=(3 * _STEPS, number),
         )
 
-    def between_planes(self, cells: Cells) -> PlaneBoxes:
+    def between_planes(self, superpoints: Superpoints) -> PlaneBoxes:
         """The boxes between the object's planes."""
-        links = cells.links
-        apart = np.linalg.norm(cells.center[links.a] - cells.center[links.b], axis=1)
+        links = superpoints.links
+        apart = np.linalg.norm(superpoints.center[links.a] - superpoints.center[links.b], axis=1)
         # Cells are patches of some nodes: their distance tells how dense those lie.
         spacing = float(np.median(apart)) if len(apart) else 1.0
-        spacing /= max(float(np.sqrt(np.median(cells.size))), 1.0)
-        return plane_boxes(cells, self.place, self.facing, self.step, max(spacing, 1e-9))
+        spacing /= max(float(np.sqrt(np.median(superpoints.size))), 1.0)
+        return plane_boxes(superpoints, self.place, self.facing, self.step, max(spacing, 1e-9))
 
     def bounds(self, masks: Bool) -> tuple[Int, Int]:
         """(H, 3) first and last step of each mask, but for a hundredth of it at each end."""
@@ -260,11 +262,11 @@ class ObjectDescriber(MaskDescriber):
     names = OBJECT_FEATURE_NAMES
     among = (*MaskDescriber.among, "from_box")
 
-    def __init__(self, cells: Cells, hierarchy: Hierarchy, boxes: Boxes) -> None:
-        super().__init__(cells, hierarchy)
+    def __init__(self, superpoints: Superpoints, hierarchy: Hierarchy, boxes: Boxes) -> None:
+        super().__init__(superpoints, hierarchy)
         self._boxes = boxes
-        self._tree = KDTree(cells.center)
-        self._near = min(_ROUND, len(cells))
+        self._tree = KDTree(superpoints.center)
+        self._near = min(_ROUND, len(superpoints))
         self._depths = Depths(self._x)
 
     def __call__(self, candidates: Candidates, clicked: Clicked) -> Float:
@@ -368,7 +370,7 @@ class ObjectDescriber(MaskDescriber):
             if step.positive
             else np.where(before[:, None], ~words, none)
         )
-        own, most = self._depth(wrong, len(m), step.cell), self._depths(wrong, len(m))
+        own, most = self._depth(wrong, len(m), step.superpoint), self._depths(wrong, len(m))
         common = m @ (size * before)
         missing, extra = held - common, float(size @ before) - common
         mended, other = (missing, extra) if step.positive else (extra, missing)
@@ -393,8 +395,8 @@ class ObjectDescriber(MaskDescriber):
             return none, all_
         cell_size = self._boxes.size
 
-        def apart(cells: tuple[int, ...]) -> Float:
-            return np.min([self._around(c)[0] for c in cells], axis=0)
+        def apart(superpoints: tuple[int, ...]) -> Float:
+            return np.min([self._around(c)[0] for c in superpoints], axis=0)
 
         wrong = np.zeros(len(cell_size), bool)
         if clicked.negative:
@@ -415,7 +417,7 @@ class ObjectDescriber(MaskDescriber):
         """
         if not clicks:
             return np.ones((2, len(masks)), np.float32)
-        _, near = self._tree.query(self._cells.center[list(clicks)], k=self._near)
+        _, near = self._tree.query(self._superpoints.center[list(clicks)], k=self._near)
         near = np.reshape(near, (len(clicks), self._near))
         share = masks[:, near].mean(2, dtype=np.float32)
         return np.stack([share.mean(1), share.min(1)])
@@ -426,9 +428,9 @@ class ObjectSolver(PartSolver):
 
     def __init__(
         self,
-        cells: Cells,
+        superpoints: Superpoints,
         hierarchy: Hierarchy,
-        walk: Walk,
+        walk: RandomWalk,
         first_scorer: Scorer | None,
         later_scorer: Scorer | None,
         shell: npt.NDArray[np.integer] | None = None,
@@ -440,10 +442,10 @@ class ObjectSolver(PartSolver):
         """
         self.fronts: Fronts | None = None
         self.moving_scorers: tuple[Scorer | None, Scorer | None] = (None, None)
-        self._boxes = Boxes(cells, axes)
+        self._boxes = Boxes(superpoints, axes)
         self._mesh = shell is not None
         self._large_beside = LARGE_PENALTY
-        if len(cells) < cells.size.sum():
+        if len(superpoints) < superpoints.size.sum():
             self._detail_penalty = DETAIL_PENALTY
         else:  # a close-up, of single nodes, is there for details
             self._first_speck = CLOSE_SPECK
@@ -453,10 +455,11 @@ class ObjectSolver(PartSolver):
             self._large_penalty = LARGE_PENALTY
         self._shells = None
         if shell is not None and len(np.unique(shell)) > 1:
-            self._shells = _Shells(shell, cells.size)
+            self._shells = _Shells(shell, superpoints.size)
         grid = self._boxes
         planes, describe = together(
-            lambda: grid.between_planes(cells), lambda: ObjectDescriber(cells, hierarchy, grid)
+            lambda: grid.between_planes(superpoints),
+            lambda: ObjectDescriber(superpoints, hierarchy, grid),
         )
         # A scorer that doesn't ask for it would only wait.
         describe.explains = later_scorer is None or not set(HISTORY_FEATURES).isdisjoint(
@@ -466,29 +469,29 @@ class ObjectSolver(PartSolver):
         model = None if self._mesh else shipped_box_model()
         self._most = _OF_SIZES if self._mesh else _BETWEEN
         self._beliefs = BoxBeliefs(planes, grid.place, grid.facing, grid.step, model)
-        super().__init__(cells, hierarchy, walk, first_scorer, later_scorer, describe)
+        super().__init__(superpoints, hierarchy, walk, first_scorer, later_scorer, describe)
 
     @property
     def axes(self) -> Float:
         """(3, 3) the main directions, in rows."""
         return self._boxes.axes
 
-    def first_regions(self, cell: int) -> Candidates:
+    def first_regions(self, superpoint: int) -> Candidates:
         """The nested regions, the boxes round them, and those behind flat ones."""
-        chain = super().first_regions(cell)
+        chain = super().first_regions(superpoint)
         regions, boxes = self._some(chain.masks), self._boxes
         low, high = boxes.bounds(regions)
         deep = boxes.contents(*boxes.behind(low, high, _FRONTS))
         round_all = boxes.contents(low, high) | regions
-        return self._with(chain, [round_all, deep, self._between((cell,), (), self._most)])
+        return self._with(chain, [round_all, deep, self._between((superpoint,), (), self._most)])
 
-    def part_regions(self, cell: int, outside: tuple[int, ...]) -> Candidates:
+    def part_regions(self, superpoint: int, outside: tuple[int, ...]) -> Candidates:
         """The same, and rectangles of the front that was clicked, with what is behind them."""
-        found = self.first_regions(cell)
+        found = self.first_regions(superpoint)
         if self.fronts is None:
             return found
-        made = [self.fronts.masks(f, self.fronts.rectangles(f, cell, outside))
-                for f in self.fronts.of(cell)]  # fmt: skip
+        made = [self.fronts.masks(f, self.fronts.rectangles(f, superpoint, outside))
+                for f in self.fronts.of(superpoint)]  # fmt: skip
         if not made:
             return found
         likely = np.concatenate([m[:_FRONTS] for m in made])
@@ -504,16 +507,16 @@ class ObjectSolver(PartSolver):
         both, scores = self._with_fronts(found, features, alike, clicked, first, _SAY)
         return both, scores - self._bar_alone(found.masks, scores, clicked.last)
 
-    def _bar_alone(self, masks: Bool, scores: Float, cell: int) -> Float | float:
+    def _bar_alone(self, masks: Bool, scores: Float, superpoint: int) -> Float | float:
         """(H,) what speaks against masks that leave behind what a clicked handle is on: whoever
         clicks a bar means the door or drawer that it moves.
 
         No more than it takes, so that Tab shows the handle alone.
         """
-        bar = None if self.fronts is None else self.fronts.bar(cell)
+        bar = None if self.fronts is None else self.fronts.bar(superpoint)
         if bar is None:
             return 0.0
-        size = (bar.behind * self.cells.size).astype(np.float32)
+        size = (bar.behind * self.superpoints.size).astype(np.float32)
         alone = masks.astype(np.float32) @ size < 0.5 * size.sum()
         if alone.all():
             return 0.0
@@ -536,7 +539,7 @@ class ObjectSolver(PartSolver):
         """
         if self.fronts is None:
             return features, scores
-        shown = front_features(found.masks, self.cells, self.axes, self._front(clicked))
+        shown = front_features(found.masks, self.superpoints, self.axes, self._front(clicked))
         both = np.concatenate([features, shown], axis=1)
         if scorer is not None:
             scores = say * scorer(both) + (1 - say) * scores
@@ -550,7 +553,7 @@ class ObjectSolver(PartSolver):
         return fronts[-1] if fronts else None
 
     def part_hypotheses(
-        self, state: PartState, after: PartState, cell: int, positive: bool
+        self, state: PartState, after: PartState, superpoint: int, positive: bool
     ) -> list[Candidates]:
         """Rectangles of the front that hold the part's clicks, with the mask or without, and, where
         something is too much, the mask without those round it.
@@ -559,7 +562,7 @@ class ObjectSolver(PartSolver):
             return []
         assert state.mask is not None
         made: list[Bool] = []
-        own = cell if positive else after.positive[-1]
+        own = superpoint if positive else after.positive[-1]
         for front in self.fronts.of(own):
             round_own = self.fronts.rectangles(front, own, after.negative)[:_RECTANGLES]
             masks = self.fronts.masks(front, round_own)
@@ -567,30 +570,30 @@ class ObjectSolver(PartSolver):
             if positive:
                 made.append(masks | state.mask)
         if not positive:
-            for front in self.fronts.of(cell):
-                off = self.fronts.rectangles(front, cell, after.positive)[:_RECTANGLES]
+            for front in self.fronts.of(superpoint):
+                off = self.fronts.rectangles(front, superpoint, after.positive)[:_RECTANGLES]
                 made.append(state.mask & ~self.fronts.masks(front, off))
         return [self._made(made)] if made else []
 
     def _region_hypotheses(
-        self, state: PartState, after: PartState, cell: int, positive: bool
+        self, state: PartState, after: PartState, superpoint: int, positive: bool
     ) -> Candidates:
-        found = super()._region_hypotheses(state, after, cell, positive)
+        found = super()._region_hypotheses(state, after, superpoint, positive)
         assert state.mask is not None
         mask, boxes = state.mask, self._boxes
-        regions = self._some(self.chain(cell).masks)
+        regions = self._some(self.chain(superpoint).masks)
         low, high = boxes.bounds(regions)
         if positive:
             wider = regions | mask
             round_all = boxes.contents(*boxes.bounds(wider)) | wider
             deep = boxes.contents(*boxes.behind(low, high, _FRONTS)) | mask
             own = (boxes.contents(low, high) | mask)[::2]
-            beside = self._tight(cell, after.negative, self._most // 2) | mask
+            beside = self._tight(superpoint, after.negative, self._most // 2) | mask
             made = [round_all, deep, own, beside]
         else:
             without = mask & ~boxes.contents(low, high)
-            outside = mask & ~self._tight(cell, after.positive, self._most)
-            made = [without, outside, self._cut(mask, low, high, after, cell)]
+            outside = mask & ~self._tight(superpoint, after.positive, self._most)
+            made = [without, outside, self._cut(mask, low, high, after, superpoint)]
         if after.positive:
             made.append(self._between(after.positive, after.negative, self._most))
             made.append(self._alike(mask, after.positive, after.negative))
@@ -601,9 +604,9 @@ class ObjectSolver(PartSolver):
         believed = self._beliefs(inside, outside)
         return self._within(believed, self._few(believed, most))
 
-    def _tight(self, cell: int, outside: tuple[int, ...], most: int) -> Bool:
+    def _tight(self, superpoint: int, outside: tuple[int, ...], most: int) -> Bool:
         """(H, C) boxes between planes that hold a cell and not others, the least leaking ones."""
-        believed = self._beliefs.tight(cell, outside)
+        believed = self._beliefs.tight(superpoint, outside)
         return self._within(believed, self._few(believed, most))
 
     def _few(self, believed: Believed, most: int) -> npt.NDArray[np.int64]:
@@ -635,12 +638,12 @@ class ObjectSolver(PartSolver):
         size = masks.astype(np.float32) @ self._boxes.size
         return masks[_evenly(np.argsort(size, kind="stable"), _REGIONS)]
 
-    def _cut(self, mask: Bool, low: Int, high: Int, after: PartState, cell: int) -> Bool:
+    def _cut(self, mask: Bool, low: Int, high: Int, after: PartState, superpoint: int) -> Bool:
         """(H, C) the mask without what lies beyond a plane along a side of a box, or halfway
         between the click and the part's own ones; all planes keep the latter.
         """
         place = self._boxes.place
-        spot = place[:, cell].astype(int)
+        spot = place[:, superpoint].astype(int)
         kept = place[:, list(after.positive)].astype(int)
         stays: list[Bool] = []
         for axis in range(3):

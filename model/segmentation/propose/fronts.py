@@ -32,7 +32,7 @@ from scipy.ndimage import (
 from model.segmentation.encode.edge_features import lab_colors
 from model.segmentation.encode.graph import Graph
 from model.segmentation.encode.nodes import Nodes
-from model.segmentation.encode.superpoints import Cells
+from model.segmentation.encode.superpoints import Superpoints
 
 Bool = npt.NDArray[np.bool_]
 Float = npt.NDArray[np.floating]
@@ -216,7 +216,7 @@ class Bar:
         length: how many times as long as wide it is.
     """
 
-    cells: Bool
+    superpoints: Bool
     behind: Bool
     length: float
 
@@ -299,13 +299,13 @@ class Fronts:
     """The fronts of an encoded object, laid out where they are clicked."""
 
     def __init__(
-        self, nodes: Nodes, graph: Graph, strength: npt.NDArray[np.float32], cells: Cells,
+        self, nodes: Nodes, graph: Graph, strength: npt.NDArray[np.float32], superpoints: Superpoints,
         axes: Float,
     ) -> None:  # fmt: skip
-        self._cells = cells
+        self._superpoints = superpoints
         self._at = nodes.points.astype(np.float64) @ axes.T
         self._facing = graph.normals.astype(np.float64) @ axes.T
-        self._center = cells.center @ axes.T
+        self._center = superpoints.center @ axes.T
         self._graph, self._strength = graph, strength
         colors = nodes.colors
         self._lab = None if colors is None else lab_colors(colors)
@@ -313,43 +313,45 @@ class Fronts:
         self._side = NODES_A_SQUARE * graph.spacing
         diagonal = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
         self._reach = max(_DEEP * diagonal, _DEEP_SPACINGS * graph.spacing)
-        unit = cells.normal / np.maximum(np.linalg.norm(cells.normal, axis=1, keepdims=True), 1e-9)
+        unit = superpoints.normal / np.maximum(
+            np.linalg.norm(superpoints.normal, axis=1, keepdims=True), 1e-9
+        )
         self._turn = unit @ axes.T
         self._sides: dict[tuple[int, int], _Side | None] = {}
         self._of: OrderedDict[tuple[int], list[Front]] = OrderedDict()
         self._layers: OrderedDict[tuple[int, int, int], _Layer | None] = OrderedDict()
         self._fronts: OrderedDict[tuple[int, int, int, int], Front | None] = OrderedDict()
 
-    def of(self, cell: int) -> list[Front]:
+    def of(self, superpoint: int) -> list[Front]:
         """The fronts that a cell lies on or stands before, the nearest first.
 
         Nothing where the cell faces along no main direction, unless it is a handle's.
         """
-        key = (cell,)
+        key = (superpoint,)
         return _kept(self._of, key, self._found, _CLICKED)
 
     def _found(self, key: tuple[int]) -> list[Front]:
-        (cell,) = key
-        axis = int(np.abs(self._turn[cell]).argmax())
-        if abs(self._turn[cell, axis]) < _ALONG:
-            return self._behind_bar(cell, -1)
-        outward = self._outward(cell, axis)
+        (superpoint,) = key
+        axis = int(np.abs(self._turn[superpoint]).argmax())
+        if abs(self._turn[superpoint, axis]) < _ALONG:
+            return self._behind_bar(superpoint, -1)
+        outward = self._outward(superpoint, axis)
         side = self._side_of(axis, outward)
         if side is None:
             return []
-        own = side.bin_of(outward * float(self._center[cell, axis]))
+        own = side.bin_of(outward * float(self._center[superpoint, axis]))
         # The same for all that lie on it, and whatever was clicked before: where most of it is.
         bins = [side.peak(own - _SHIFT, own + _SHIFT)]
         behind = side.peak(own - _BEFORE_BINS, own - _SHIFT - 1)
         if side.held(behind) > _LARGER * side.held(bins[0]):
             bins.append(behind)
-        fronts = [self._front(cell, axis, outward, depth) for depth in bins]
+        fronts = [self._front(superpoint, axis, outward, depth) for depth in bins]
         there = [f for f in fronts if f is not None]
-        if any(self._bar_before(front, cell) for front in there):
+        if any(self._bar_before(front, superpoint) for front in there):
             return there
-        return there + self._behind_bar(cell, axis)
+        return there + self._behind_bar(superpoint, axis)
 
-    def _behind_bar(self, cell: int, faces: int) -> list[Front]:
+    def _behind_bar(self, superpoint: int, faces: int) -> list[Front]:
         """The front before which a bar stands of which ``cell`` is a side.
 
         Args:
@@ -362,52 +364,52 @@ class Fronts:
                 side = self._side_of(axis, outward)
                 if side is None:
                     continue
-                own = side.bin_of(outward * float(self._center[cell, axis]))
+                own = side.bin_of(outward * float(self._center[superpoint, axis]))
                 behind = side.peak(own - _BEFORE_BINS, own - _SHIFT - 1)
                 # Handles are outside.
                 if behind < 0 or side.middle(behind) < outward * self._middle[axis]:
                     continue
-                if not self._alone_before(cell, axis, outward, side.middle(behind)):
+                if not self._alone_before(superpoint, axis, outward, side.middle(behind)):
                     continue
-                front = self._front(cell, axis, outward, behind)
-                bar = None if front is None else self._bar_before(front, cell)
+                front = self._front(superpoint, axis, outward, behind)
+                bar = None if front is None else self._bar_before(front, superpoint)
                 if front is not None and bar is not None and bar.length >= BAR_LENGTH:
                     return [front]
         return []
 
-    def _alone_before(self, cell: int, axis: int, outward: int, depth: float) -> bool:
+    def _alone_before(self, superpoint: int, axis: int, outward: int, depth: float) -> bool:
         """Whether a front at ``depth`` is all round a cell, and not much else is as high above."""
         across = [k for k in range(3) if k != axis]
-        apart = self._center[:, across] - self._center[cell, across]
+        apart = self._center[:, across] - self._center[superpoint, across]
         near = np.flatnonzero((np.abs(apart) < _ROUND * self._reach).all(1))
         deep = outward * self._center[near, axis] - depth
-        size, out = self._cells.size[near], _STANDS_OUT * self._reach
+        size, out = self._superpoints.size[near], _STANDS_OUT * self._reach
         front = np.abs(deep) < out
         if size[deep > out].sum() > size[front].sum():
             return False
         beside = apart[near[front]] > 0
         return len(np.unique(2 * beside[:, 0] + beside[:, 1])) == 4
 
-    def _outward(self, cell: int, axis: int) -> int:
+    def _outward(self, superpoint: int, axis: int) -> int:
         """To which side along an axis a cell faces, as nearly all that lies at its depth says: a
         scan's normals are turned the wrong way here and there.
         """
-        near = np.abs(self._center[:, axis] - self._center[cell, axis]) < self._reach / _BINS
+        near = np.abs(self._center[:, axis] - self._center[superpoint, axis]) < self._reach / _BINS
         turn = self._turn[near, axis]
         sure = np.abs(turn) > _ALONG
-        own = 1 if self._turn[cell, axis] > 0 else -1
-        same = float(self._cells.size[near] @ (sure & (own * turn > 0)))
-        return own if same > _TURNED * float(self._cells.size[near] @ sure) else -own
+        own = 1 if self._turn[superpoint, axis] > 0 else -1
+        same = float(self._superpoints.size[near] @ (sure & (own * turn > 0)))
+        return own if same > _TURNED * float(self._superpoints.size[near] @ sure) else -own
 
-    def bar(self, cell: int) -> Bar | None:
+    def bar(self, superpoint: int) -> Bar | None:
         """What ``cell`` is on, if that stands out before a front with something round it."""
-        found = (self._bar_before(front, cell) for front in self.of(cell))
+        found = (self._bar_before(front, superpoint) for front in self.of(superpoint))
         return next((bar for bar in found if bar is not None), None)
 
-    def _bar_before(self, front: Front, cell: int) -> Bar | None:
+    def _bar_before(self, front: Front, superpoint: int) -> Bar | None:
         deep = front.outward * self._center[:, front.axis] - front.depth
-        number = int(front.knob_of[self._square(front, cell)])
-        if number < 0 or deep[cell] < _STANDS_OUT * front.reach:
+        number = int(front.knob_of[self._square(front, superpoint)])
+        if number < 0 or deep[superpoint] < _STANDS_OUT * front.reach:
             return None
         at = np.argwhere(front.knob_of == number)
         u, v = ((self._center[:, list(front.across)] - front.low) / front.side).T
@@ -421,20 +423,20 @@ class Fronts:
         """None where nothing faces there."""
         if (axis, outward) not in self._sides:
             facing = outward * self._turn[:, axis] > _ALONG
-            depth, size = outward * self._center[facing, axis], self._cells.size[facing]
+            depth, size = outward * self._center[facing, axis], self._superpoints.size[facing]
             made = _Side(depth, size, self._reach / _BINS) if facing.any() else None
             self._sides[axis, outward] = made
         return self._sides[axis, outward]
 
-    def _front(self, cell: int, axis: int, outward: int, depth: int) -> Front | None:
+    def _front(self, superpoint: int, axis: int, outward: int, depth: int) -> Front | None:
         layer = _kept(self._layers, (axis, outward, depth), self._layer, _LAYERS)
         if layer is None:
             return None
-        key = (axis, outward, depth, int(layer.piece[self._square(layer, cell)]))
+        key = (axis, outward, depth, int(layer.piece[self._square(layer, superpoint)]))
         return _kept(self._fronts, key, self._laid_out, _KEPT)
 
-    def _square(self, laid: Front | _Layer, cell: int) -> tuple[int, int]:
-        at = (self._center[cell, list(laid.across)] - laid.low) / laid.side
+    def _square(self, laid: Front | _Layer, superpoint: int) -> tuple[int, int]:
+        at = (self._center[superpoint, list(laid.across)] - laid.low) / laid.side
         u, v = np.clip(at.astype(int), 0, np.array(laid.shape) - 1).tolist()
         return u, v
 
@@ -536,11 +538,11 @@ class Fronts:
 
     # Rectangles ----------------------------------------------------------------------
 
-    def rectangles(self, front: Front, cell: int, outside: tuple[int, ...] = ()) -> Rects:
+    def rectangles(self, front: Front, superpoint: int, outside: tuple[int, ...] = ()) -> Rects:
         """(R, 4) rectangles of a front that hold a cell, and not others; the likeliest first."""
         before = self._before(front)
         others = [self._square(front, c) for c in outside if before[c]]
-        return _cut(front, self._square(front, cell), others)
+        return _cut(front, self._square(front, superpoint), others)
 
     def _before(self, front: Front) -> Bool:
         """(C,) the cells of a front, and what stands out before it."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.encode.superpoints import Cells, totals
+from model.segmentation.encode.superpoints import Superpoints, totals
 
 Float = npt.NDArray[np.floating]
 Int = npt.NDArray[np.int16]
@@ -110,7 +110,7 @@ class _Axis:
 
 
 def plane_boxes(
-    cells: Cells, place: npt.NDArray[np.uint8], facing: npt.NDArray[np.bool_], step: Float,
+    superpoints: Superpoints, place: npt.NDArray[np.uint8], facing: npt.NDArray[np.bool_], step: Float,
     spacing: float,
 ) -> PlaneBoxes:  # fmt: skip
     """Measure all boxes between the planes.
@@ -120,13 +120,13 @@ def plane_boxes(
         step: (3,) metres. spacing: metres between neighbouring nodes.
     """
     at = place.astype(np.int64)
-    total = float(cells.size.sum())
-    axes = [_axis(cells, at[k], facing[k], total) for k in range(3)]
-    held = _table([a.slot for a in axes], axes, cells.size)
+    total = float(superpoints.size.sum())
+    axes = [_axis(superpoints, at[k], facing[k], total) for k in range(3)]
+    held = _table([a.slot for a in axes], axes, superpoints.size)
     for k in range(3):
         held = np.moveaxis(axes[k].between(np.moveaxis(held, k, 0)), 0, k)
     leak, lined = np.zeros_like(held), np.zeros_like(held)
-    links = cells.links
+    links = superpoints.links
     tables: list[list[npt.NDArray[np.float64]]] = []
     for k in range(3):
         others = [axes[o] for o in range(3) if o != k]
@@ -142,7 +142,7 @@ def plane_boxes(
         leak += np.moveaxis(through[axes[k].first] + through[axes[k].last], 0, k)
         on = facing[k]
         faces = _sides(axes[k], others, axes[k].slot[on], [o.slot[on] for o in others],
-                       cells.size[on])  # fmt: skip
+                       superpoints.size[on])  # fmt: skip
         wide, high_ = (
             (o.cut[o.last] - o.cut[o.first]) * step[d]
             for o, d in zip(others, [d for d in range(3) if d != k], strict=True)
@@ -165,7 +165,7 @@ def plane_boxes(
     last = np.stack([a.cut[a.last[i]] - 1 for a, i in zip(axes, index, strict=True)])
     sides, surface = _described(axes, index, tables)
     strength, count = (
-        totals(links.a, v, len(cells)) + totals(links.b, v, len(cells))
+        totals(links.a, v, len(superpoints)) + totals(links.b, v, len(superpoints))
         for v in (links.strength, links.count)
     )
     made = PlaneBoxes(
@@ -241,8 +241,10 @@ def _sides(
     return out[:, :, others[1].last] - out[:, :, others[1].first]
 
 
-def _axis(cells: Cells, at: Places, facing: npt.NDArray[np.bool_], total: float) -> _Axis:
-    held = totals(at[facing], cells.size[facing], STEPS)
+def _axis(
+    superpoints: Superpoints, at: Places, facing: npt.NDArray[np.bool_], total: float
+) -> _Axis:
+    held = totals(at[facing], superpoints.size[facing], STEPS)
     near = held + np.r_[held[1:], 0] + np.r_[0, held[:-1]]
     around = np.convolve(held, np.ones(_WIDE), "same") - near
     stands_out = near / np.sqrt(around / 4 + 0.0005 * total)
@@ -257,7 +259,7 @@ def _axis(cells: Cells, at: Places, facing: npt.NDArray[np.bool_], total: float)
             last += 1
         low.append(first)
         high.append(last + 1)
-    gaps = _gaps(cells, at, low + high)
+    gaps = _gaps(superpoints, at, low + high)
     lows, highs = np.unique([0, *low, *gaps]), np.unique([*low, *high, *gaps, STEPS])
     cut = np.unique(np.r_[lows, highs])
     first, last = (
@@ -268,9 +270,9 @@ def _axis(cells: Cells, at: Places, facing: npt.NDArray[np.bool_], total: float)
     return _Axis(cut, first[thick], last[thick], np.searchsorted(cut, at, side="right") - 1)
 
 
-def _gaps(cells: Cells, at: Places, taken: list[int]) -> list[int]:
+def _gaps(superpoints: Superpoints, at: Places, taken: list[int]) -> list[int]:
     """Steps before which most strong cuts line up."""
-    links = cells.links
+    links = superpoints.links
     low, high = _ordered(at, links.a, links.b)
     weight = np.maximum(links.strength - _STRONG * links.count, 0) * (high - low < _LONG)
     passing = totals(low + 1, weight, STEPS + 2) - totals(high + 1, weight, STEPS + 2)

@@ -79,23 +79,28 @@ def solver_of(
             part that moves.
         lined: look for lines on fronts on meshes, too.
     """
-    cells, hierarchy, walk, room = encoding.cells, encoding.hierarchy, encoding.walk, encoding.room
+    superpoints, hierarchy, walk, room = (
+        encoding.superpoints,
+        encoding.hierarchy,
+        encoding.walk,
+        encoding.room,
+    )
     if room is None:
-        solver = ObjectSolver(cells, hierarchy, walk, first, later, _shells(encoding))
+        solver = ObjectSolver(superpoints, hierarchy, walk, first, later, _shells(encoding))
         nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
         # To who clicks, faces and shells tell the parts of a mesh better than lines.
         if lined or not nodes.of_mesh:
-            solver.fronts = Fronts(nodes, graph, strength, cells, solver.axes)
+            solver.fronts = Fronts(nodes, graph, strength, superpoints, solver.axes)
             solver.moving_scorers = moving
         return solver
-    return RoomSolver(cells, hierarchy, walk, room, first, later)
+    return RoomSolver(superpoints, hierarchy, walk, room, first, later)
 
 
 def _shells(encoding: Encoding) -> npt.NDArray[np.int32] | None:
     """(C,) the shell of each cell of a mesh."""
-    nodes, cells = encoding.nodes, encoding.cells
+    nodes, superpoints = encoding.nodes, encoding.superpoints
     if not nodes.of_mesh:
         return None
-    out = np.zeros(len(cells), np.int32)
-    out[cells.of_node] = nodes.shell
+    out = np.zeros(len(superpoints), np.int32)
+    out[superpoints.of_node] = nodes.shell
     return out

@@ -54,8 +54,8 @@ def propose(
         seeds: cells asked.
         progress: told after each of them.
     """
-    cells = session.encoding.cells
-    asked = spread(cells.center, seeds)
+    superpoints = session.encoding.superpoints
+    asked = spread(superpoints.center, seeds)
     scorer = shipped_part_scorer()
     if scorer is None or session.encoding.room is not None:
         chosen = _agreed(session, asked, progress)
@@ -70,11 +70,11 @@ def propose(
         assert isinstance(solver, ObjectSolver)
         spoken = spoken_of(solver, asked, progress)
         rows = parts_apart(scorer(spoken.features), spoken.common, WORTH)
-        chosen = sorted(spoken.masks[rows], key=lambda m: -float(cells.size[m].sum()))
-    of_cell = np.zeros(len(cells), np.int16)
+        chosen = sorted(spoken.masks[rows], key=lambda m: -float(superpoints.size[m].sum()))
+    of_superpoint = np.zeros(len(superpoints), np.int16)
     for part, mask in enumerate(chosen, start=BASE + 1):
-        of_cell[mask] = part
-    labels = session.without_prompts(of_cell)
+        of_superpoint[mask] = part
+    labels = session.without_prompts(of_superpoint)
     _, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
     return PartSegmentation(labels[:-1].astype(np.int16), "default")
 
@@ -87,7 +87,7 @@ def _agreed(
     A mask counts where most of its own cells agree on it. Small ones may lie on large ones; other
     overlaps are refused. The largest is left out where it covers most of what there is.
     """
-    size = session.encoding.cells.size
+    size = session.encoding.superpoints.size
     masks, likely = _answers(session, asked, progress)
     common, overlap = overlaps(masks, size)
     chosen = [masks[i] for i in _tiling(masks[:, asked].T * (likely @ overlap), common)]

@@ -35,12 +35,12 @@ def hover(session: DefaultSession, position: Position, element: int | None = Non
     Small parts take a close-up, a tenth of a second for each node that is pointed at.
     """
     found, node = locate(session.asset, session.encoding.nodes, position, element)
-    cells = session.encoding.cells
-    mask = session.preview(int(cells.of_node[node]))
+    superpoints = session.encoding.superpoints
+    mask = session.preview(int(superpoints.of_node[node]))
     if session.closeups is not None and session.closeups.small(mask):
         x, y, z = (float(v) for v in position)
         return session.segment(Prompts((Click((x, y, z), 1, True, found),))).labels == 1
-    out = to_elements(session, mask[cells.of_node])
+    out = to_elements(session, mask[superpoints.of_node])
     out[found] = True
     return out
 

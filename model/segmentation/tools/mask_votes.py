@@ -108,7 +108,7 @@ def spoken_of(
     speaks = np.zeros((len(asked), len(said.masks)), bool)
     score = np.zeros(speaks.shape, np.float32)
     speaks[said.by, said.of], score[said.by, said.of] = True, said.scores
-    common, overlap = overlaps(said.masks, solver.cells.size)
+    common, overlap = overlaps(said.masks, solver.superpoints.size)
     meant = _meant(speaks, score, said.masks[:, asked].T, overlap)
     features = np.concatenate([summed / speaks.sum(0)[:, None], meant], 1)
     return Spoken(said.masks, features, common)
@@ -128,8 +128,8 @@ def answers_of(
     number: dict[bytes, int] = {}
     masks: list[Bool] = []
     by, of, described, scores = [], [], [], []
-    for row, cell in enumerate(asked.tolist()):
-        answer = solver.first_answer(cell, of_a_part=of_a_part)
+    for row, superpoint in enumerate(asked.tolist()):
+        answer = solver.first_answer(superpoint, of_a_part=of_a_part)
         best = np.argsort(-answer.scores, kind="stable")[:most]
         for mask in answer.candidates.masks[best]:
             key = np.packbits(mask).tobytes()

@@ -34,9 +34,12 @@ def mirrored(session: DefaultSession, mask: Bool) -> Bool:
     reach = max(2.0 * session.encoding.graph.spacing, _REACH * session.asset.diagonal)
     far, _ = KDTree(image).query(points, distance_upper_bound=reach, workers=2)
     # Whole cells, so that the border follows the other side's own gaps and creases.
-    cells = session.encoding.cells
-    share = np.bincount(cells.of_node, np.isfinite(far) & ~inside, len(cells)) / cells.size
-    return to_elements(session, (share > 0.5)[cells.of_node]) & ~mask
+    superpoints = session.encoding.superpoints
+    share = (
+        np.bincount(superpoints.of_node, np.isfinite(far) & ~inside, len(superpoints))
+        / superpoints.size
+    )
+    return to_elements(session, (share > 0.5)[superpoints.of_node]) & ~mask
 
 
 def symmetry_plane(
@@ -94,14 +97,14 @@ def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Boo
     they cover each other. No two answers overlap, and none overlaps the mask.
     """
     inside = to_nodes(session, mask)
-    cells = session.encoding.cells
-    share = np.bincount(cells.of_node, inside, len(cells)) / cells.size
+    superpoints = session.encoding.superpoints
+    share = np.bincount(superpoints.of_node, inside, len(superpoints)) / superpoints.size
     model = share > 0.5
     if not model.any():
         model = share == share.max()
     want = _shape(session, model)
     found: list[tuple[float, Bool]] = []
-    for candidate in _regions_of_size(session, float(cells.size[model].sum())):
+    for candidate in _regions_of_size(session, float(superpoints.size[model].sum())):
         if (candidate & model).any():
             continue
         shape = _shape(session, candidate)
@@ -117,7 +120,7 @@ def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Boo
         if (candidate & taken).any():
             continue
         taken |= candidate
-        out.append(to_elements(session, candidate[cells.of_node]))
+        out.append(to_elements(session, candidate[superpoints.of_node]))
         if len(out) == limit:
             break
     return out
@@ -125,11 +128,11 @@ def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Boo
 
 def _regions_of_size(session: DefaultSession, size: float) -> list[Bool]:
     """Different regions of all trees with 0.7 to 1.4 times ``size`` nodes."""
-    hierarchy, cells = session.encoding.hierarchy, session.encoding.cells
+    hierarchy, superpoints = session.encoding.hierarchy, session.encoding.superpoints
     seen: set[bytes] = set()
     out = []
     for labels in hierarchy.labels:
-        sizes = np.bincount(labels, cells.size)
+        sizes = np.bincount(labels, superpoints.size)
         for region in np.nonzero((sizes > 0.7 * size) & (sizes < 1.4 * size))[0]:
             mask = labels == region
             key = np.packbits(mask).tobytes()
@@ -141,18 +144,18 @@ def _regions_of_size(session: DefaultSession, size: float) -> list[Bool]:
 
 def _shape(session: DefaultSession, mask: Bool) -> npt.NDArray[np.float64]:
     """(4,) sorted extents and the length of the mean normal: what turning does not change."""
-    cells = session.encoding.cells
-    x, w = cells.center[mask], cells.size[mask] / cells.size[mask].sum()
+    superpoints = session.encoding.superpoints
+    x, w = superpoints.center[mask], superpoints.size[mask] / superpoints.size[mask].sum()
     x = x - w @ x
     values = np.linalg.eigvalsh((x * w[:, None]).T @ x)
     spread = np.sqrt(np.maximum(values, 0)) + 0.5 * session.encoding.graph.spacing
     scale = spread[2]
-    return np.array([*spread, scale * (0.3 + np.linalg.norm(w @ cells.normal[mask]))])
+    return np.array([*spread, scale * (0.3 + np.linalg.norm(w @ superpoints.normal[mask]))])
 
 
 def _fit(session: DefaultSession, model: Bool, other: Bool) -> float:
     """Mean distance between two regions laid over each other, relative to their radius."""
-    center, weight = session.encoding.cells.center, session.encoding.cells.size
+    center, weight = session.encoding.superpoints.center, session.encoding.superpoints.size
     a = center[model] - np.average(center[model], axis=0, weights=weight[model])
     b = center[other] - np.average(center[other], axis=0, weights=weight[other])
     radius = float(np.sqrt((a**2).sum(1).mean())) + session.encoding.graph.spacing

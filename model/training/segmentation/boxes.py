@@ -13,7 +13,7 @@ from model.core.asset import Asset
 from model.data.simulated.scans import SQUARE, build, random_scan
 from model.evaluation.pool import in_order
 from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode_cells
+from model.segmentation.encode.encoding import encode_superpoints
 from model.segmentation.propose.box_ranking import BOX_SCORE_FEATURES, BoxDescriber
 from model.segmentation.propose.boxes import Boxes
 from model.segmentation.score.mlp import Mlp, save_mlp
@@ -63,22 +63,22 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
     else:
         data = random_scan(seed, (40_000, 100_000)[seed // 2 % 2], families)
         truth, asset = data.labels, Asset("object", cloud=data.cloud)
-    nodes, _, _, cells = encode_cells(asset, shipped_edge_model())
+    nodes, _, _, superpoints = encode_superpoints(asset, shipped_edge_model())
     labels, points = truth[nodes.elements.element_of_node], nodes.points
-    grid = Boxes(cells)
-    boxes = grid.between_planes(cells)
+    grid = Boxes(superpoints)
+    boxes = grid.between_planes(superpoints)
     describe = BoxDescriber(boxes, grid.step)
-    held = boxes.sums(grid.place, cells.size)
+    held = boxes.sums(grid.place, superpoints.size)
     out: list[Row] = []
     for part in asked_by_size(rng, labels, config.parts, 30):
         mine = labels == part
-        own = np.bincount(cells.of_node, mine, len(cells))
+        own = np.bincount(superpoints.of_node, mine, len(superpoints))
         common = boxes.sums(grid.place, own)
         overlap = common / np.maximum(held + own.sum() - common, 1e-9)
         starts = [deepest(points, mine), central(points, mine, rng), central(points, mine, rng, 1)]
         for start in starts:
-            cell = int(cells.of_node[start])
-            spot = grid.place[:, cell]
+            superpoint = int(superpoints.of_node[start])
+            spot = grid.place[:, superpoint]
             found = boxes.holding(spot)
             if len(found) < 4 or overlap[found].max() < 0.3:
                 continue
@@ -87,7 +87,7 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
             pick = np.unique(np.r_[np.argsort(-value)[:best], np.arange(min(tight, len(found))),
                                    rng.permutation(len(found))[:more]])  # fmt: skip
             chosen = found[pick]
-            features = describe(chosen, spot, grid.facing[:, cell])
+            features = describe(chosen, spot, grid.facing[:, superpoint])
             out.append((features, overlap[chosen].astype(np.float32), value.max()))
     return out
 

@@ -120,11 +120,11 @@ def overlaps(
     encoding: Encoding, found: npt.NDArray[np.bool_], truth: npt.NDArray[np.bool_]
 ) -> Float:
     """(H,) IoU of masks (H, C) with the true nodes (N,)."""
-    cells = encoding.cells
-    own = np.bincount(cells.of_node, truth, len(cells))
+    superpoints = encoding.superpoints
+    own = np.bincount(superpoints.of_node, truth, len(superpoints))
     masks = found.astype(np.float32)
     common = masks @ own.astype(np.float32)
-    return common / np.maximum(masks @ cells.size.astype(np.float32) + own.sum() - common, 1)
+    return common / np.maximum(masks @ superpoints.size.astype(np.float32) + own.sum() - common, 1)
 
 
 class Log:
@@ -202,7 +202,7 @@ def play(
     scene = _scene(seed, config, kind, rng)
     encoding, points = scene.encoding, scene.encoding.nodes.points
     solver = solver_of(encoding, first, later)
-    of_node = encoding.cells.of_node
+    of_node = encoding.superpoints.of_node
     first_log, later_log = Log(solver.describe.names), Log(solver.describe.names)
     rooms = kind == "rooms"
     if rooms and encoding.room is None:
@@ -237,8 +237,8 @@ def _session(
     rng: np.random.Generator,
     log: Log,
 ) -> None:
-    of_node, points = encoding.cells.of_node, encoding.nodes.points
-    state, cell, positive = PartState(), int(of_node[start]), True
+    of_node, points = encoding.superpoints.of_node, encoding.nodes.points
+    state, superpoint, positive = PartState(), int(of_node[start]), True
     for step in range(clicks):
         if step:
             log.add(ranked, overlaps(encoding, ranked.candidates.masks, truth), truth.mean())
@@ -246,14 +246,14 @@ def _session(
         if rng.random() < explore:
             near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 2]
             mask = ranked.candidates.masks[int(rng.choice(near))]
-        state = solver.moved(state, cell, positive, mask)
+        state = solver.moved(state, superpoint, positive, mask)
         click = next_click(points, truth, mask[of_node])
         if click is None:
             return
-        cell, positive = int(of_node[click[0]]), click[1]
-        if mask[cell] == positive:
+        superpoint, positive = int(of_node[click[0]]), click[1]
+        if mask[superpoint] == positive:
             return  # the error is smaller than a cell
-        ranked = solver.answer(state, cell, positive, None, of_a_part=False)
+        ranked = solver.answer(state, superpoint, positive, None, of_a_part=False)
 
 
 def collect(

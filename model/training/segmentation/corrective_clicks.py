@@ -93,31 +93,31 @@ def _session(
     log: Log,
 ) -> None:
     encoding, picture = seen.encoding, seen.picture
-    of_node, true = encoding.cells.of_node, seen.labels == part
+    of_node, true = encoding.superpoints.of_node, seen.labels == part
     node = encoding.nodes.elements.node_of_element[picture.element]
     there, wanted = seen.shown >= 0, seen.shown == part
-    state, cell, positive = click.state, click.cell, True
-    ranked = solver.answer(state, cell, True, click.blocked)
+    state, superpoint, positive = click.state, click.superpoint, True
+    ranked = solver.answer(state, superpoint, True, click.blocked)
     for _ in range(config.later):
         mask = ranked.best
         if rng.random() < config.explore:
             near = np.argsort(-ranked.scores)[: 1 + len(ranked.scores) // 3]
             mask = ranked.candidates.masks[int(rng.choice(near))]
-        state = solver.moved(state, cell, positive, mask)
+        state = solver.moved(state, superpoint, positive, mask)
         given = mask[of_node][node]
         missing, extra = (largest_piece(p) for p in (wanted & ~given, there & given & ~wanted))
         piece, size = max(missing, extra, key=lambda found: found[1])
         if size < LEAST_PIXELS:
             return
         at = clicks_in(piece, 2, rng)[int(rng.random() < _NEAR_MIDDLE)]
-        cell, positive = int(of_node[node[at]]), missing[1] >= extra[1]
-        if mask[cell] == positive:
+        superpoint, positive = int(of_node[node[at]]), missing[1] >= extra[1]
+        if mask[superpoint] == positive:
             return  # the error is smaller than a cell
         blocked = click.blocked
         if blocked is not None and positive:
             blocked = blocked.copy()
-            blocked[cell] = False
-        ranked = solver.answer(state, cell, positive, blocked)
+            blocked[superpoint] = False
+        ranked = solver.answer(state, superpoint, positive, blocked)
         log.add(ranked, overlaps(encoding, ranked.candidates.masks, true), float(true.mean()))
 
 

@@ -210,7 +210,7 @@ class FirstClick:
         state: other parts' clicks. blocked: (C,) cells of other parts.
     """
 
-    cell: int
+    superpoint: int
     state: PartState
     blocked: npt.NDArray[np.bool_] | None
 
@@ -228,7 +228,7 @@ def play(seed: int, config: MovingTraining) -> Rows:
     for part, clicks in first_clicks(seen, config, rng):
         truth = seen.labels == part
         for click in clicks:
-            ranked = solver.answer(click.state, click.cell, True, click.blocked)
+            ranked = solver.answer(click.state, click.superpoint, True, click.blocked)
             log.add(ranked, overlaps(encoding, ranked.candidates.masks, truth), float(truth.mean()))
     return log.rows()
 
@@ -237,41 +237,41 @@ def first_clicks(
     seen: SeenObject, config: MovingTraining, rng: np.random.Generator
 ) -> Iterator[tuple[int, Iterator[FirstClick]]]:
     """Some of the moving parts that are seen, each with first clicks on it."""
-    encoding, of_node = seen.encoding, seen.encoding.cells.of_node
+    encoding, of_node = seen.encoding, seen.encoding.superpoints.of_node
     pixels = {
         part: clicks_in(seen.shown == part, config.clicks, rng)
         for part in np.unique(seen.labels[seen.labels >= 0]).tolist()
         if part != seen.base and (seen.shown == part).sum() >= LEAST_PIXELS
     }
-    cells = {
+    superpoints = {
         part: of_node[encoding.nodes.tree.query([seen.picture.position[at] for at in spots])[1]]
         for part, spots in pixels.items()
     }
-    there = np.where(np.isin(seen.labels, list(cells)), seen.labels, np.int16(-1))
+    there = np.where(np.isin(seen.labels, list(superpoints)), seen.labels, np.int16(-1))
     for part in asked_by_size(rng, there, config.parts):
-        others = np.array([q for q in cells if q != part])
-        yield part, (_beside(c, others, cells, seen, rng) for c in cells[part].tolist())
+        others = np.array([q for q in superpoints if q != part])
+        yield part, (_beside(c, others, superpoints, seen, rng) for c in superpoints[part].tolist())
 
 
 def _beside(
-    cell: int,
+    superpoint: int,
     others: npt.NDArray[np.int64],
-    cells: dict[int, npt.NDArray[np.int32]],
+    superpoints: dict[int, npt.NDArray[np.int32]],
     seen: SeenObject,
     rng: np.random.Generator,
 ) -> FirstClick:
     """A first click, in half of the cases after others on some other parts."""
     if not len(others) or rng.random() >= 0.5:
-        return FirstClick(cell, PartState(), None)
-    of_node = seen.encoding.cells.of_node
+        return FirstClick(superpoint, PartState(), None)
+    of_node = seen.encoding.superpoints.of_node
     size = np.bincount(of_node)
     chosen = rng.choice(others, int(rng.integers(1, len(others) + 1)), replace=False)
-    foreign = dict.fromkeys(int(cells[q][0]) for q in chosen.tolist())
-    negative = tuple(c for c in foreign if c != cell)
+    foreign = dict.fromkeys(int(superpoints[q][0]) for q in chosen.tolist())
+    negative = tuple(c for c in foreign if c != superpoint)
     taken = np.bincount(of_node, np.isin(seen.labels, chosen), len(size))
     blocked = taken > 0.5 * size
-    blocked[cell] = False
-    return FirstClick(cell, PartState(negative=negative, agreed=(0, len(negative))), blocked)
+    blocked[superpoint] = False
+    return FirstClick(superpoint, PartState(negative=negative, agreed=(0, len(negative))), blocked)
 
 
 def clicks_in(

@@ -88,8 +88,8 @@ def play_masks(seed: int, config: PartMaskTraining) -> MaskRows:
     if not isinstance(solver, ObjectSolver):  # taken for a room
         none = np.zeros((0, len(PART_FEATURE_NAMES)), np.float32)
         return MaskRows(np.zeros((0, 0), np.uint8), none, none[:, :0], none[0:0, 0])
-    cells = spread(encoding.cells.center, config.spread)
-    asked = np.sort(rng.choice(cells, min(config.asked, len(cells)), replace=False))
+    superpoints = spread(encoding.superpoints.center, config.spread)
+    asked = np.sort(rng.choice(superpoints, min(config.asked, len(superpoints)), replace=False))
     spoken = spoken_of(solver, asked)
     parts = np.unique(seen.labels[seen.labels >= 0])
     moving = [seen.labels == part for part in parts[parts != seen.base].tolist()]
@@ -97,7 +97,7 @@ def play_masks(seed: int, config: PartMaskTraining) -> MaskRows:
     for k, truth in enumerate(moving):
         overlap[:, k] = clicks.overlaps(encoding, spoken.masks, truth)
     packed = np.packbits(spoken.masks, axis=1)
-    return MaskRows(packed, spoken.features, overlap, encoding.cells.size.astype(np.float32))
+    return MaskRows(packed, spoken.features, overlap, encoding.superpoints.size.astype(np.float32))
 
 
 def _fit(rows: list[MaskRows], config: PartMaskTraining) -> Mlp:
