@@ -1,7 +1,7 @@
 """The default segmenter: nothing to download, excellent on a CPU.
 
 An asset becomes at most 100k nodes, a graph with learned edge strengths, about ten thousand
-cells, three merge trees and three factorised random walks. A click gathers hypotheses (regions of
+superpoints, three merge trees and three factorised random walks. A click gathers hypotheses (regions of
 the trees, boxes, the earlier mask with a region added or cut, walks from the clicks, walks that
 mend a mask) and a small network picks the one most like a part. Parts exclude each other. Small
 parts of clouds are answered on the nodes round them, see ``closeup.py``.
@@ -25,7 +25,7 @@ from model.core.progress import Progress, no_progress
 from model.geometry.topology import coincident_faces
 from model.segmentation.encode.edge_strength import shipped_edge_model
 from model.segmentation.encode.encoding import Encoding, encode
-from model.segmentation.encode.superpoints import groups
+from model.segmentation.encode.graph import components
 from model.segmentation.finish.alternatives import ALTERNATIVES, look_alike, offered
 from model.segmentation.finish.attached_shells import Fittings, fittings_of
 from model.segmentation.finish.facets import Plates, plates_of
@@ -36,7 +36,7 @@ from model.segmentation.prompt_steps import (
     Step,
     enforce,
     resolve,
-    telling,
+    surface_steps,
 )
 from model.segmentation.prompts import BASE, Click, PartSegmentation, Prompts
 from model.segmentation.propose.boxes import ObjectSolver
@@ -81,7 +81,7 @@ class _State:
 
     Attributes:
         parts: masks and clicks of the parts other than the base.
-        base: cells clicked as base.
+        base: superpoints clicked as base.
         ranked: the hypotheses of the latest click of each part.
         close: what close-ups show of the small parts.
     """
@@ -97,7 +97,7 @@ class DefaultSession:
 
     Attributes:
         asset: what was encoded.
-        encoding: nodes, graph, cells, trees, walks.
+        encoding: nodes, graph, superpoints, trees, walks.
         solver: hypotheses and scores for one part.
         groups: faces of a mesh that belong together.
         fittings: what the small shells of a mesh are fastened to.
@@ -196,7 +196,7 @@ class DefaultSession:
                 yield other
 
     def preview(self, superpoint: int) -> Bool:
-        """(C,) the cells that a first click on ``cell`` would take."""
+        """(C,) the superpoints that a first click on ``superpoint`` would take."""
         found = self.solver.first_answer(superpoint, of_a_part=self.of_parts)
         best = found.best
         if self.fittings is not None:
@@ -215,7 +215,7 @@ class DefaultSession:
     # The state after each prompt ---------------------------------------------------------
 
     def _state(self, steps: tuple[Step, ...]) -> _State:
-        steps = telling(steps)
+        steps = surface_steps(steps)
         keys = [hashlib.sha256(b"start").digest()]
         for step in steps:
             keys.append(hashlib.sha256(keys[-1] + _digest(step)).digest())
@@ -260,7 +260,7 @@ class DefaultSession:
             )
             if handle is not None:
                 blocked |= ~handle
-            self.encoding.walk.ask(superpoint)
+            self.encoding.walk.prefetch(superpoint)
             found = self.solver.answer(
                 own, superpoint, step.positive, blocked, of_a_part=self.of_parts
             )
@@ -309,7 +309,7 @@ class DefaultSession:
         return self.solver.moved(begun, first, True, mask), found
 
     def _handle_of(self, superpoint: int, others: dict[int, PartState]) -> Bool | None:
-        """(C,) the handle that a cell is on, where another part has it and what is behind it: who
+        """(C,) the handle that a superpoint is on, where another part has it and what is behind it: who
         clicks there wants no half of a door, but the handle as a part of its own.
         """
         if not self._asks_anew:
@@ -357,7 +357,7 @@ class DefaultSession:
     def _not_all(self, found: Ranked, state: _State, steps: tuple[Step, ...]) -> Bool:
         """The best first answer that plates and shells don't make all that is left of the mesh.
 
-        The solver has none of the whole object, but faces may be far more than their cells.
+        The solver has none of the whole object, but faces may be far more than their superpoints.
         """
         masks, part = found.candidates.masks, steps[-1].part
         for index in np.argsort(-found.scores, kind="stable")[:_TRIED]:
@@ -440,7 +440,7 @@ class DefaultSession:
     # Labels --------------------------------------------------------------------------
 
     def _labels(self, steps: tuple[Step, ...], state: _State) -> npt.NDArray[np.int16]:
-        told = telling(steps)
+        told = surface_steps(steps)
         of_superpoint = self._of_cells(state, told)
         of_node = of_superpoint[self.encoding.superpoints.of_node]
         self._split_cells(of_node, of_superpoint, told)
@@ -465,7 +465,7 @@ class DefaultSession:
         return labels if self._first_of is None else labels[self._first_of]
 
     def without_prompts(self, of_superpoint: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
-        """(E,) labels of the parts that cells (C,) were given by something else than prompts."""
+        """(E,) labels of the parts that superpoints (C,) were given by something else than prompts."""
         of_superpoint = self._with_islands(of_superpoint, ()) if self._islands else of_superpoint
         superpoints, elements = self.encoding.superpoints, self.encoding.nodes.elements
         labels = self._whole(elements.to_elements(of_superpoint[superpoints.of_node]), ())
@@ -474,7 +474,7 @@ class DefaultSession:
         return self.fittings.joined(self.fittings.merged(self.fittings.freed(labels)), ())
 
     def _of_cells(self, state: _State, steps: tuple[Step, ...]) -> npt.NDArray[np.int16]:
-        """(C,) the part of each cell, islands with what they lie beside."""
+        """(C,) the part of each superpoint, islands with what they lie beside."""
         out = np.zeros(len(self.encoding.superpoints), np.int16)
         for part, own in state.parts.items():
             if own.mask is not None:
@@ -513,7 +513,7 @@ class DefaultSession:
         width, free = int(of_superpoint.max()) + 1, of_superpoint == BASE
         one, two = free[links.a], free[links.b]
         inner = one & two
-        count, piece = groups(len(superpoints), links.a[inner], links.b[inner])
+        count, piece = components(len(superpoints), links.a[inner], links.b[inner])
         size = np.bincount(piece[free], superpoints.size[free], count)
         out, back = np.flatnonzero(one & ~two), np.flatnonzero(two & ~one)
         mine = np.concatenate([links.a[out], links.b[back]])
@@ -546,9 +546,9 @@ class DefaultSession:
         of_superpoint: npt.NDArray[np.int16],
         steps: tuple[Step, ...],
     ) -> None:
-        """Share the nodes of cells that were clicked for different parts among those clicks.
+        """Share the nodes of superpoints that were clicked for different parts among those clicks.
 
-        A border may run through a cell: each of its nodes follows the nearest click. Changes
+        A border may run through a superpoint: each of its nodes follows the nearest click. Changes
         ``of_node`` in place.
         """
         superpoints, points = self.encoding.superpoints, self.encoding.nodes.points
@@ -585,7 +585,7 @@ class DefaultSession:
 
 
 def _with_mask(state: _State, part: int, mask: Bool) -> _State:
-    """``state`` if the cells of ``part`` were ``mask``; it has no close-up then."""
+    """``state`` if the superpoints of ``part`` were ``mask``; it has no close-up then."""
     parts = {
         other: its if its.mask is None else replace(its, mask=its.mask & ~mask)
         for other, its in state.parts.items()

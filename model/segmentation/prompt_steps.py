@@ -1,4 +1,4 @@
-"""Prompts tied to elements and nodes, and the rule that they are honoured exactly."""
+"""Tie prompts to elements and nodes, and enforce them exactly on the finished labels."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from model.segmentation.prompts import BASE, UNASSIGNED, Click, Prompts, Region
 
 @dataclass(frozen=True, eq=False)
 class ClickStep:
-    """A click with the element that was clicked and the node that stands for it.
+    """A click with the clicked element and the node that stands for it.
 
     Attributes:
-        stray: whether the element lies on no surface; ``node`` is the nearest one then.
+        outlier: whether the element lies on no surface; ``node`` is then the nearest one.
     """
 
     part: int
     positive: bool
     element: int
     node: int
-    stray: bool = False
+    outlier: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class RegionStep:
-    """A region with the nodes most of whose elements it holds."""
+    """A region and the nodes that have most of their elements in it."""
 
     part: int
     positive: bool
@@ -45,14 +45,14 @@ Step = ClickStep | RegionStep
 def locate(
     asset: Asset, nodes: Nodes, position: Iterable[float], element: int | None = None
 ) -> tuple[int, int]:
-    """Element and node of a position; the nearest element where none is named.
+    """Element and node at a position; without ``element`` the nearest element.
 
     Raises:
-        PromptError: where ``element`` is not an element of the asset.
+        PromptError: if ``element`` is not an element of the asset.
     """
     if element is not None and not 0 <= element < asset.element_count:
         raise PromptError(
-            f"{asset.name}: {asset.element_kind} {element} is not there; "
+            f"{asset.name}: no {asset.element_kind} {element}; "
             f"it has {asset.element_count} (0..{asset.element_count - 1})"
         )
     at = np.asarray(tuple(position), np.float64)
@@ -91,64 +91,68 @@ def resolve(
     """Tie each prompt to elements and nodes.
 
     Args:
-        known: of clicks that were tied before; the others are added.
-        first_of: (E,) the first element at the same place as each one, where some are: what is said
-            of one of them is said of all. Clicks are tied to that one, regions hold all.
+        known: steps of clicks that were resolved before; new ones are added.
+        first_of: (E,) the first of the elements that coincide with each one, or None. Clicks are
+            tied to the first, regions hold all that coincide.
 
     Raises:
-        PromptError: where a prompt names an element that the asset does not have.
+        PromptError: if a prompt names an element that the asset doesn't have.
     """
     known = {} if known is None else known
     steps: list[Step] = []
     for item in prompts.items:
         if isinstance(item, Click):
             if item not in known:
-                known[item] = _clicked(asset, nodes, item, first_of)
+                known[item] = _click_step(asset, nodes, item, first_of)
             steps.append(known[item])
         else:
-            steps.append(_region(asset, nodes, item, first_of))
+            steps.append(_region_step(asset, nodes, item, first_of))
     return tuple(steps)
 
 
-def _clicked(
+def _click_step(
     asset: Asset, nodes: Nodes, click: Click, first_of: npt.NDArray[np.int64] | None
 ) -> ClickStep:
     element, node = locate(asset, nodes, click.position, click.element)
     if first_of is not None and first_of[element] != element:
         element, node = locate(asset, nodes, click.position, int(first_of[element]))
-    return ClickStep(click.part, click.positive, element, node, nodes.elements.is_stray(element))
+    return ClickStep(click.part, click.positive, element, node, nodes.elements.is_outlier(element))
 
 
-def telling(steps: tuple[Step, ...]) -> tuple[Step, ...]:
-    """The steps that say something of surfaces, in order.
+def surface_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """The steps that concern surfaces, in order.
 
-    A click on a stray point is about that point alone, but for the first one on a part: that is
-    about what lies nearest.
+    A click on an outlier changes that point alone, except the first click of a part: it selects
+    the surface nearest to it.
     """
-    begun = {BASE}
-    told: list[Step] = []
+    started = {BASE}
+    out: list[Step] = []
     for step in steps:
-        if isinstance(step, ClickStep) and step.stray and (not step.positive or step.part in begun):
+        if (
+            isinstance(step, ClickStep)
+            and step.outlier
+            and (not step.positive or step.part in started)
+        ):
             continue
         if step.positive:
-            begun.add(step.part)
-        told.append(step)
-    return tuple(told)
+            started.add(step.part)
+        out.append(step)
+    return tuple(out)
 
 
-def _region(
+def _region_step(
     asset: Asset, nodes: Nodes, item: Region, first_of: npt.NDArray[np.int64] | None
 ) -> RegionStep:
     if len(item.elements) and item.elements[-1] >= asset.element_count:
         raise PromptError(
-            f"{asset.name}: {asset.element_kind} {int(item.elements[-1])} is not there; "
+            f"{asset.name}: no {asset.element_kind} {int(item.elements[-1])}; "
             f"it has {asset.element_count}"
         )
     elements = item.elements
     if first_of is not None:
-        said = np.zeros(asset.element_count, bool)
-        said[first_of[elements]] = True
-        elements = np.flatnonzero(said[first_of])
+        chosen = np.zeros(asset.element_count, bool)
+        chosen[first_of[elements]] = True
+        elements = np.flatnonzero(chosen[first_of])
     return RegionStep(item.part, item.positive, elements, nodes.elements.nodes_of(elements))
 
 
@@ -158,18 +162,18 @@ def enforce(
     instead: npt.NDArray[np.int16],
     released: dict[int, npt.NDArray[np.bool_]] | None = None,
 ) -> npt.NDArray[np.int16]:
-    """Put clicked elements and regions on the side where they were said to be.
+    """Give clicked elements and regions exactly the part that the prompts demand.
 
     Args:
-        labels: (E,) answer so far; not changed.
+        labels: (E,) labels so far; not changed.
         steps: in order; later beats earlier.
-        instead: (E,) label to take where an element must leave its part and the answer gives
-            it no other (the second-best part).
-        released: for the index of a region in ``steps``, elements (E,) that later clicks
+        instead: (E,) label of an element that must leave its part and has no other one in
+            ``labels`` (the second-best part).
+        released: by the index of a region in ``steps``, the elements (E,) that later clicks
             inside that region have taken from it.
 
     Returns:
-        (E,) labels; -1 only where the base is refused and no other part is there.
+        (E,) labels; -1 only where the base is refused and there is no other part.
     """
     out = labels.copy()
     refused: dict[int, set[int]] = {}
@@ -190,9 +194,9 @@ def enforce(
         fallback = BASE if step.part != BASE else UNASSIGNED
         out[inside] = np.where(other == step.part, fallback, other)
         if isinstance(step, ClickStep):
-            # Two refusals of the same element must not send it back and forth.
-            gone = refused.setdefault(step.element, set())
-            gone.add(step.part)
-            if int(out[step.element]) in gone:
-                out[step.element] = BASE if BASE not in gone else UNASSIGNED
+            # Refusals of two parts must not send an element back and forth between them.
+            parts = refused.setdefault(step.element, set())
+            parts.add(step.part)
+            if int(out[step.element]) in parts:
+                out[step.element] = BASE if BASE not in parts else UNASSIGNED
     return out

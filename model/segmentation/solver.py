@@ -19,9 +19,10 @@ from model.segmentation.describe.masks import (
     concatenated,
     joined,
 )
+from model.segmentation.encode.graph import components
 from model.segmentation.encode.hierarchy import TREES, Hierarchy
 from model.segmentation.encode.random_walk import RandomWalk
-from model.segmentation.encode.superpoints import Superpoints, groups
+from model.segmentation.encode.superpoints import Superpoints
 from model.segmentation.score.trees import Scorer
 
 Bool = npt.NDArray[np.bool_]
@@ -86,8 +87,8 @@ class PartState:
     """What is known of one part so far.
 
     Attributes:
-        positive, negative: clicked cells in order.
-        mask: (C,) its cells.
+        positive, negative: clicked superpoints in order.
+        mask: (C,) its superpoints.
         stalls: how many clicks in a row have hardly changed the mask.
         run: clicks of the same kind in a row since the first, negative where they took away.
         drawn: how often the person has chosen or drawn another mask than the clicks brought.
@@ -171,10 +172,10 @@ class PartSolver:
             np.tile(superpoints.size, len(hierarchy.labels)),
         )
 
-    # Regions around a cell -------------------------------------------------------------
+    # Regions around a superpoint -------------------------------------------------------------
 
     def chain(self, superpoint: int) -> Candidates:
-        """The nested regions around a cell, those of nearly the same size only once."""
+        """The nested regions around a superpoint, those of nearly the same size only once."""
         if superpoint not in self._chains:
             self._chains[superpoint] = self._nested(superpoint)
             if len(self._chains) > _CHAINS_KEPT:
@@ -211,11 +212,11 @@ class PartSolver:
         )
 
     def first_regions(self, superpoint: int) -> Candidates:
-        """What a first click on a cell may mean."""
+        """What a first click on a superpoint may mean."""
         return self.chain(superpoint)
 
     def part_regions(self, superpoint: int, outside: tuple[int, ...]) -> Candidates:
-        """What a first click on a cell may mean if that is a part that moves, without others."""
+        """What a first click on a superpoint may mean if that is a part that moves, without others."""
         del outside
         return self.first_regions(superpoint)
 
@@ -245,7 +246,7 @@ class PartSolver:
         return features, scores
 
     def first_answer(self, superpoint: int, *, of_a_part: bool = True) -> Ranked:
-        """Hypotheses for a first click on ``cell`` with nothing else said.
+        """Hypotheses for a first click on ``superpoint`` with nothing else said.
 
         Args:
             of_a_part: see :meth:`answer`.
@@ -266,7 +267,7 @@ class PartSolver:
         """
         links, size = self.superpoints.links, self.superpoints.size
         same = mask[links.a] == mask[links.b]
-        number, piece = groups(len(mask), links.a[same], links.b[same])
+        number, piece = components(len(mask), links.a[same], links.b[same])
         held = np.bincount(piece, size, number)
         small = held < min(0.001 * size.sum(), 0.02 * size[mask].sum())
         small[piece[[superpoint, *state.positive, *state.negative]]] = False
@@ -287,9 +288,9 @@ class PartSolver:
 
         Args:
             state: before the click.
-            cell: the clicked cell.
+            superpoint: the clicked superpoint.
             positive: whether the part should hold it.
-            blocked: (C,) cells of other parts that this part may not take.
+            blocked: (C,) superpoints of other parts that this part may not take.
             of_a_part: a first click means a part that moves, as people's do: what they don't click
                 is the base. Without that the base, too, may be meant.
         """
@@ -360,8 +361,8 @@ class PartSolver:
         """(H,) what speaks against each mask whatever it looks like: nobody clicks for that.
 
         Args:
-            state: before the click on ``cell``.
-            positive: whether the part should hold ``cell``.
+            state: before the click on ``superpoint``.
+            positive: whether the part should hold ``superpoint``.
             lost: (H,) 0..1 how much of the mask before is gone.
         """
         assert state.mask is not None
@@ -370,7 +371,7 @@ class PartSolver:
         sides = np.stack([size, size * state.mask], axis=1).astype(np.float32)
         now, kept = (masks.astype(np.float32) @ sides).T
         changed = now + own - 2 * kept
-        # Nobody clicks early to change a cell or two; later that may be all that is wrong.
+        # Nobody clicks early to change a superpoint or two; later that may be all that is wrong.
         said = max(len(state.positive) + len(state.negative) - sum(state.agreed), 1)
         said += _REGION_SAYS * state.drawn
         early = np.exp(-(said - 1) / 2)
@@ -564,7 +565,7 @@ def _level_sets(walk: RandomWalk, field: Float, most: int) -> list[Candidates]:
 
 
 def with_click(state: PartState, superpoint: int, positive: bool) -> PartState:
-    """The clicks after one more; a cell is on the side where it was clicked last."""
+    """The clicks after one more; a superpoint is on the side where it was clicked last."""
     yes = tuple(c for c in state.positive if c != superpoint)
     no = tuple(c for c in state.negative if c != superpoint)
     if positive:
@@ -573,7 +574,7 @@ def with_click(state: PartState, superpoint: int, positive: bool) -> PartState:
 
 
 def agreeing(state: PartState, superpoint: int, positive: bool) -> PartState:
-    """The clicks after one more that changes nothing: the part has ``cell``, or has it not.
+    """The clicks after one more that changes nothing: the part has ``superpoint``, or has it not.
 
     Whoever clicks five places of a door's glass has told where it is, but has mended nothing: so
     that the next click may still change much, such clicks don't count as steps.

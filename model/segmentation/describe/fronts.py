@@ -149,7 +149,7 @@ def _bounds(
     """(H, 2) first and last square along one direction, but for a hundredth at each end.
 
     Args:
-        held: (H, L) nodes of each cell; at: (L,) squares; half: squares that a cell reaches beyond
+        held: (H, L) nodes of each superpoint; at: (L,) squares; half: squares that a superpoint reaches beyond
             its middle.
     """
     where = np.clip(at.astype(np.int64), 0, most - 1)

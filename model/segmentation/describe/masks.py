@@ -24,7 +24,7 @@ SOURCES = (
 set of a random walk with little leaking through its border; grow: the earlier mask and a region;
 replace: a region that holds all the clicks; union: a region around each click; cut: the earlier
 mask without a region; walk: a random walk from the clicks alone; mend: a walk that keeps to a
-mask; keep: the earlier mask and the clicked cell."""
+mask; keep: the earlier mask and the clicked superpoint."""
 
 FEATURE_NAMES = (
     "log_size", "border", "border_soft_min", "border_weak", "border_strong", "border_color",
@@ -50,12 +50,12 @@ _gram = get_blas_funcs(("syrk",), dtype=np.float32)[0]
 """All inner products of columns, the upper half of them: half the work of a product."""
 
 _KEPT = 64
-"""Clicked cells whose distances to all others are kept."""
+"""Clicked superpoints whose distances to all others are kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Masks over the cells with what is known of their making.
+    """Masks over the superpoints with what is known of their making.
 
     Attributes:
         masks: (H, C) bool.
@@ -110,7 +110,7 @@ class MendingClick:
     """A click that was to change a mask.
 
     Attributes:
-        cell: that was clicked. positive: whether the part should hold it.
+        superpoint: that was clicked. positive: whether the part should hold it.
         before: (C,) the mask that whoever clicked saw, all False at the first click.
     """
 
@@ -124,8 +124,8 @@ class Clicked:
     """The clicks that a mask must fit.
 
     Attributes:
-        positive, negative: cells, in order.
-        last: the cell clicked now, and on which side.
+        positive, negative: superpoints, in order.
+        last: the superpoint clicked now, and on which side.
         before: (C,) the mask before this click, or None at the first.
         agreed: how many of the positive and of the negative ones changed nothing.
         steps: the ones before this that were to change a mask, in order.
@@ -146,7 +146,7 @@ def _rank(values: Float) -> npt.NDArray[np.int64]:
 
 
 def bits_of(masks: Bool) -> npt.NDArray[np.uint64]:
-    """(C, W) the bits of all masks at each cell."""
+    """(C, W) the bits of all masks at each superpoint."""
     number, count = masks.shape
     padded = np.zeros((count, -(-number // 64) * 64), bool)
     padded[:, :number] = masks.T
@@ -261,7 +261,7 @@ class MaskDescriber:
         """(H, K) what each mask shows by itself, in the order of ``own_names``.
 
         Args:
-            words: (C, W) one bit a mask: on which sides of all the masks a cell lies.
+            words: (C, W) one bit a mask: on which sides of all the masks a superpoint lies.
         """
         m = masks.astype(np.float32)
         crossed = words[self._a] ^ words[self._b]
@@ -359,7 +359,7 @@ class MaskDescriber:
         return bits.astype(np.float32).T @ held
 
     def _around(self, superpoint: int) -> tuple[Float, npt.NDArray[np.int64]]:
-        """(C,) distances from a cell, diagonal = 1, and the cells by it."""
+        """(C,) distances from a superpoint, diagonal = 1, and the superpoints by it."""
         if superpoint not in self._near_to:
             apart = np.linalg.norm(self._x - self._x[superpoint], axis=1)
             self._near_to[superpoint] = apart, np.argsort(apart)
@@ -375,7 +375,7 @@ class MaskDescriber:
         )
 
     def _depth(self, words: npt.NDArray[np.uint64], number: int, superpoint: int) -> Float:
-        """(H,) distance from a cell to the nearest cell on the other side, diagonal = 1."""
+        """(H,) distance from a superpoint to the nearest superpoint on the other side, diagonal = 1."""
         apart, order = self._around(superpoint)
         out = np.ones(number, np.float32)
         open_ = np.ones(number, bool)

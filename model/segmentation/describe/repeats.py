@@ -27,7 +27,7 @@ class Repeats:
     """The regions of an object's merge trees, ready to be looked up by shape."""
 
     def __init__(self, superpoints: Superpoints, hierarchy: Hierarchy, x: Float) -> None:
-        """``x`` (C, 3): centres of the cells, the object's diagonal being 1."""
+        """``x`` (C, 3): centres of the superpoints, the object's diagonal being 1."""
         labels, offset = hierarchy.labels, hierarchy.offset
         flat = (labels + offset[:-1, None]).ravel()
         number, levels = int(offset[-1]), len(labels)

@@ -1,6 +1,6 @@
-"""What an edge of the node graph shows: turning normals, creases, gaps, steps, colour.
+"""Encode, step 3a: features of the node graph's edges: normals, creases, gaps, steps, colour.
 
-All features are free of scale (lengths in units of the node spacing).
+All features are free of scale: lengths are in units of the node spacing.
 """
 
 from __future__ import annotations

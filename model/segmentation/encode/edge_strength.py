@@ -1,6 +1,6 @@
-"""How much each edge of the node graph looks like a border between parts.
+"""Encode, step 3b: how likely each edge of the node graph crosses a border between parts.
 
-The strength is a log-odds that is clipped to [0, 9]: 0 is the inside of a part, 9 a certain cut.
+The strength is a log-odds clipped to [0, 9]: 0 is the inside of a part, 9 a certain cut.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MATERIAL_CUT = 1.0
 
 @lru_cache(maxsize=1)
 def shipped_edge_model() -> Mlp | None:
-    """The trained model that ships with the project, or None where it is not there."""
+    """The trained model of the project, or None if its file is absent."""
     path = static_assets() / WEIGHTS
     return load_mlp(path, FEATURE_NAMES) if path.is_file() else None
 
@@ -43,7 +43,7 @@ def hand_set_strength(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float
 
 
 def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[np.float32]:
-    """(M,) strength of each edge; by ``model``, or the hand-set rule where it is None."""
+    """(M,) strength of each edge by ``model``; None stands for the hand-set rule."""
     if not len(graph.a):
         return np.zeros(0, np.float32)
     features = edge_features(nodes, graph)
@@ -51,8 +51,8 @@ def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[
         strength = hand_set_strength(features)
     else:
         logit = model(features)
-        # What is faint on a noisy scan is plain on a clean one: three quarters of the edges,
-        # which are inside of parts for certain, set the zero.
+        # Borders are fainter on noisy scans. Three quarters of all edges are certainly inside
+        # parts: their quantile sets the zero.
         shift = np.clip(-np.quantile(logit, _INSIDE), _LEAST_SHIFT, _MOST_SHIFT)
         strength = logit + np.float32(shift)
     strength = np.clip(strength, 0, MAX_STRENGTH).astype(np.float32)

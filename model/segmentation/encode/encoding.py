@@ -22,7 +22,7 @@ from model.segmentation.score.mlp import Mlp
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """Nodes, graph, cells, merge trees and factorised walks of an asset.
+    """Nodes, graph, superpoints, merge trees and factorised walks of an asset.
 
     Attributes:
         strength: (M,) float32 how much each edge of the node graph looks like a cut, 0..9.
@@ -41,7 +41,7 @@ class Encoding:
 def encode_superpoints(
     asset: Asset, edges: Mlp | None, progress: Progress = no_progress
 ) -> tuple[Nodes, Graph, npt.NDArray[np.float32], Superpoints]:
-    """Nodes, graph, strengths and cells of ``asset``, without what answers clicks on them."""
+    """Nodes, graph, strengths and superpoints of ``asset``, without what answers clicks on them."""
     progress(0.0, "sampling the surface")
     nodes = nodes_of_asset(asset)
     progress(0.15, "neighbours and normals")

@@ -1,4 +1,4 @@
-"""The neighbourhood graph over the nodes, and how strongly each of its edges looks like a cut."""
+"""Encode, step 2: the neighbourhood graph over the nodes, with their normals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Graph:
     Attributes:
         a, b: (M,) int32 node indices, a < b.
         length: (M,) float32 metres.
-        bridge: (M,) bool; True for the edges that join what would be separate components.
+        bridge: (M,) bool; True for edges that join otherwise separate components.
         neighbors: (N, K) int32, nearest first, without the node itself.
         spacing: typical distance between neighbours in metres.
         normals: (N, 3) float32 smoothed unit normals, turned outwards.
@@ -94,9 +94,8 @@ def _undirected(
     return (key // count).astype(np.int32), (key % count).astype(np.int32)
 
 
-def _components(
-    count: int, a: npt.NDArray[np.int32], b: npt.NDArray[np.int32]
-) -> tuple[int, npt.NDArray[np.int32]]:
+def components(count: int, a: npt.NDArray, b: npt.NDArray) -> tuple[int, npt.NDArray[np.int32]]:
+    """Number of connected components over edges ``a``-``b``, and (count,) the one of each node."""
     links = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(count, count))
     return connected_components(links, directed=False)
 
@@ -104,14 +103,14 @@ def _components(
 def _bridges(
     points: npt.NDArray[np.float32], a: npt.NDArray[np.int32], b: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.int32]:
-    """(K, 2) node pairs that connect each component with near ones, so that nothing is alone."""
+    """(K, 2) node pairs that connect each component with near ones until there is only one."""
     found: list[npt.NDArray[np.int32]] = []
     for _ in range(12):
-        number, label = _components(len(points), a, b)
+        number, label = components(len(points), a, b)
         if number == 1:
             break
-        # A few nodes of each component look for their nearest strangers among the same few of
-        # all the others: cheap, and near enough for an edge that counts as a cut anyway.
+        # A sample of each component is matched with the samples of the others: cheap, and exact
+        # enough for edges that count as cuts anyway.
         order = np.argsort(label, kind="stable")
         start = np.searchsorted(label[order], np.arange(number + 1))
         size = np.diff(start)
@@ -123,11 +122,10 @@ def _bridges(
         k = min(len(chosen), 2 * _BRIDGE_SAMPLES + 2)
         distance, near = KDTree(points[chosen]).query(points[chosen], k=k, workers=2)
         distance, near = np.asarray(distance), np.asarray(near)
-        stranger = group[near] != group[:, None]
-        first = stranger.argmax(1)
+        foreign = group[near] != group[:, None]
+        first = foreign.argmax(1)
         rows = np.arange(len(chosen))
-        ok = stranger[rows, first]
-        reach = np.where(ok, distance[rows, first], np.inf)
+        reach = np.where(foreign[rows, first], distance[rows, first], np.inf)
         best = np.lexsort((reach, group))
         head = best[np.r_[True, np.diff(group[best]) != 0]]
         head = head[np.isfinite(reach[head])]

@@ -1,9 +1,9 @@
-"""Merge trees: nested regions around every cell, from a patch to the whole object.
+"""Encode, step 5: merge trees, nested regions around every superpoint up to the whole object.
 
-Regions are contracted at rising cost thresholds, all cheapest links of a threshold at once, so
-that a tree over ten thousand cells takes tenths of a second in numpy. Three costs give three
-trees: one that dislikes thin contacts, one that lets enclosed regions (handles, windows) be
-absorbed early, one that follows flat and evenly coloured patches.
+Regions are contracted at rising cost thresholds, all cheapest links of a threshold at once, so a
+tree over ten thousand superpoints takes tenths of a second in numpy. Three costs give three trees:
+one penalises thin contacts, one absorbs enclosed regions (handles, windows) early, one follows flat
+and evenly coloured patches.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from model.segmentation.encode.graph import components
 from model.segmentation.encode.nodes import distinct
-from model.segmentation.encode.superpoints import Links, Superpoints, groups, totals
+from model.segmentation.encode.superpoints import Links, Superpoints, totals
 
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")
@@ -26,11 +27,11 @@ Float = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """Nested partitions of the cells.
+    """Nested partitions of the superpoints.
 
     Attributes:
-        labels: (L, C) int32 region of each cell at each level, fine to coarse, one tree after
-            another; region ids of a level are its own.
+        labels: (L, C) int32 region of each superpoint at each level, fine to coarse, one tree after
+            another; each level counts its regions from 0.
         tree: (L,) int8 which of ``TREES``.
         height: (L,) float32 the level's cost threshold.
     """
@@ -95,7 +96,7 @@ def _cost(regions: _Regions, tree: int, total: float) -> Float:
 
 
 def build_hierarchy(superpoints: Superpoints) -> Hierarchy:
-    """Three merge trees over the cells."""
+    """Three merge trees over the superpoints."""
     total = float(superpoints.size.sum())
     thresholds = 9.0 * (np.arange(1, LEVELS + 1) / LEVELS) ** 1.6
     labels, trees, heights = [], [], []
@@ -123,7 +124,7 @@ def build_hierarchy(superpoints: Superpoints) -> Hierarchy:
                 pick = pick[cost[pick] <= threshold]
                 if not len(pick):
                     break
-                left, group = groups(number, regions.links.a[pick], regions.links.b[pick])
+                left, group = components(number, regions.links.a[pick], regions.links.b[pick])
                 regions = regions.merge(group, left)
                 label = group[label].astype(np.int32)
             if len(regions.size) < before:

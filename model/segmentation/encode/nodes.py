@@ -1,6 +1,6 @@
-"""Nodes: at most 100k surface points that stand for all faces or points of an asset.
+"""Encode, step 1: sample at most 100k nodes that stand for all faces or points of an asset.
 
-Everything after this file works on nodes, so its cost does not depend on the size of the scan;
+All later steps work on nodes, so their cost doesn't depend on the size of the scan.
 :class:`ElementMap` carries labels back to every face or point.
 """
 
@@ -19,9 +19,11 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.geometry.crop import ROOM_METRES
 from model.geometry.outliers import stray_points
+from model.geometry.sampling import sample_surface
+from model.geometry.topology import coincident_faces, connected_shells
 
 TARGET_NODES = 100_000
-"""Nodes per asset: 6 mm spacing on a 1 m cabinet, and a graph that answers within a click."""
+"""Nodes per asset: 6 mm apart on a 1 m cabinet."""
 
 _MIN_SHELL_NODES = 12
 _NODES_PER_FACE = 12
@@ -34,22 +36,22 @@ class ElementMap:
 
     Attributes:
         node_of_element: (E,) int32 the node that stands for each element.
-        vote_element, vote_node: (K,) int32 further (element, node) pairs for faces that hold
-            several nodes; all the nodes of such a face vote.
-        stray: (S,) int32 ascending, elements that lie on no surface and go with what is nearest.
+        vote_element, vote_node: (K,) int32 further (element, node) pairs of faces that hold
+            several nodes; such a face takes the majority of its nodes.
+        outliers: (S,) int32 ascending, elements on no surface; they follow their nearest node.
     """
 
     node_of_element: npt.NDArray[np.int32]
     vote_element: npt.NDArray[np.int32]
     vote_node: npt.NDArray[np.int32]
     node_count: int
-    stray: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    outliers: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
 
     @cached_property
     def _by_node(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
         own = np.arange(len(self.node_of_element), dtype=np.int32)
-        if len(self.stray):  # last, so that none represents a node
-            own = np.concatenate([np.delete(own, self.stray), self.stray])
+        if len(self.outliers):  # last, so that none represents a node
+            own = np.concatenate([np.delete(own, self.outliers), self.outliers])
         element = np.concatenate([own, self.vote_element])
         node = np.concatenate([self.node_of_element[own], self.vote_node])
         order = np.argsort(node, kind="stable")
@@ -63,13 +65,13 @@ class ElementMap:
         return element[start[:-1]]
 
     def prepare(self) -> None:
-        """Build the way from nodes to elements now, so that no click pays for it."""
+        """Build the lazy tables now instead of at the first click."""
         _ = self._by_node, self._multi
 
-    def is_stray(self, element: int) -> bool:
+    def is_outlier(self, element: int) -> bool:
         """Whether an element lies on no surface."""
-        at = int(np.searchsorted(self.stray, element))
-        return at < len(self.stray) and int(self.stray[at]) == element
+        at = int(np.searchsorted(self.outliers, element))
+        return at < len(self.outliers) and int(self.outliers[at]) == element
 
     def elements_of(self, nodes: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """(K,) unique elements that the nodes stand for."""
@@ -83,7 +85,7 @@ class ElementMap:
         return np.unique(self.vote_element, return_inverse=True)
 
     def to_elements(self, labels: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
-        """(E,) labels from (N,) node labels >= 0; the nodes of a large face vote."""
+        """(E,) labels from (N,) node labels >= 0; a large face takes its nodes' majority."""
         out = labels[self.node_of_element]
         if len(self.vote_element):
             faces, row = self._multi
@@ -108,11 +110,11 @@ class Nodes:
 
     Attributes:
         points: (N, 3) float32, metres, object frame.
-        normals: (N, 3) float32 exact normals, or None where they must be estimated.
+        normals: (N, 3) float32 exact normals, or None if they must be estimated.
         colors: (N, 3) uint8, or None.
         shell: (N,) int32 connected shell of the mesh; zeros for a cloud.
         material: (N,) int32 material of the face; zeros for a cloud.
-        elements: the way back.
+        elements: the map between nodes and elements.
         of_mesh: whether they were sampled from a mesh's faces.
     """
 
@@ -142,30 +144,30 @@ def distinct(values: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
 def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
     """Sample ``asset`` into about ``target`` nodes; deterministic."""
     if asset.mesh is not None and len(asset.mesh.faces):
-        # A mesh's answer is per face: more than a dozen nodes a face would only cost time.
+        # Labels are per face: more than a dozen nodes a face would only cost time.
         enough = max(_NODES_PER_FACE * len(asset.mesh.faces), _LEAST_MESH_NODES)
         return _mesh_nodes(asset.mesh, min(target, enough))
     assert asset.cloud is not None
     nodes = _cloud_nodes(asset.cloud, target)
     if len(nodes) and np.ptp(nodes.points[:, :2], axis=0).max() >= ROOM_METRES:
-        return nodes  # a room's strays are left out with its floor and walls, where a person asks
-    return _without_strays(nodes)
+        return nodes  # outliers of a room are cropped together with its floor and walls
+    return _without_outliers(nodes)
 
 
-def _without_strays(nodes: Nodes) -> Nodes:
-    """``nodes`` of a cloud but for those on no surface: their points go with what is nearest."""
+def _without_outliers(nodes: Nodes) -> Nodes:
+    """``nodes`` of a cloud without those on no surface, whose points go to the nearest node."""
     at = stray_points(nodes.points, nodes.tree)
     if not len(at):
         return nodes
-    stray = np.zeros(len(nodes), bool)
-    stray[at] = True
-    kept = np.flatnonzero(~stray)
+    outlier = np.zeros(len(nodes), bool)
+    outlier[at] = True
+    kept = np.flatnonzero(~outlier)
     became = np.zeros(len(nodes), np.int32)
     became[kept] = np.arange(len(kept), dtype=np.int32)
     _, near = KDTree(nodes.points[kept]).query(nodes.points[at])
     became[at] = near
     of_element = nodes.elements.node_of_element
-    floating = np.flatnonzero(stray[of_element]).astype(np.int32)
+    floating = np.flatnonzero(outlier[of_element]).astype(np.int32)
     none = np.zeros(0, np.int32)
     elements = ElementMap(became[of_element], none, none, len(kept), floating)
     normals = None if nodes.normals is None else nodes.normals[kept]
@@ -177,19 +179,19 @@ def _without_strays(nodes: Nodes) -> Nodes:
 def voxel_keys(
     points: npt.NDArray[np.float32], low: npt.NDArray[np.float32], size: float
 ) -> npt.NDArray[np.int64]:
-    """(N,) the voxel of edge ``size`` that holds each point; ``low`` (3,) is their corner."""
-    cell = np.floor((points - low) / np.float32(size)).astype(np.int64)
-    return (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
+    """(N,) key of each point's voxel of edge ``size``; ``low`` (3,) is the grid's corner."""
+    voxel = np.floor((points - low) / np.float32(size)).astype(np.int64)
+    return (voxel[:, 0] << 42) | (voxel[:, 1] << 21) | voxel[:, 2]
 
 
 def _voxel_size(points: npt.NDArray[np.float32], target: int) -> float:
-    """Edge of the voxels of which about ``target`` are occupied."""
+    """Edge length at which about ``target`` voxels are occupied."""
     low = points.min(0)
     extent = float((points.max(0) - low).max())
     size = max(extent, 1e-9) / 200
     for _ in range(6):
         key = voxel_keys(points, low, size)
-        # Counting one voxel in eight (by hash) tells the number well enough.
+        # Counting one voxel in eight, by hash, is accurate enough.
         few = key[(key * np.int64(0x9E3779B97F4A7C1) >> 40) & 7 == 0]
         ratio = np.sqrt(max(8 * len(distinct(few)), 1) / target)
         if 0.92 < ratio < 1.0:
@@ -201,7 +203,7 @@ def _voxel_size(points: npt.NDArray[np.float32], target: int) -> float:
 def _cloud_nodes(cloud: PointCloud, target: int) -> Nodes:
     count = len(cloud)
     none = np.zeros(0, np.int32)
-    # A few more than wanted are better than voxels that halve the resolution.
+    # A few nodes too many are better than voxels that halve the resolution.
     if count <= 1.2 * target:
         zero = np.zeros(count, np.int32)
         same = ElementMap(np.arange(count, dtype=np.int32), none, none, count)
@@ -215,8 +217,8 @@ def _cloud_nodes(cloud: PointCloud, target: int) -> Nodes:
     group = np.zeros(count, np.int32)
     group[first[1:]] = 1
     group = np.cumsum(group, dtype=np.int32)
-    # The representative is the point nearest the voxel's centre: means would cancel the two
-    # sides of a thin sheet.
+    # The point nearest the voxel's centre represents it: a mean would cancel the two sides of a
+    # thin sheet.
     offset = (points[order] - low) / np.float32(size) % 1.0 - 0.5
     distance = np.einsum("ij,ij->i", offset, offset)
     nearest = np.minimum.reduceat(distance, first)
@@ -236,13 +238,11 @@ def _cloud_nodes(cloud: PointCloud, target: int) -> Nodes:
 
 
 def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
-    from model.geometry.topology import coincident_faces, connected_shells
-
     shells = np.asarray(connected_shells(mesh))
     first_of = coincident_faces(mesh)
     if first_of is None:
         return _nodes_of_mesh(mesh, shells, target)
-    # Faces that are there twice would be sampled twice, with normals that contradict each other.
+    # Coincident faces would be sampled twice, with normals that contradict each other.
     once = np.flatnonzero(first_of == np.arange(len(first_of)))
     single = replace(mesh, faces=mesh.faces[once], face_material=mesh.face_material[once])
     nodes = _nodes_of_mesh(single, shells[once], target)
@@ -251,7 +251,7 @@ def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
 
 
 def _repeated(elements: ElementMap, row: npt.NDArray[np.int64]) -> ElementMap:
-    """``elements`` where each element (E,) goes the way of the one in ``row``."""
+    """``elements`` where each element (E,) takes the nodes of the one in ``row``."""
     count, votes = len(elements.node_of_element), len(elements.vote_node)
     at = (elements.vote_element, np.arange(votes))
     found = csr_matrix((np.ones(votes, np.int8), at), (count, votes))[row].tocoo()
@@ -264,16 +264,14 @@ def _repeated(elements: ElementMap, row: npt.NDArray[np.int64]) -> ElementMap:
 
 
 def _nodes_of_mesh(mesh: Mesh, shells: npt.NDArray[np.integer], target: int) -> Nodes:
-    from model.geometry.sampling import sample_surface
-
     rng = np.random.default_rng(0)
     cloud, face = sample_surface(mesh, target, rng)
     face = np.asarray(face)
     parts: list[PointCloud] = [cloud]
     faces: list[npt.NDArray[np.integer]] = [face]
-    # A button of a large object may have got no sample at all: give each shell a few.
-    seen = np.bincount(shells[face], minlength=shells.max() + 1)
-    poor = np.nonzero(seen[shells] < _MIN_SHELL_NODES)[0]
+    # A button of a large object may have got no sample: give each shell a few.
+    samples = np.bincount(shells[face], minlength=shells.max() + 1)
+    poor = np.nonzero(samples[shells] < _MIN_SHELL_NODES)[0]
     if len(poor):
         number = len(np.unique(shells[poor])) * _MIN_SHELL_NODES
         keep = poor
@@ -321,7 +319,7 @@ def _nodes_of_faces(
     face: npt.NDArray[np.int32],
     shells: npt.NDArray[np.integer],
 ) -> npt.NDArray[np.int32]:
-    """(F,) a node for each face: its own, else a near one, of the same shell if there is one."""
+    """(F,) a node for each face: on it, else near it and if possible of the same shell."""
     node_of = np.full(len(mesh.faces), -1, np.int32)
     node_of[face[::-1]] = np.arange(len(face) - 1, -1, -1, dtype=np.int32)
     missing = np.nonzero(node_of < 0)[0]

@@ -1,4 +1,4 @@
-"""Normals of a cloud: local planes, turned outwards by what can be seen."""
+"""Normals of a cloud: local planes, oriented towards the directions that see them."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def orient_outwards(
     spacing: float,
     directions: int = 26,
 ) -> npt.NDArray[np.float32]:
-    """Flip normals towards the directions from which the points can be seen.
+    """Flip normals towards the directions from which the points are visible.
 
-    A depth buffer of ``2 * spacing`` cells for each direction says which points it sees. Right
-    for 93 to 97 % of the points of furniture; hidden points keep their sign.
+    Each direction has a depth buffer with pixels of ``2 * spacing``. Right for 93 to 97 % of the
+    points of furniture; hidden points keep their sign.
     """
-    seen = np.zeros((len(points), 3), np.float32)
-    cell = max(2.0 * spacing, 1e-9)
+    towards = np.zeros((len(points), 3), np.float32)
+    pixel = max(2.0 * spacing, 1e-9)
 
     def sees(direction: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         helper = np.array([1.0, 0, 0]) if abs(direction[0]) < 0.8 else np.array([0, 1.0, 0])
@@ -69,7 +69,7 @@ def orient_outwards(
         u /= np.linalg.norm(u)
         frame = np.stack([u, np.cross(direction, u), direction], axis=1).astype(np.float32)
         local = points @ frame
-        grid = np.floor((local[:, :2] - local[:, :2].min(0)) / cell).astype(np.int64)
+        grid = np.floor((local[:, :2] - local[:, :2].min(0)) / pixel).astype(np.int64)
         key = grid[:, 0] * (grid[:, 1].max() + 1) + grid[:, 1]
         top = np.full(int(key.max()) + 1, -np.inf, np.float32)
         np.maximum.at(top, key, local[:, 2])
@@ -77,8 +77,8 @@ def orient_outwards(
 
     tried = sphere_directions(directions)
     for direction, visible in zip(tried, mapped(sees, tried), strict=True):
-        seen[visible] += direction.astype(np.float32)
-    flip = np.einsum("ij,ij->i", normals, seen) < 0
+        towards[visible] += direction.astype(np.float32)
+    flip = np.einsum("ij,ij->i", normals, towards) < 0
     out = normals.copy()
     out[flip] *= -1
     return out
@@ -87,15 +87,15 @@ def orient_outwards(
 def smooth_normals(
     normals: npt.NDArray[np.float32], neighbors: npt.NDArray[np.integer], passes: int = 3
 ) -> npt.NDArray[np.float32]:
-    """Bilateral smoothing: neighbours count as much as they already agree."""
+    """Bilateral smoothing: neighbours are weighted by how much they already agree."""
     out = normals
     for _ in range(passes):
-        mixed = np.concatenate(mapped(partial(_agreed, out, neighbors), range(0, len(out), _CHUNK)))
+        mixed = np.concatenate(mapped(partial(_blend, out, neighbors), range(0, len(out), _CHUNK)))
         out = mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-9)
     return out
 
 
-def _agreed(
+def _blend(
     normals: npt.NDArray[np.float32], neighbors: npt.NDArray[np.integer], begin: int
 ) -> npt.NDArray[np.float32]:
     here = normals[begin : begin + _CHUNK]

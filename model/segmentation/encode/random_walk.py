@@ -1,4 +1,4 @@
-"""Random walks on the cells, as Green's functions: factor once, one solve a click.
+"""Encode, step 6: random walks on the superpoints as Green's functions, factorised once.
 
 With the grounded Laplacian ``K = L + leak * I``, the field that takes the values y at the seeds
 and otherwise follows the graph is ``mu + G_s (G_ss)^-1 (y - mu_s)`` with ``G = K^-1``: a new click
@@ -7,11 +7,11 @@ adds one column of G, undo drops it. The leak sets how far a click reaches.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
+from cachetools import LRUCache
 from scipy.sparse import diags
 from scipy.sparse.linalg import splu
 
@@ -46,35 +46,31 @@ class RandomWalk:
         ]
         self._count = len(superpoints)
         self._a, self._b, self._weight, self._size = links.a, links.b, weight, superpoints.size
-        self._columns: OrderedDict[tuple[int, int], Future[Float]] = OrderedDict()
+        self._columns: LRUCache[tuple[int, int], Future[Float]] = LRUCache(_COLUMNS)
         self._ahead: ThreadPoolExecutor | None = None
 
     def column(self, superpoint: int, reach: int) -> Float:
-        """(C,) the Green's function of a cell; ``reach`` indexes ``LEAKS``."""
+        """(C,) the Green's function of a superpoint; ``reach`` indexes ``LEAKS``."""
         found = self._columns.get((superpoint, reach))
         if found is None:
             found = Future()
-            found.set_result(self._solved(superpoint, reach))
-            self._keep(superpoint, reach, found)
+            found.set_result(self._solve(superpoint, reach))
+            self._columns[superpoint, reach] = found
         return found.result()
 
-    def ask(self, superpoint: int) -> None:
-        """Begin to solve for a cell on another thread; :meth:`column` waits where it must."""
+    def prefetch(self, superpoint: int) -> None:
+        """Start solving for a superpoint on another thread; :meth:`column` waits for it."""
         if self._ahead is None:
             self._ahead = ThreadPoolExecutor(1, thread_name_prefix="walk")
         for reach in range(len(LEAKS)):
             if (superpoint, reach) not in self._columns:
-                self._keep(superpoint, reach, self._ahead.submit(self._solved, superpoint, reach))
+                solving = self._ahead.submit(self._solve, superpoint, reach)
+                self._columns[superpoint, reach] = solving
 
-    def _solved(self, superpoint: int, reach: int) -> Float:
+    def _solve(self, superpoint: int, reach: int) -> Float:
         unit = np.zeros(self._count)
         unit[superpoint] = 1
         return self._factors[reach].solve(unit).astype(np.float32)
-
-    def _keep(self, superpoint: int, reach: int, column: Future[Float]) -> None:
-        self._columns[superpoint, reach] = column
-        if len(self._columns) > _COLUMNS:
-            self._columns.popitem(last=False)
 
     def sweep(self, field: Float, most: int = 5) -> npt.NDArray[np.bool_]:
         """Level sets of a field through whose border the walk leaks least, at several sizes.
@@ -84,10 +80,10 @@ class RandomWalk:
 
         Args:
             field: (C,) high inside.
-            most: sets at most, the tightest first.
+            most: largest number of sets.
 
         Returns:
-            (H, C) bool.
+            (H, C) bool, the tightest first.
         """
         order = np.argsort(-field, kind="stable")
         rank = np.empty(len(order), np.int64)
@@ -121,7 +117,7 @@ class RandomWalk:
 
         Args:
             prior: (H, C).
-            seeds: (K,) distinct cells.
+            seeds: (K,) distinct superpoints.
             values: (K,).
 
         Returns:

@@ -61,7 +61,7 @@ class Room:
     """What is known of a room.
 
     Attributes:
-        border: (C,) cells of floor, ceiling and walls.
+        border: (C,) superpoints of floor, ceiling and walls.
         position: (C, 3) float32 metres, turned so that most walls lie along x and y; z from the
             floor.
     """
@@ -127,7 +127,7 @@ def _yaw(superpoints: Superpoints, border: Bool) -> float:
 
 
 def fenced(superpoints: Superpoints, room: Room) -> Superpoints:
-    """The cells with strong cuts between floor or walls and everything else."""
+    """The superpoints with strong cuts between floor or walls and everything else."""
     links = superpoints.links
     across = room.border[links.a] != room.border[links.b]
     strength = np.where(across, _FENCE * links.count, links.strength)

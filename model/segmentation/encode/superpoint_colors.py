@@ -1,9 +1,9 @@
-"""Cells of two colours, told apart on clouds that were sampled from models.
+"""Split superpoints of two colours on clouds that were sampled from models.
 
-Where parts lie in one another by less than the spacing of the points (a drawer's box in its
-carcass, a blade in its handle), neither creases nor gaps part them, and a cell takes points of
-both; their colours may still say which is which. Depth cameras see the outer one alone, and their
-colours are never so plain: on scans nothing is gained.
+Where one part lies inside another by less than the point spacing (a drawer's box in its carcass, a
+blade in its handle), neither creases nor gaps separate them and a superpoint holds points of both;
+their colours may still differ. Depth cameras see only the outer part and never record such flat
+colours, so scans gain nothing.
 """
 
 from __future__ import annotations
@@ -14,34 +14,34 @@ import numpy.typing as npt
 Float = npt.NDArray[np.floating]
 
 _LEAST_STEP = 10.0
-"""Lab distance from which on two colours count as two (about four times what one sees at all)."""
+"""Least Lab distance of two colours: about four just noticeable differences."""
 _CLEAR = 4.0
-"""How many times the spread about them two colours have to be apart: texture and noise are not."""
+"""Least distance of two colours in units of the spread around them; texture and noise have less."""
 _LEAST_NODES = 2
 _ROUNDS = 2
 _MOVES = 3
-_PLAIN = 0.5
+_FLAT = 0.5
 _NEAR = 6
 
 
 def has_flat_colors(colors: npt.NDArray[np.uint8], neighbors: npt.NDArray[np.integer]) -> bool:
-    """Whether most points (N, 3) have the very colour of one of their (N, K) neighbours."""
+    """Whether most colours (N, 3) equal that of one of their (N, K) neighbours."""
     same = (colors[neighbors[:, :_NEAR]] == colors[:, None]).all(axis=2).any(axis=1)
-    return bool(same.mean() > _PLAIN)
+    return bool(same.mean() > _FLAT)
 
 
 def split_by_color(
     of_node: npt.NDArray[np.integer], lab: Float, number: int
 ) -> tuple[npt.NDArray[np.int64], int]:
-    """Split each cell whose nodes have two colours, or up to four.
+    """Split superpoints whose nodes have two to four colours.
 
     Args:
-        of_node: (N,) the cell of each node.
+        of_node: (N,) the superpoint of each node.
         lab: (N, 3) CIE Lab.
-        number: of cells, C.
+        number: of superpoints, C.
 
     Returns:
-        (N,) the cell of each node now, and how many cells there are.
+        (N,) the new superpoint of each node, and the new number.
     """
     superpoints: npt.NDArray[np.int64] = of_node.astype(np.int64)
     for _ in range(_ROUNDS):
@@ -59,17 +59,17 @@ def split_by_color(
 def _two_colors(
     of_node: npt.NDArray[np.int64], lab: Float, number: int
 ) -> tuple[npt.NDArray[np.int64], Float, Float, npt.NDArray[np.int64]]:
-    """Two means of each cell's colours.
+    """Two-means clustering of each superpoint's colours.
 
     Returns:
-        (N,) 0 or 1 for each node; (C,) how far the two are apart, (C,) the root mean square
-        distance of the nodes to theirs, and (C,) how many nodes the smaller one has.
+        (N,) the cluster 0 or 1 of each node; (C,) distance of the two means, (C,) root mean square
+        distance of the nodes to theirs, and (C,) nodes of the smaller cluster.
     """
     order = np.argsort(of_node, kind="stable")
     start = np.searchsorted(of_node[order], np.arange(number))
 
     def farthest(middle: Float) -> Float:
-        """(C, 3) in each cell the colour that is farthest from (C, 3) ``middle``."""
+        """(C, 3) in each superpoint the colour that is farthest from (C, 3) ``middle``."""
         far = np.linalg.norm(lab - middle[of_node], axis=1)[order]
         most = np.maximum.reduceat(far, start)
         at = np.flatnonzero(far == most[of_node[order]])
@@ -90,6 +90,6 @@ def _two_colors(
         one, two = both[::2], both[1::2]
     count = np.bincount(2 * of_node + side, minlength=2 * number).reshape(number, 2)
     rest = ((lab - both[2 * of_node + side]) ** 2).sum(1)
-    free = np.maximum(count.sum(1) - 2, 1)  # two means of few points lie well for any noise
+    free = np.maximum(count.sum(1) - 2, 1)  # two means of few points fit any noise
     spread = np.sqrt(np.bincount(of_node, rest, number) / free)
     return side, np.linalg.norm(one - two, axis=1), spread, count.min(1)

@@ -1,7 +1,7 @@
-"""Cells: clusters of a few nodes whose borders follow the likely cuts.
+"""Encode, step 4: superpoints, clusters of a few nodes whose borders follow the likely cuts.
 
-Clicks are answered on about ten thousand cells instead of 100k nodes, which makes a sparse
-solve cost milliseconds; cells are so small that little accuracy is lost.
+Clicks are answered on about ten thousand superpoints instead of 100k nodes: a sparse solve then
+takes milliseconds, and superpoints are so small that little accuracy is lost.
 """
 
 from __future__ import annotations
@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from model.segmentation.encode.edge_features import lab_colors
-from model.segmentation.encode.graph import Graph
+from model.segmentation.encode.graph import Graph, components
 from model.segmentation.encode.nodes import Nodes
 from model.segmentation.encode.superpoint_colors import has_flat_colors, split_by_color
 
@@ -76,11 +74,11 @@ class Links:
 
 @dataclass(frozen=True, eq=False)
 class Superpoints:
-    """The cells of an encoded asset.
+    """The C superpoints of an encoded asset.
 
     Attributes:
-        of_node: (N,) int32 the cell of each node.
-        links: between cells.
+        of_node: (N,) int32 the superpoint of each node.
+        links: between superpoints.
         size: (C,) nodes in each.
         center: (C, 3) float64 metres.
         normal: (C, 3) mean of unit normals (not normalised).
@@ -98,12 +96,6 @@ class Superpoints:
         return len(self.size)
 
 
-def groups(number: int, a: npt.NDArray, b: npt.NDArray) -> tuple[int, npt.NDArray[np.int32]]:
-    """Connected components: how many, and (number,) the component of each."""
-    links = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(number, number))
-    return connected_components(links, directed=False)
-
-
 def build_superpoints(
     nodes: Nodes,
     graph: Graph,
@@ -111,10 +103,10 @@ def build_superpoints(
     weight: npt.NDArray[np.float32],
     target: int = TARGET_SUPERPOINTS,
 ) -> Superpoints:
-    """Pair nodes along their most certain edges until about ``target`` clusters are left.
+    """Merge pairs along the weakest edges until about ``target`` clusters are left.
 
-    Those of two colours are parted then where a cloud's are plain, see :mod:`.cell_colors`; a mesh
-    has its shells and materials.
+    On clouds with flat colours, clusters of two colours are then split; see
+    :mod:`.superpoint_colors`. Meshes have their shells and materials instead.
     """
     count = len(nodes)
     of_node = np.arange(count, dtype=np.int32)
@@ -133,7 +125,7 @@ def build_superpoints(
         mean = links.strength / links.count
         joint = size[links.a] + size[links.b]
         cost = mean + 0.05 * joint + 0.1 * far
-        # Equal costs would make every cell choose its lowest neighbour and nobody a pair.
+        # With equal costs every superpoint would choose its lowest neighbour, and none a pair.
         cost += 0.05 * np.random.default_rng(number).random(len(cost))
         cost[(joint > _MAX_NODES) | (mean > 3.0)] = np.inf
         best = links.cheapest(cost, number)
@@ -144,7 +136,7 @@ def build_superpoints(
         rows, mate = rows[mutual], mate[mutual]
         if not len(rows):
             break
-        left, group = groups(number, rows, mate)
+        left, group = components(number, rows, mate)
         if left > 0.99 * number:
             break
         size = np.bincount(group, size, left)

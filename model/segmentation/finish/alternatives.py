@@ -19,7 +19,7 @@ def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
     """How much every two masks have in common, and their IoU.
 
     Args:
-        masks: (H, C). size: (C,) how much each cell counts.
+        masks: (H, C). size: (C,) how much each superpoint counts.
 
     Returns:
         (H, H) each; the diagonal of the first is how large the masks are.
@@ -51,7 +51,7 @@ def offered(
 
     Args:
         masks: (H, C) hypotheses. scores: (H,) their log-odds. shown: (C,) the mask on the screen.
-        size: (C,) how much each cell counts.
+        size: (C,) how much each superpoint counts.
         most: masks at most.
 
     Returns:

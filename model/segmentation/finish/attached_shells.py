@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.mesh import Mesh
-from model.segmentation.encode.superpoints import groups
+from model.segmentation.encode.graph import components
 from model.segmentation.finish.contacts import contacts_of
 from model.segmentation.finish.facets import Plates, small_shells_of
 from model.segmentation.prompt_steps import Step
@@ -165,7 +165,7 @@ class Fittings:
             return None
         one, two = self.touching.shell, self.shells.of_face[self.touching.face]
         near = (two >= 0) & small[one] & small[two]
-        _, piece = groups(self.shells.number, one[near], two[near])
+        _, piece = components(self.shells.number, one[near], two[near])
         own = small & (piece == piece[shell])
         if area[own].sum() > _BAR_SHARE * all_area:
             return None
@@ -239,7 +239,7 @@ class Fittings:
     def _pieces(self, labels: Labels, idle: Bool, pairs: Pairs) -> _Pieces:
         one, two = pairs.shell, self.shells.of_face[pairs.face]
         loose = idle[one] & (two >= 0) & idle[two]
-        count, piece = groups(self.shells.number, one[loose], two[loose])
+        count, piece = components(self.shells.number, one[loose], two[loose])
         area = np.asarray(np.bincount(piece, self.shells.area * idle, count), np.float64)
         return _Pieces(piece, area, self._votes(labels, idle, piece, count, pairs))
 

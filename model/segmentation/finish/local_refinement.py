@@ -1,7 +1,7 @@
-"""Close-ups: a small part is answered on the nodes round its first click, not on cells.
+"""Close-ups: a small part is answered on the nodes round its first click, not on superpoints.
 
-A button of a remote is a few cells, so nothing made of cells has its outline, and every click near
-its border takes a cell too many or too few. The few thousand nodes round the click, each a cell of
+A button of a remote is a few superpoints, so nothing made of superpoints has its outline, and every click near
+its border takes a superpoint too many or too few. The few thousand nodes round the click, each a superpoint of
 its own, are an object of their own with merge trees, walks and boxes, encoded in a tenth of a
 second; clicks there take milliseconds.
 """
@@ -70,7 +70,7 @@ class Closeup:
     """The surroundings of a node, encoded like an object.
 
     Attributes:
-        nodes: (K,) ascending, those of the whole object that are in it; each is a cell.
+        nodes: (K,) ascending, those of the whole object that are in it; each is a superpoint.
     """
 
     def __init__(self, encoding: Encoding, anchor: int, axes: Float) -> None:
@@ -209,7 +209,7 @@ class Closeups:
         return self._of[anchor]
 
     def small(self, mask: Bool) -> bool:
-        """Whether a mask over the object's cells (C,) is looked at closely."""
+        """Whether a mask over the object's superpoints (C,) is looked at closely."""
         size = self._encoding.superpoints.size
         return 0 < float(size[mask].sum()) <= SMALL * float(size.sum())
 
@@ -223,7 +223,7 @@ class Closeups:
 
         Args:
             known: the same before the last of ``steps``.
-            parts: what is known of all parts after it, in cells of the whole object.
+            parts: what is known of all parts after it, in superpoints of the whole object.
         """
         superpoints = self._encoding.superpoints
         out: dict[int, ClosePart] = {}
@@ -249,7 +249,7 @@ class Closeups:
         return out
 
     def _blocked(self, parts: Mapping[int, PartState], part: int) -> Bool:
-        """(C,) cells that other parts have for certain: those inside them, not at their border."""
+        """(C,) superpoints that other parts have for certain: those inside them, not at their border."""
         superpoints, links = self._encoding.superpoints, self._encoding.superpoints.links
         of_superpoint = np.zeros(len(superpoints), np.int32)
         for other, its in parts.items():
@@ -281,10 +281,10 @@ class Closeups:
             of_node[its.nodes] = here
 
     def superpoints(self, close: ClosePart, own: PartState) -> Bool:
-        """(C,) cells of the whole object most of which are in a mask, at least one.
+        """(C,) superpoints of the whole object most of which are in a mask, at least one.
 
         Args:
-            own: what is known of the part in these cells; it counts outside the close-up.
+            own: what is known of the part in these superpoints; it counts outside the close-up.
         """
         superpoints = self._encoding.superpoints
         assert own.mask is not None and close.state.mask is not None

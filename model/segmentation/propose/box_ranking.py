@@ -29,7 +29,7 @@ BOX_SCORE_FEATURES = (
 )  # fmt: skip
 
 _KEPT = 16
-"""Clicked cells whose boxes are kept."""
+"""Clicked superpoints whose boxes are kept."""
 _LOOKED_AT, _ALIKE = 400, 0.65
 """Likeliest boxes among which others are looked for, and the overlap of those that are alike."""
 _SIZES = 0.3
@@ -160,7 +160,7 @@ class BoxBeliefs:
         self._of: OrderedDict[int, tuple[npt.NDArray[np.int64], Float]] = OrderedDict()
 
     def _scored(self, superpoint: int) -> tuple[npt.NDArray[np.int64], Float]:
-        """Boxes that hold a cell, the likeliest first, and their scores."""
+        """Boxes that hold a superpoint, the likeliest first, and their scores."""
         if superpoint not in self._of:
             found = self._boxes.holding(self._place[:, superpoint])
             if self._model is None or self._describe is None:
@@ -175,13 +175,13 @@ class BoxBeliefs:
         return self._of[superpoint]
 
     def __call__(self, positive: tuple[int, ...], negative: tuple[int, ...]) -> Believed:
-        """The boxes that clicks on these cells leave, as the first positive one sees them."""
+        """The boxes that clicks on these superpoints leave, as the first positive one sees them."""
         found, score = self._scored(positive[0])
         left = self._left(found, positive[1:], negative)
         return self._believed(found[left], score[left])
 
     def tight(self, superpoint: int, negative: tuple[int, ...]) -> Believed:
-        """The boxes that hold a cell and no negative ones, the least leak first.
+        """The boxes that hold a superpoint and no negative ones, the least leak first.
 
         For what a later click is about; to score these boxes as well would cost every click.
         """

@@ -98,7 +98,7 @@ _WHOLE = 0.8
 _LIKE = 0.5
 """Overlap of the volumes of boxes that are alike."""
 _ROUND = 16
-"""Cells next to a click that it speaks of."""
+"""Superpoints next to a click that it speaks of."""
 _SHALLOW = 1e-3
 """Depth that is none, in diagonals."""
 _EARLIER = 4
@@ -143,12 +143,12 @@ def main_directions(normal: Float, weight: Float) -> npt.NDArray[np.float64]:
 
 
 class Boxes:
-    """The cells on a grid of 256 steps along the object's main directions.
+    """The superpoints on a grid of 256 steps along the object's main directions.
 
     Attributes:
-        place: (3, C) uint8 step of each cell along each direction.
-        facing: (3, C) whether the cell faces along it.
-        size: (C,) float32 nodes in each cell; square: the same where it faces along any of them.
+        place: (3, C) uint8 step of each superpoint along each direction.
+        facing: (3, C) whether the superpoint faces along it.
+        size: (C,) float32 nodes in each superpoint; square: the same where it faces along any of them.
         step: (3,) metres.
         axes: (3, 3) the directions, in rows.
     """
@@ -178,7 +178,7 @@ class Boxes:
         """The boxes between the object's planes."""
         links = superpoints.links
         apart = np.linalg.norm(superpoints.center[links.a] - superpoints.center[links.b], axis=1)
-        # Cells are patches of some nodes: their distance tells how dense those lie.
+        # Superpoints are patches of some nodes: their distance tells how dense those lie.
         spacing = float(np.median(apart)) if len(apart) else 1.0
         spacing /= max(float(np.sqrt(np.median(superpoints.size))), 1.0)
         return plane_boxes(superpoints, self.place, self.facing, self.step, max(spacing, 1e-9))
@@ -410,7 +410,7 @@ class ObjectDescriber(MaskDescriber):
         return beyond, m @ held / np.maximum(held.sum(), 1e-9)
 
     def _round(self, masks: Bool, clicks: tuple[int, ...]) -> Float:
-        """(2, H) share of the cells next to the clicks that each mask holds, mean and least.
+        """(2, H) share of the superpoints next to the clicks that each mask holds, mean and least.
 
         People click into the middle of what they mean, so what lies round an earlier click
         belongs with it.
@@ -437,8 +437,8 @@ class ObjectSolver(PartSolver):
         axes: Float | None = None,
         of_mesh: bool = False,
     ) -> None:
-        """``shell`` (C,): of a mesh, the shell of each cell; ``axes`` (3, 3): the main directions,
-        where they are known; ``of_mesh``: whether the cells are of faces, with ``shell`` or not.
+        """``shell`` (C,): of a mesh, the shell of each superpoint; ``axes`` (3, 3): the main directions,
+        where they are known; ``of_mesh``: whether the superpoints are of faces, with ``shell`` or not.
         """
         self.fronts: Fronts | None = None
         self.moving_scorers: tuple[Scorer | None, Scorer | None] = (None, None)
@@ -600,12 +600,12 @@ class ObjectSolver(PartSolver):
         return self._with(found, made)
 
     def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
-        """(H, C) the likeliest boxes between planes that hold some cells and not others."""
+        """(H, C) the likeliest boxes between planes that hold some superpoints and not others."""
         believed = self._beliefs(inside, outside)
         return self._within(believed, self._few(believed, most))
 
     def _tight(self, superpoint: int, outside: tuple[int, ...], most: int) -> Bool:
-        """(H, C) boxes between planes that hold a cell and not others, the least leaking ones."""
+        """(H, C) boxes between planes that hold a superpoint and not others, the least leaking ones."""
         believed = self._beliefs.tight(superpoint, outside)
         return self._within(believed, self._few(believed, most))
 
@@ -613,7 +613,7 @@ class ObjectSolver(PartSolver):
         return believed.of_all_sizes(most) if self._mesh else believed.apart(most)
 
     def _alike(self, mask: Bool, inside: tuple[int, ...], outside: tuple[int, ...]) -> Bool:
-        """(H, C) boxes between planes that hold some cells and not others, like the mask's."""
+        """(H, C) boxes between planes that hold some superpoints and not others, like the mask's."""
         low, high = self._boxes.bounds(mask[None])
         believed = self._beliefs(inside, outside)
         return self._within(believed, believed.like(low, high, _LIKE)[: self._most])

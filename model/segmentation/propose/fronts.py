@@ -50,9 +50,9 @@ _WEIGHT = np.array([0.3, 0.25, 0.25, 0.2, 0.2, 0.1, 0.2], np.float32)
 NODES_A_SQUARE = 1.5
 """Side of a square, in node spacings."""
 _ALONG = 0.8
-"""Least cosine between a clicked cell's normal and a main direction."""
+"""Least cosine between a clicked superpoint's normal and a main direction."""
 _TURNED = 0.2
-"""Share of what lies at a cell's depth that faces as it does, if its normal is right."""
+"""Share of what lies at a superpoint's depth that faces as it does, if its normal is right."""
 _DEEP, _DEEP_SPACINGS = 0.02, 4.0
 """How far before and behind the click a front reaches, in diagonals and in spacings."""
 _LEAST_SIDE = 4
@@ -212,7 +212,7 @@ class Bar:
     """Something that stands out before a front.
 
     Attributes:
-        cells: (C,) bool, its own. behind: (C,) those of the front round it.
+        superpoints: (C,) bool, its own. behind: (C,) those of the front round it.
         length: how many times as long as wide it is.
     """
 
@@ -323,9 +323,9 @@ class Fronts:
         self._fronts: OrderedDict[tuple[int, int, int, int], Front | None] = OrderedDict()
 
     def of(self, superpoint: int) -> list[Front]:
-        """The fronts that a cell lies on or stands before, the nearest first.
+        """The fronts that a superpoint lies on or stands before, the nearest first.
 
-        Nothing where the cell faces along no main direction, unless it is a handle's.
+        Nothing where the superpoint faces along no main direction, unless it is a handle's.
         """
         key = (superpoint,)
         return _kept(self._of, key, self._found, _CLICKED)
@@ -352,10 +352,10 @@ class Fronts:
         return there + self._behind_bar(superpoint, axis)
 
     def _behind_bar(self, superpoint: int, faces: int) -> list[Front]:
-        """The front before which a bar stands of which ``cell`` is a side.
+        """The front before which a bar stands of which ``superpoint`` is a side.
 
         Args:
-            faces: the direction along which the cell faces, -1: none.
+            faces: the direction along which the superpoint faces, -1: none.
         """
         for axis in range(3):
             if axis == faces:
@@ -378,7 +378,7 @@ class Fronts:
         return []
 
     def _alone_before(self, superpoint: int, axis: int, outward: int, depth: float) -> bool:
-        """Whether a front at ``depth`` is all round a cell, and not much else is as high above."""
+        """Whether a front at ``depth`` is all round a superpoint, and not much else is as high above."""
         across = [k for k in range(3) if k != axis]
         apart = self._center[:, across] - self._center[superpoint, across]
         near = np.flatnonzero((np.abs(apart) < _ROUND * self._reach).all(1))
@@ -391,7 +391,7 @@ class Fronts:
         return len(np.unique(2 * beside[:, 0] + beside[:, 1])) == 4
 
     def _outward(self, superpoint: int, axis: int) -> int:
-        """To which side along an axis a cell faces, as nearly all that lies at its depth says: a
+        """To which side along an axis a superpoint faces, as nearly all that lies at its depth says: a
         scan's normals are turned the wrong way here and there.
         """
         near = np.abs(self._center[:, axis] - self._center[superpoint, axis]) < self._reach / _BINS
@@ -402,7 +402,7 @@ class Fronts:
         return own if same > _TURNED * float(self._superpoints.size[near] @ sure) else -own
 
     def bar(self, superpoint: int) -> Bar | None:
-        """What ``cell`` is on, if that stands out before a front with something round it."""
+        """What ``superpoint`` is on, if that stands out before a front with something round it."""
         found = (self._bar_before(front, superpoint) for front in self.of(superpoint))
         return next((bar for bar in found if bar is not None), None)
 
@@ -539,18 +539,18 @@ class Fronts:
     # Rectangles ----------------------------------------------------------------------
 
     def rectangles(self, front: Front, superpoint: int, outside: tuple[int, ...] = ()) -> Rects:
-        """(R, 4) rectangles of a front that hold a cell, and not others; the likeliest first."""
+        """(R, 4) rectangles of a front that hold a superpoint, and not others; the likeliest first."""
         before = self._before(front)
         others = [self._square(front, c) for c in outside if before[c]]
         return _cut(front, self._square(front, superpoint), others)
 
     def _before(self, front: Front) -> Bool:
-        """(C,) the cells of a front, and what stands out before it."""
+        """(C,) the superpoints of a front, and what stands out before it."""
         deep = front.outward * self._center[:, front.axis] - front.depth
         return (deep > -front.reach) & (deep < _BEFORE * front.reach)
 
     def masks(self, front: Front, rects: Rects) -> Bool:
-        """(H, C) the cells in rectangles, with what stands out before them."""
+        """(H, C) the superpoints in rectangles, with what stands out before them."""
         out = np.zeros((len(rects), len(self._center)), bool)
         near = np.flatnonzero(self._before(front))
         u, v = ((self._center[near][:, list(front.across)] - front.low) / front.side).T

@@ -39,7 +39,7 @@ _THIN = 4
 _SMALLEST, _LARGEST = 0.002, 0.95
 """Share of the surface that a box holds."""
 _SHEET = 1.35
-"""Nodes by area, with the spacing told by cells, where a side of a box is lined with surface."""
+"""Nodes by area, with the spacing told by superpoints, where a side of a box is lined with surface."""
 _KEPT = 60_000
 
 
@@ -116,7 +116,7 @@ def plane_boxes(
     """Measure all boxes between the planes.
 
     Args:
-        place: (3, C) step of each cell. facing: (3, C) whether it faces along the direction.
+        place: (3, C) step of each superpoint. facing: (3, C) whether it faces along the direction.
         step: (3,) metres. spacing: metres between neighbouring nodes.
     """
     at = place.astype(np.int64)

@@ -28,7 +28,7 @@ Met = Literal["mesh", "cloud", "close-up", "room"]
 SCORERS: dict[Met, tuple[str, str]] = {
     "mesh": ("first_click.npz", "later_click.npz"),
     "cloud": ("first_click_cloud.npz", "later_click_cloud.npz"),
-    # Trees learned from cells, and close-ups have none: there networks choose better.
+    # Trees learned from superpoints, and close-ups have none: there networks choose better.
     "close-up": ("first_click.npz", "later_click_close.npz"),
     "room": ("room_first_click.npz", "room_later_click.npz"),
 }
@@ -97,7 +97,7 @@ def solver_of(
 
 
 def _shells(encoding: Encoding) -> npt.NDArray[np.int32] | None:
-    """(C,) the shell of each cell of a mesh."""
+    """(C,) the shell of each superpoint of a mesh."""
     nodes, superpoints = encoding.nodes, encoding.superpoints
     if not nodes.of_mesh:
         return None

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from model.core.progress import Progress, no_progress
 from model.segmentation.default import DefaultSession
-from model.segmentation.encode.superpoints import groups
+from model.segmentation.encode.graph import components
 from model.segmentation.finish.alternatives import overlaps
 from model.segmentation.prompts import BASE, PartSegmentation
 from model.segmentation.propose.boxes import ObjectSolver
@@ -28,12 +28,12 @@ WORTH = -1.0
 """Log-odds below which a mask of an object is nobody's part."""
 
 _ANSWERS = 8
-"""Masks that each asked cell may mean, in a room."""
+"""Masks that each asked superpoint may mean, in a room."""
 _TEMPERATURE = 2.0
 _LEAST = 0.3
 """Expected overlap below which a mask is nobody's part."""
 _PRICE = 0.0045
-"""Share of the asked cells that a part has to be worth, so that not every detail is one."""
+"""Share of the asked superpoints that a part has to be worth, so that not every detail is one."""
 _SMALLER = 0.7
 """A part on another one is at most as large as this share of it."""
 _BODY = 0.6
@@ -45,13 +45,13 @@ def propose(
 ) -> PartSegmentation:
     """A first guess of all parts, to start from.
 
-    Each of many spread cells says what a first click on it might mean. Of an object a network
+    Each of many spread superpoints says what a first click on it might mean. Of an object a network
     judges which of these masks are parts that move (:mod:`.part_masks`), and the best of those that
     exclude each other are proposed. In a room the objects are wanted, and what they mean as well:
     see :func:`_agreed`. What no mask takes is the base.
 
     Args:
-        seeds: cells asked.
+        seeds: superpoints asked.
         progress: told after each of them.
     """
     superpoints = session.encoding.superpoints
@@ -82,9 +82,9 @@ def propose(
 def _agreed(
     session: DefaultSession, asked: npt.NDArray[np.int64], progress: Progress
 ) -> list[Bool]:
-    """(C,) masks, the largest first, of the highest expected overlap with what cells mean.
+    """(C,) masks, the largest first, of the highest expected overlap with what superpoints mean.
 
-    A mask counts where most of its own cells agree on it. Small ones may lie on large ones; other
+    A mask counts where most of its own superpoints agree on it. Small ones may lie on large ones; other
     overlaps are refused. The largest is left out where it covers most of what there is.
     """
     size = session.encoding.superpoints.size
@@ -100,7 +100,7 @@ def _agreed(
 def _answers(
     session: DefaultSession, asked: npt.NDArray[np.int64], progress: Progress
 ) -> tuple[Bool, Float]:
-    """(M, C) the likeliest masks of all asked cells, and (A, M) how likely each is for a cell."""
+    """(M, C) the likeliest masks of all asked superpoints, and (A, M) how likely each is for a superpoint."""
     said = answers_of(session.solver, asked, _ANSWERS, of_a_part=False, progress=progress)
     likely = np.zeros((len(asked), len(said.masks)), np.float32)
     first = np.flatnonzero(np.diff(said.by, prepend=-1))
@@ -110,10 +110,10 @@ def _answers(
 
 
 def _tiling(agreed: Float, common: Float) -> list[int]:
-    """Masks whose cells agree on them, greedily.
+    """Masks whose superpoints agree on them, greedily.
 
     Args:
-        agreed: (A, M) expected overlap of a mask with what an asked cell means, 0 outside it.
+        agreed: (A, M) expected overlap of a mask with what an asked superpoint means, 0 outside it.
         common: (M, M) how much every two masks have in common.
     """
     inside = agreed > 0
@@ -122,7 +122,7 @@ def _tiling(agreed: Float, common: Float) -> list[int]:
     now = np.zeros(len(agreed))
     chosen: list[int] = []
     while free.any():
-        # Cells change over to the new mask, be it better for them or worse.
+        # Superpoints change over to the new mask, be it better for them or worse.
         gain = np.where(inside, agreed - now[:, None], 0).mean(0) - _PRICE
         gain = np.where(free, gain * quality**3, -1.0)
         best = int(gain.argmax())
@@ -155,7 +155,7 @@ def without_leftovers(
     nodes, graph = session.encoding.nodes, session.encoding.graph
     of_node = np.asarray(labels)[first_elements(session)]
     same = (of_node[graph.a] == of_node[graph.b]) & ~graph.bridge
-    number, piece = groups(len(nodes), graph.a[same], graph.b[same])
+    number, piece = components(len(nodes), graph.a[same], graph.b[same])
     size = np.bincount(piece, minlength=number)
     label = np.zeros(number, np.int16)
     label[piece] = of_node

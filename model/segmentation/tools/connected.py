@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.segmentation.default import DefaultSession
-from model.segmentation.encode.superpoints import groups
+from model.segmentation.encode.graph import components
 from model.segmentation.prompt_steps import locate
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.tools.element_masks import to_elements, to_nodes
@@ -82,7 +82,7 @@ def connected(
     for gap in (0.0,) if session.asset.mesh is not None else _GAPS:
         if gap:
             short = near & (graph.length <= gap * graph.spacing)
-            _, piece = groups(len(nodes), graph.a[short], graph.b[short])
+            _, piece = components(len(nodes), graph.a[short], graph.b[short])
             inside = piece == piece[node]
         else:
             piece = nodes.shell

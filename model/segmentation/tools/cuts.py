@@ -12,7 +12,7 @@ from model.core.asset import Asset
 from model.core.errors import PromptError
 from model.geometry.splitting import ON_THE_PLANE, Plane, crossing_share
 from model.segmentation.default import DefaultSession
-from model.segmentation.encode.superpoints import groups
+from model.segmentation.encode.graph import components
 from model.segmentation.tools.element_masks import checked, to_elements, to_nodes
 
 Bool = npt.NDArray[np.bool_]
@@ -124,7 +124,7 @@ def pieces(session: DefaultSession, mask: Bool) -> list[Bool]:
     inside = to_nodes(session, mask)
     graph = session.encoding.graph
     keep = inside[graph.a] & inside[graph.b] & ~graph.bridge
-    _, piece = groups(len(inside), graph.a[keep], graph.b[keep])
+    _, piece = components(len(inside), graph.a[keep], graph.b[keep])
     ids, counts = np.unique(piece[inside], return_counts=True)
     out = []
     for i in ids[np.argsort(-counts, kind="stable")]:

@@ -1,7 +1,7 @@
-"""Which of the masks that an object's cells speak of are parts that move.
+"""Which of the masks that an object's superpoints speak of are parts that move.
 
 A click says that there is a part; before any click nothing does, and most of what looks like a
-part is relief, a panel or the body. What tells them apart is seen best over all cells that speak of
+part is relief, a panel or the body. What tells them apart is seen best over all superpoints that speak of
 a mask, so each mask is judged once, by what they say of it together.
 """
 
@@ -36,9 +36,9 @@ PART_FEATURE_NAMES = (
     "agreed_most",
     "asked",
 )
-"""Means over the cells that speak of a mask; then what they make of it, see :func:`spoken_of`."""
+"""Means over the superpoints that speak of a mask; then what they make of it, see :func:`spoken_of`."""
 _ANSWERS = 16
-"""Masks that each asked cell speaks of."""
+"""Masks that each asked superpoint speaks of."""
 _TEMPERATURE = 2.0
 _APART = 0.1
 """Two parts share at most this of the smaller one,"""
@@ -64,11 +64,11 @@ class Spoken:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What asked cells speak of.
+    """What asked superpoints speak of.
 
     Attributes:
         masks: (M, C) each once.
-        by, of: (R,) the asked cell and the mask of each answer, the cells in order and the
+        by, of: (R,) the asked superpoint and the mask of each answer, the superpoints in order and the
             likeliest first. features: (R, F). scores: (R,).
     """
 
@@ -89,17 +89,17 @@ def shipped_part_scorer() -> Mlp | None:
 def spoken_of(
     solver: ObjectSolver, asked: npt.NDArray[np.integer], progress: Progress = no_progress
 ) -> Spoken:
-    """The masks that a first click on each of some cells may mean, the likeliest of each.
+    """The masks that a first click on each of some superpoints may mean, the likeliest of each.
 
-    Features are, of the cells that speak of a mask, the means of the hypotheses' features and of
-    their scores, the highest score, and how far the mask is behind the best of each cell; of the
-    asked cells within it, the share that speak of it, and how likely it is for them; how much what
+    Features are, of the superpoints that speak of a mask, the means of the hypotheses' features and of
+    their scores, the highest score, and how far the mask is behind the best of each superpoint; of the
+    asked superpoints within it, the share that speak of it, and how likely it is for them; how much what
     they mean overlaps with it, on the whole and for the one that agrees most; and the share of all
-    asked cells that are within.
+    asked superpoints that are within.
 
     Args:
         solver: with lines on fronts, see :func:`.scorers.solver_of`.
-        asked: (A,) cells.
+        asked: (A,) superpoints.
         progress: told after each of them.
     """
     said = answers_of(solver, asked, _ANSWERS, progress=progress)
@@ -122,8 +122,8 @@ def answers_of(
     of_a_part: bool = True,
     progress: Progress = no_progress,
 ) -> Answers:
-    """What first clicks on some cells (A,) may mean, the ``most`` likeliest of each; ``of_a_part``
-    as in :meth:`.PartSolver.answer`; ``progress`` is told after each cell.
+    """What first clicks on some superpoints (A,) may mean, the ``most`` likeliest of each; ``of_a_part``
+    as in :meth:`.PartSolver.answer`; ``progress`` is told after each superpoint.
     """
     number: dict[bytes, int] = {}
     masks: list[Bool] = []
@@ -154,7 +154,7 @@ def _meant(speaks: Bool, score: Float, within: Bool, overlap: Float) -> Float:
     """(M, 9) the features beyond the hypotheses' own.
 
     Args:
-        speaks: (A, M) whether a cell speaks of a mask. score: (A, M) where it does.
+        speaks: (A, M) whether a superpoint speaks of a mask. score: (A, M) where it does.
         within: (A, M) whether it lies in it.
         overlap: (M, M) IoU of every two masks.
     """

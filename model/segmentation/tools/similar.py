@@ -33,7 +33,7 @@ def mirrored(session: DefaultSession, mask: Bool) -> Bool:
     image = image - 2 * (image @ normal - offset)[:, None] * normal
     reach = max(2.0 * session.encoding.graph.spacing, _REACH * session.asset.diagonal)
     far, _ = KDTree(image).query(points, distance_upper_bound=reach, workers=2)
-    # Whole cells, so that the border follows the other side's own gaps and creases.
+    # Whole superpoints, so that the border follows the other side's own gaps and creases.
     superpoints = session.encoding.superpoints
     share = (
         np.bincount(superpoints.of_node, np.isfinite(far) & ~inside, len(superpoints))

@@ -9,7 +9,7 @@ from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.encode.nodes import nodes_of_asset
-from model.segmentation.prompt_steps import ClickStep, resolve, telling
+from model.segmentation.prompt_steps import ClickStep, resolve, surface_steps
 from model.segmentation.prompts import BASE, Click, Prompts
 
 STRAY = 150
@@ -48,13 +48,13 @@ def test_points_in_the_air_are_no_nodes(scan) -> None:
     nodes = nodes_of_asset(asset)
     floating = np.arange(len(labels), asset.element_count)
     assert len(nodes) <= len(labels) + 5
-    assert np.isin(nodes.elements.stray, floating).all()
-    assert len(nodes.elements.stray) > 0.95 * STRAY
+    assert np.isin(nodes.elements.outliers, floating).all()
+    assert len(nodes.elements.outliers) > 0.95 * STRAY
     # Each goes with what is nearest, and none stands for a node.
     apart = np.linalg.norm(asset.cloud.points[floating][:, None] - nodes.points[None, ::7], axis=2)
     own = nodes.points[nodes.elements.node_of_element[floating]]
     assert (np.linalg.norm(asset.cloud.points[floating] - own, axis=1) <= apart.min(1) + 1e-6).all()
-    assert not np.isin(nodes.elements.element_of_node, nodes.elements.stray).any()
+    assert not np.isin(nodes.elements.element_of_node, nodes.elements.outliers).any()
 
 
 @pytest.mark.parametrize("count", [100, 300, 1000])
@@ -64,14 +64,14 @@ def test_what_is_seen_at_a_slant_stays(count: int) -> None:
     front = np.c_[rng.random(20_000), np.zeros(20_000), rng.random(20_000)]
     side = np.c_[np.zeros(count), rng.random(count), rng.random(count)]
     cloud = PointCloud(np.concatenate([front, side]).astype(np.float32))
-    assert len(nodes_of_asset(Asset("corner", cloud=cloud)).elements.stray) <= 0.15 * count
+    assert len(nodes_of_asset(Asset("corner", cloud=cloud)).elements.outliers) <= 0.15 * count
 
 
 @pytest.mark.parametrize("count", [1, 2, 21, 200])
 def test_few_points_are_all_kept(count: int) -> None:
     points = np.random.default_rng(0).random((count, 3)).astype(np.float32)
     nodes = nodes_of_asset(Asset("few", cloud=PointCloud(points)))
-    assert len(nodes) + len(nodes.elements.stray) == count
+    assert len(nodes) + len(nodes.elements.outliers) == count
     assert nodes_of_asset(Asset("same", cloud=PointCloud(points * 0))).elements.node_count == count
 
 
@@ -96,7 +96,7 @@ def test_points_in_the_air_make_no_answer_worse(make_cabinet_cloud) -> None:
 
 def test_a_click_on_one_is_about_it_alone(scan, session) -> None:
     asset, _ = scan
-    points, stray = asset.cloud.points, session.encoding.nodes.elements.stray
+    points, stray = asset.cloud.points, session.encoding.nodes.elements.outliers
     first = click(DOOR)
     before = session.segment(Prompts((first,))).labels
     inside = stray[before[stray] == 1]
@@ -112,7 +112,7 @@ def test_a_click_on_one_is_about_it_alone(scan, session) -> None:
 
 def test_the_first_click_of_a_part_is_about_what_is_nearest(scan, session) -> None:
     asset, labels = scan
-    points, stray = asset.cloud.points, session.encoding.nodes.elements.stray
+    points, stray = asset.cloud.points, session.encoding.nodes.elements.outliers
     element = int(stray[np.abs(points[stray] - DOOR).sum(1).argmin()])
     answer = session.segment(Prompts((click(points[element], 1, True, element),))).labels
     assert answer[element] == 1 and (answer[: len(labels)] == 1).sum() > 100
@@ -120,11 +120,11 @@ def test_the_first_click_of_a_part_is_about_what_is_nearest(scan, session) -> No
 
 def test_which_clicks_tell(scan, session) -> None:
     asset, _ = scan
-    points, stray = asset.cloud.points, int(session.encoding.nodes.elements.stray[0])
+    points, stray = asset.cloud.points, int(session.encoding.nodes.elements.outliers[0])
     on = [
         click(points[stray], part, yes, stray) for part, yes in ((1, True), (2, False), (0, True))
     ]
     prompts = Prompts((on[0], click(DOOR), on[1], click(BODY, BASE), on[2], on[0]))
     steps = resolve(asset, session.encoding.nodes, prompts)
-    assert [isinstance(s, ClickStep) and s.stray for s in steps] == [1, 0, 1, 0, 1, 1]
-    assert telling(steps) == (steps[0], steps[1], steps[3])
+    assert [isinstance(s, ClickStep) and s.outlier for s in steps] == [1, 0, 1, 0, 1, 1]
+    assert surface_steps(steps) == (steps[0], steps[1], steps[3])
