@@ -17,7 +17,10 @@ from typing import TYPE_CHECKING, Any
 from app.server.jobs import CLICKS
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.scene_report import ReportRow, write_report
+from app.server.scene_rows import Row, Work
+from app.server.scene_state import SceneState
 from app.server.scene_tasks import OpenedScene, SceneItem
+from model.core.display_names import link_display_name
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
@@ -32,13 +35,10 @@ from model.scenes.jobs import (
     STATIC,
     TODO,
 )
-from model.validation.phrases import called
 from sessions import commands as cmd
 
 if TYPE_CHECKING:
-    from app.server.scene_rows import Work
-    from app.server.scene_workspace import SceneDesk
-    from model.scenes.convert import Outcome
+    from model.scenes.outcome import Outcome
 
 SECONDS = 1800.0
 
@@ -79,10 +79,20 @@ class Decided:
 
 
 class Saving:
-    """Writes the scene of a desk."""
+    """Writes the scene, and the report on it.
 
-    def __init__(self, desk: SceneDesk) -> None:
-        self._desk = desk
+    Args:
+        row: an object as lists show it.
+        why_refused: why an object wasn't accepted, or "".
+    """
+
+    def __init__(
+        self,
+        scene: SceneState,
+        row: Callable[[SceneItem], Row],
+        why_refused: Callable[[Work], str],
+    ) -> None:
+        self._scene, self._list_row, self._why_refused = scene, row, why_refused
 
     def save(self, loose: bool, who: str) -> None:
         """Write the scene; ``loose``: what is only predicted moves too.
@@ -90,44 +100,46 @@ class Saving:
         Raises:
             CommandError: where it is being written, or its parts aren't ready.
         """
-        desk = self._desk
-        if "save" in desk.jobs:
+        scene = self._scene
+        if "save" in scene.jobs:
             return
-        scene, items, copies, decided = self._plan(loose)
-        record = desk.record
-        out = desk.bench.workspace / "scenes" / f"saved-{record.id}"
-        job = desk.bench.geometry.submit(
-            save_scene, record.path, scene.reader, tuple(i.obj.id for i in desk.read), items,
-            copies, decided, out, on_progress=desk.jobs.progress("save"), priority=6,
+        opened, items, copies, decided = self._plan(loose)
+        record = scene.record
+        out = scene.services.workspace / "scenes" / f"saved-{record.id}"
+        job = scene.services.workers.geometry.submit(
+            save_scene, record.path, opened.reader, tuple(i.obj.id for i in scene.read), items,
+            copies, decided, out, on_progress=scene.jobs.progress("save"), priority=6,
             gives_way=CLICKS,
         )  # fmt: skip
 
         def keep(summary: dict[str, Any]) -> None:
-            desk.do(cmd.Saved(str(out)), who)
+            scene.live.do(cmd.Saved(str(out)), who)
             moving = sum(summary["states"].get(s, 0) for s in (ACCEPTED, PREDICTED))
-            desk.tell("Saved", f"{moving} objects move; {out}", "green")
+            scene.tell("Saved", f"{moving} objects move; {out}", "green")
 
-        desk.start("save", job, keep)
-        desk.changed()
+        scene.start("save", job, keep)
+        scene.changed()
 
     def _plan(
         self, loose: bool
     ) -> tuple[
         OpenedScene, tuple[SceneItem, ...], dict[Path, MovingCopy], dict[str, Decided]
     ]:  # fmt: skip
-        desk = self._desk
-        if desk.scene is None:
+        scene = self._scene
+        if scene.scene is None:
             raise CommandError("the scene is still being read")
         copies: dict[Path, MovingCopy] = {}
-        for work in desk.wanted():
+        for work in scene.wanted():
             found = self._moving(work, loose)
             if found is not None and work.item.copy is not None:
                 copies[work.item.copy] = found
-        items = [replace(i, copy=i.copy if desk.articulable(i) else None,
-                         decision=replace(i.decision, articulable=desk.articulable(i)))
-                 for i in desk.items.values()]  # fmt: skip
-        decided = {i: self._decided(w, w.item.copy in copies) for w in desk.wanted() for i in w.ids}
-        return desk.scene, tuple(items), copies, decided
+        items = [replace(i, copy=i.copy if scene.articulable(i) else None,
+                         decision=replace(i.decision, articulable=scene.articulable(i)))
+                 for i in scene.items.values()]  # fmt: skip
+        decided = {
+            i: self._decided(w, w.item.copy in copies) for w in scene.wanted() for i in w.ids
+        }
+        return scene.scene, tuple(items), copies, decided
 
     def _decided(self, work: Work, moves: bool) -> Decided:
         doc, review = work.document, work.document.review
@@ -139,21 +151,21 @@ class Saving:
             return Decided(ACCEPTED, f"accepted by {review.by}", review.by, review.at)
         if moves:
             return Decided(PREDICTED)
-        why = self._desk.accepting.why_refused(work) or work.reason
+        why = self._why_refused(work) or work.reason
         if not why:
             why = "it has no joints yet" if doc.tree is None else "nobody has decided on it"
         return Decided(TODO, why)
 
     def _moving(self, work: Work, loose: bool) -> MovingCopy | None:
-        doc, desk = work.document, self._desk
+        doc, scene = work.document, self._scene
         state = doc.review.state
         if doc.tree is None or state not in (("accepted", "predicted") if loose else ("accepted",)):
             return None
-        shape = None if work.item.path is None else desk.shapes.get(work.item.path)
+        shape = None if work.item.path is None else scene.shapes.get(work.item.path)
         if work.drawn is None or shape is None or isinstance(shape, str):
             raise CommandError(f"{work.item.obj.id} is still being prepared; save in a moment")
         source = PartSource(
-            work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names,
+            work.drawn.folder, scene.services.workspace, work.drawn.labels, doc.part_names,
             doc.category, work.name,
         )  # fmt: skip
         folder = doc.saved.folder if state == "accepted" and doc.saved is not None else None
@@ -163,39 +175,41 @@ class Saving:
 
     def report(self, done: Callable[[Path], None]) -> None:
         """Write the page; ``done`` gets its path."""
-        desk = self._desk
-        if "report" in desk.jobs or desk.scene is None:
+        scene = self._scene
+        if "report" in scene.jobs or scene.scene is None:
             return
-        rows = [self._row(item) for item in desk.items.values()]
-        record = desk.record
-        path = desk.bench.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
-        job = desk.bench.geometry.submit(
-            write_report, path, desk.scene.name, tuple(rows), desk.scene.problems,
-            dict(desk.shapes), desk.bench.workspace,
-            saved=None if desk.document.saved is None else Path(desk.document.saved.folder),
-            on_progress=desk.jobs.progress("report"), priority=6, gives_way=CLICKS,
+        rows = [self._row(item) for item in scene.items.values()]
+        record = scene.record
+        path = scene.services.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
+        job = scene.services.workers.geometry.submit(
+            write_report, path, scene.scene.name, tuple(rows), scene.scene.problems,
+            dict(scene.shapes), scene.services.workspace,
+            saved=None if scene.document.saved is None else Path(scene.document.saved.folder),
+            on_progress=scene.jobs.progress("report"), priority=6, gives_way=CLICKS,
         )  # fmt: skip
-        desk.start("report", job, lambda _: done(path))
-        desk.changed()
+        scene.start("report", job, lambda _: done(path))
+        scene.changed()
 
     def _row(self, item: SceneItem) -> ReportRow:
-        desk, work = self._desk, self._desk.work(item.obj.id)
-        row = desk.row(item)
+        scene, work = self._scene, self._scene.work(item.obj.id)
+        row = self._list_row(item)
         doc = None if work is None else work.document
         source = None
         if work is not None and doc is not None and doc.tree is not None and work.drawn is not None:
             source = PartSource(
-                work.drawn.folder, desk.bench.workspace, work.drawn.labels, doc.part_names
+                work.drawn.folder, scene.services.workspace, work.drawn.labels, doc.part_names
             )
         notes = []
         if work is not None:
-            notes = [work.reason, desk.accepting.why_refused(work)]
-        notes.append(desk.missing_reason(item))
+            notes = [work.reason, self._why_refused(work)]
+        notes.append(scene.missing_reason(item))
         return ReportRow(
-            item, row.status, row.confidence, desk.document.articulable.get(item.obj.id),
+            item, row.status, row.confidence, scene.document.articulable.get(item.obj.id),
             None if doc is None else doc.tree,
             {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
-            {} if doc is None else {p.link: called(p.link, p.name, root=False) for p in doc.parts},
+            {} if doc is None else {
+                p.link: link_display_name(p.link, p.name, root=False) for p in doc.parts
+            },
             "" if doc is None else doc.review.by, "" if doc is None else doc.review.at,
             "" if doc is None else (doc.review.reason or "").replace("_", " "),
             tuple(n for n in notes if n), source, None if work is None else work.id,
@@ -226,8 +240,9 @@ def save_scene(
     Returns:
         The summary, as ``artiworld scene convert`` gives it.
     """
-    from model.scenes.convert import Outcome, shorten_limits
+    from model.scenes.convert import shorten_limits
     from model.scenes.jobs import write_json
+    from model.scenes.outcome import Outcome
     from model.scenes.registry import read_scene
     from model.scenes.results import write_results
 
@@ -299,8 +314,9 @@ def _tell(outcome: Outcome, decided: Decided | None) -> None:
 
 def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     from model.scenes.assets import asset_digest
-    from model.scenes.convert import ConvertSettings, Outcome, asset_job
+    from model.scenes.convert import ConvertSettings, asset_job
     from model.scenes.jobs import ConvertAsset, read_done
+    from model.scenes.outcome import Outcome
     from model.scenes.protocol import Decision
 
     assert item.path is not None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.registry import Registry
 from model.data.protocol import Dataset
 
 
@@ -28,52 +28,25 @@ class DatasetOptions:
     fault: str = ""
 
 
-def _partnet(options: DatasetOptions) -> Dataset:
-    from model.data.partnet_mobility import PartNetMobility
-
-    return PartNetMobility(_folder(options))
-
-
-def _physxnet(options: DatasetOptions) -> Dataset:
-    from model.data.physxnet import PhysXNet
-
-    return PhysXNet(_folder(options))
-
-
-def _urdf(options: DatasetOptions) -> Dataset:
-    from model.data.urdf_folders import UrdfFolders
-
-    return UrdfFolders(_folder(options))
-
-
-def _mjcf(options: DatasetOptions) -> Dataset:
-    from model.data.mjcf import MjcfFolder
-
-    return MjcfFolder(_folder(options))
-
-
-def _procedural(options: DatasetOptions) -> Dataset:
-    if options.root is not None:
-        from model.data.partnet_mobility import PartNetMobility
-
-        return PartNetMobility(_folder(options), name="procedural")
-    from model.data.procedural_set import ProceduralSet
-
-    return ProceduralSet(options.seed, options.n, options.families, fault=options.fault)
-
-
-BUILT_IN: dict[str, Callable[[DatasetOptions], Dataset]] = {
-    "partnet-mobility": _partnet,
-    "physxnet": _physxnet,
-    "urdf": _urdf,
-    "mjcf": _mjcf,
-    "procedural": _procedural,
-}
+DATASETS = Registry[Dataset](
+    "data set",
+    Dataset,
+    "name, ids, category and load",
+    {
+        "partnet-mobility": "model.data.partnet_mobility:PartNetMobility",
+        "physxnet": "model.data.physxnet:PhysXNet",
+        "urdf": "model.data.urdf_folders:UrdfFolders",
+        "mjcf": "model.data.mjcf:MjcfFolder",
+        "procedural": "model.data.procedural_set:ProceduralSet",
+    },
+    group="artiworld.datasets",
+)
+"""All data sets; a plug-in's callable takes the folder."""
 
 
 def dataset_names() -> tuple[str, ...]:
     """Names that :func:`open_dataset` takes."""
-    return tuple(BUILT_IN)
+    return DATASETS.names()
 
 
 def open_dataset(options: DatasetOptions) -> Dataset:
@@ -83,11 +56,14 @@ def open_dataset(options: DatasetOptions) -> Dataset:
         ConfigurationError: for an unknown name, or where a folder is needed.
         InputFileError: where the folder isn't there.
     """
-    if options.name not in BUILT_IN:
-        raise ConfigurationError(
-            f"no data set {options.name!r}; there are {', '.join(dataset_names())}"
+    DATASETS.check(options.name)
+    if options.name == "procedural" and options.root is None:
+        return DATASETS.load(
+            "procedural", options.seed, options.n, options.families, fault=options.fault
         )
-    return BUILT_IN[options.name](options)
+    if options.name == "procedural":
+        return DATASETS.load("partnet-mobility", _folder(options), name="procedural")
+    return DATASETS.load(options.name, _folder(options))
 
 
 def recognised(root: Path) -> Dataset:

@@ -38,12 +38,11 @@ from model.prediction.registry import DEFAULT
 from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
 from model.scenes.clicked import ClickedObject, ObjectClicks
-from model.scenes.embedded import Unpacked, unpack
+from model.scenes.embedded import unpack
 from model.scenes.jobs import (
     ASSETS,
     DONE,
     FAILED,
-    MISSING,
     MOVING,
     PLAIN,
     AssetJob,
@@ -52,10 +51,12 @@ from model.scenes.jobs import (
 )
 from model.scenes.language_finder import LanguageFinder
 from model.scenes.neighbours import Standing, shortened
-from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
+from model.scenes.outcome import Outcome
+from model.scenes.protocol import ArticulableFinder, ObjectDescription
 from model.scenes.ray_map import ray_map
 from model.scenes.results import write_results
-from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
+from model.scenes.scene import FloatArray, Scene, SceneObjectError
+from model.scenes.unpacking import Unpacked
 
 WRITTEN = 4
 """Version of what a job writes: what an older one wrote is made anew."""
@@ -91,35 +92,6 @@ class ConvertSettings:
     clicks: Mapping[str, ObjectClicks] = field(default_factory=dict)
     asset_clicks: Callable[[Path], ObjectClicks | None] = lambda _: None
     ray: str | None = None
-
-
-@dataclass(eq=False)
-class Outcome:
-    """What became of one object; filled in from step to step.
-
-    Attributes:
-        obj: the object.
-        decision: of the finder.
-        path: its asset, or None.
-        truth: whether the asset is known to move; None where nobody knows.
-        key: of its asset's job, or None.
-        state, reason: what became of it.
-        report: of its asset's job.
-        changes: joints whose limits were shortened.
-        by, at: who decided on it, and when (ISO 8601, UTC); "" where nobody did.
-    """
-
-    obj: SceneObject
-    decision: Decision
-    path: Path | None = None
-    truth: bool | None = None
-    key: str | None = None
-    state: str = MISSING
-    reason: str = ""
-    report: dict[str, Any] = field(default_factory=dict)
-    changes: list[dict[str, Any]] = field(default_factory=list)
-    by: str = ""
-    at: str = ""
 
 
 def convert_scene(

@@ -3,41 +3,27 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 
-from model.core.errors import ConfigurationError
-from model.core.plug_ins import load_plug_in
 from model.core.progress import Progress, no_progress
-from model.scenes.finders import LexiconFinder
+from model.core.registry import Registry
+from model.scenes.finder_options import FinderOptions
 from model.scenes.protocol import ArticulableFinder
 
-ENTRY_POINTS = "artiworld.articulable_finders"
-"""Entry-point group of plug-ins; each names a callable without arguments that gives a finder."""
 DEFAULT = "lexicon"
-KNOWN = "lexicon, openai:MODEL, qwen3:FOLDER"
 
-
-@dataclass(frozen=True)
-class FinderOptions:
-    """For finders that ask a language model.
-
-    Attributes:
-        url: of the server, None for its environment variable or OpenAI's.
-        batch: objects a question.
-        timeout: seconds without an answer.
-        retries: after the first try.
-        cache: folder of answers; None keeps none.
-        asks: whether it will be asked at all: one whose questions are only counted needs no key.
-    """
-
-    url: str | None = None
-    batch: int = 20
-    timeout: float = 120.0
-    retries: int = 5
-    cache: Path | None = None
-    asks: bool = True
+FINDERS = Registry[ArticulableFinder](
+    "finder",
+    ArticulableFinder,
+    "name and find",
+    {DEFAULT: "model.scenes.finders:LexiconFinder"},
+    group="artiworld.articulable_finders",
+    parametrised={
+        "openai": "model.scenes.openai_engine:openai_finder",
+        "qwen3": "model.scenes.qwen_engine:qwen_finder",
+    },
+    argument="MODEL",
+)
 
 
 def default_cache() -> Path:
@@ -54,25 +40,6 @@ def load_finder(
     Raises:
         ConfigurationError: where there is none, or it lacks a package or a key.
     """
-    options = options or FinderOptions()
-    kind, colon, what = name.partition(":")
-    if name == DEFAULT:
-        return LexiconFinder()
-    if colon and what and kind in ("openai", "qwen3"):
-        from model.scenes.language_finder import LanguageFinder
-        from model.scenes.openai_engine import OpenAiEngine
-        from model.scenes.qwen_engine import QwenEngine
-
-        if kind == "qwen3":
-            return LanguageFinder(QwenEngine(Path(what)), options.cache, progress=progress)
-        engine = OpenAiEngine(
-            what, options.url, batch=options.batch, timeout=options.timeout,
-            retries=options.retries, asks=options.asks,
-        )  # fmt: skip
-        return LanguageFinder(engine, options.cache, progress=progress)
-    plugins = {p.name: p for p in entry_points(group=ENTRY_POINTS)}
-    if name not in plugins:
-        raise ConfigurationError(
-            f"no finder {name!r}; there are {', '.join([KNOWN, *plugins])}"
-        )  # fmt: skip
-    return load_plug_in(plugins[name], "finder", ArticulableFinder, "name and find")
+    if ":" in name:
+        return FINDERS.load(name, options or FinderOptions(), progress)
+    return FINDERS.load(name)

@@ -11,7 +11,9 @@ from typing import Any, TypeVar
 
 from model.core.errors import ConfigurationError
 from model.core.installing import install_command
-from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError
+from model.core.progress import Progress
+from model.scenes.finder_options import FinderOptions
+from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError, LanguageFinder
 
 T = TypeVar("T")
 
@@ -166,3 +168,12 @@ def _answer(said: Any) -> Answer:
 
 def _first(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+
+
+def openai_finder(model: str, options: FinderOptions, progress: Progress) -> LanguageFinder:
+    """A finder that asks ``model`` on the server that ``options`` name."""
+    engine = OpenAiEngine(
+        model, options.url, batch=options.batch, timeout=options.timeout,
+        retries=options.retries, asks=options.asks,
+    )  # fmt: skip
+    return LanguageFinder(engine, options.cache, progress=progress)

@@ -11,8 +11,10 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 
 from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.progress import Progress
 from model.evaluation.pool import kill_pool
-from model.scenes.language_finder import Answer, FinderUnavailableError
+from model.scenes.finder_options import FinderOptions
+from model.scenes.language_finder import Answer, FinderUnavailableError, LanguageFinder
 
 
 class QwenEngine:
@@ -75,3 +77,8 @@ def _decide(folder: Path, system: str, user: str) -> tuple[str, str | None]:
         return load_json_writer(folder).decide(system, user), None
     except ArtiworldError as error:
         return "", str(error)
+
+
+def qwen_finder(folder: str, options: FinderOptions, progress: Progress) -> LanguageFinder:
+    """A finder that asks the Qwen3 model in ``folder``."""
+    return LanguageFinder(QwenEngine(Path(folder)), options.cache, progress=progress)

@@ -2,121 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from model.core.errors import ConfigurationError, InputFileError
-from model.core.plug_ins import load_plug_in
+from model.core.errors import InputFileError
+from model.core.registry import Registry
 from model.io.formats.loaded import size_of
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import Scene, SceneProblem
-
-ENTRY_POINTS = "artiworld.scene_readers"
-"""Entry-point group of plug-ins; each names a callable without arguments that gives a reader."""
 
 FAR_APART = 30.0
 """Metres from most objects to their nearest neighbour; a room's stand within a few."""
 _HEAD = 2**16
 
 
-def _own() -> SceneReader:
-    from model.scenes.readers.own import OwnReader
-
-    return OwnReader()
-
-
-def _lisdf() -> SceneReader:
-    from model.scenes.readers.lisdf import LisdfReader
-
-    return LisdfReader()
-
-
-def _holodeck() -> SceneReader:
-    from model.scenes.readers.holodeck import HolodeckReader
-
-    return HolodeckReader()
-
-
-def _mesatask() -> SceneReader:
-    from model.scenes.readers.mesatask import MesaTaskReader
-
-    return MesaTaskReader()
-
-
-def _internscenes() -> SceneReader:
-    from model.scenes.readers.internscenes import InternScenesReader
-
-    return InternScenesReader()
-
-
-def _optiscene() -> SceneReader:
-    from model.scenes.readers.optiscene import OptiSceneReader
-
-    return OptiSceneReader()
-
-
-def _gltf() -> SceneReader:
-    from model.scenes.readers.gltf_scene import GltfSceneReader
-
-    return GltfSceneReader()
-
-
-def _usd() -> SceneReader:
-    from model.scenes.readers.usd_stage import UsdStageReader
-
-    return UsdStageReader()
-
-
-def _scan() -> SceneReader:
-    from model.scenes.readers.scan_room import ScanRoomReader
-
-    return ScanRoomReader()
-
-
-BUILT_IN: dict[str, Callable[[], SceneReader]] = {
-    "artiworld": _own,
-    "lisdf": _lisdf,
-    "holodeck": _holodeck,
-    "mesatask": _mesatask,
-    "internscenes": _internscenes,
-    "optiscene": _optiscene,
-    "gltf": _gltf,
-    "usd": _usd,
-    "scan": _scan,
-}
-
-
-def _table() -> dict[str, Callable[[], SceneReader]]:
-    table = dict(BUILT_IN)
-    for point in entry_points(group=ENTRY_POINTS):
-        # A plug-in may not take a built-in's name.
-        needs = "name, description, recognises and read"
-        made = partial(load_plug_in, point, "scene reader", SceneReader, needs)
-        table.setdefault(point.name, made)
-    return table
+SCENE_READERS = Registry[SceneReader](
+    "scene format",
+    SceneReader,
+    "name, description, recognises and read",
+    {
+        "artiworld": "model.scenes.readers.own:OwnReader",
+        "lisdf": "model.scenes.readers.lisdf:LisdfReader",
+        "holodeck": "model.scenes.readers.holodeck:HolodeckReader",
+        "mesatask": "model.scenes.readers.mesatask:MesaTaskReader",
+        "internscenes": "model.scenes.readers.internscenes:InternScenesReader",
+        "optiscene": "model.scenes.readers.optiscene:OptiSceneReader",
+        "gltf": "model.scenes.readers.gltf_scene:GltfSceneReader",
+        "usd": "model.scenes.readers.usd_stage:UsdStageReader",
+        "scan": "model.scenes.readers.scan_room:ScanRoomReader",
+    },
+    group="artiworld.scene_readers",
+)
+"""All scene formats, in the order in which they are asked whether a file is theirs."""
 
 
 def reader_names() -> tuple[str, ...]:
     """Names that :func:`load_reader` takes, built-ins first."""
-    return tuple(_table())
+    return SCENE_READERS.names()
 
 
 def load_reader(name: str) -> SceneReader:
-    """The reader called ``name``.
-
-    Raises:
-        ConfigurationError: where there is none, naming those that are there.
-    """
-    table = _table()
-    if name not in table:
-        raise ConfigurationError(f"no scene format {name!r}; there are {', '.join(table)}")
-    return table[name]()
+    """The reader of a scene format; see :meth:`~model.core.registry.Registry.load`."""
+    return SCENE_READERS.load(name)
 
 
 def recognised(path: Path) -> bool:

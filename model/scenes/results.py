@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
@@ -21,6 +21,7 @@ from model.io.urdf.writer import number, xml_name
 from model.scenes.holding_friction import frictions
 from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING, write_json
 from model.scenes.native_format import quaternion_wxyz, scene_to_json
+from model.scenes.outcome import Outcome
 from model.scenes.overlaps import at_rest
 from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Scene
@@ -28,9 +29,6 @@ from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 from model.scenes.scene_sdf import pose_text, write_scene_sdf
 from model.scenes.scene_usd import write_scene_usd
 from model.scenes.values import read_json, read_text
-
-if TYPE_CHECKING:
-    from model.scenes.convert import Outcome
 
 SCENE_JSON, SCENE_MJCF, SUMMARY = "scene.json", "scene.xml", "summary.json"
 SCENE_SDF, SCENE_USD = "scene.sdf", "scene.usda"

@@ -247,7 +247,7 @@ def _write_texts(
         "remarks": list(remarks_of(obj.parts)),
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
-        TOLD: told_entry(obj, () if physics is None else physics.told_shapes),
+        TOLD: told_entry(obj, () if physics is None else physics.declared_shapes),
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import InputFileError
-from model.core.joint import ToldDynamics
+from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
 from model.io.geometry_files import SUFFIXES, read_geometry_file
 from model.io.model_files import read_model
@@ -119,7 +119,7 @@ def _listed(told: Told, entry: Any) -> Told:
     return Told(
         {link: i for link, i in told.inertials.items() if link in links},
         {
-            name: ToldDynamics(**{k: v for k, v in asdict(d).items() if k in fields[name]})
+            name: DeclaredDynamics(**{k: v for k, v in asdict(d).items() if k in fields[name]})
             for name, d in told.dynamics.items()
             if isinstance(fields.get(name), list)
         },

@@ -183,9 +183,9 @@ class _Writer:
         }
 
     def _excludes(self) -> None:
-        if self.physics.touching:
+        if self.physics.overlapping:
             contact = ET.SubElement(self.root, "contact")
-            for a, b in self.physics.touching:
+            for a, b in self.physics.overlapping:
                 ET.SubElement(contact, "exclude", body1=xml_name(a), body2=xml_name(b))
 
     def _material(self, piece: Mesh, name: str) -> str:

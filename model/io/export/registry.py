@@ -2,76 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.errors import ConfigurationError, InputFileError
-from model.core.plug_ins import load_plug_in
+from model.core.errors import InputFileError
 from model.core.progress import Progress, no_progress
+from model.core.registry import Registry
 from model.io.assets.reader import load_object
 from model.io.export.protocol import Exporter
 from model.physics.simulation_values import Physics
 
-ENTRY_POINTS = "artiworld.exporters"
-"""Entry-point group of plug-ins; each names a callable without arguments that gives an Exporter."""
-
-
-def _urdf() -> Exporter:
-    from model.io.export.urdf import UrdfExporter
-
-    return UrdfExporter()
-
-
-def _mjcf() -> Exporter:
-    from model.io.export.mjcf import MjcfExporter
-
-    return MjcfExporter()
-
-
-def _glb() -> Exporter:
-    from model.io.export.glb import GlbExporter
-
-    return GlbExporter()
-
-
-def _ros() -> Exporter:
-    from model.io.export.ros import RosExporter
-
-    return RosExporter()
-
-
-def _usd() -> Exporter:
-    from model.io.export.usd import UsdExporter
-
-    return UsdExporter()
-
-
-def _sdf() -> Exporter:
-    from model.io.export.sdf import SdfExporter
-
-    return SdfExporter()
-
-
-BUILT_IN: dict[str, Callable[[], Exporter]] = {
-    "urdf": _urdf,
-    "mjcf": _mjcf,
-    "glb": _glb,
-    "ros": _ros,
-    "usd": _usd,
-    "sdf": _sdf,
-}
-
-
-def _table() -> dict[str, Callable[[], Exporter]]:
-    table = dict(BUILT_IN)
-    for point in entry_points(group=ENTRY_POINTS):
-        # A plug-in may not take a built-in's name.
-        needs = "name, description and export"
-        table.setdefault(point.name, partial(load_plug_in, point, "exporter", Exporter, needs))
-    return table
+EXPORTERS = Registry[Exporter](
+    "export format",
+    Exporter,
+    "name, description and export",
+    {
+        "urdf": "model.io.export.urdf:UrdfExporter",
+        "mjcf": "model.io.export.mjcf:MjcfExporter",
+        "glb": "model.io.export.glb:GlbExporter",
+        "ros": "model.io.export.ros:RosExporter",
+        "usd": "model.io.export.usd:UsdExporter",
+        "sdf": "model.io.export.sdf:SdfExporter",
+    },
+    group="artiworld.exporters",
+)
+"""All export formats. A new built-in one is a line here and a file that fits the protocol."""
 
 
 def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
@@ -90,23 +45,12 @@ def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
 
 def exporter_names() -> tuple[str, ...]:
     """Names that :func:`load_exporter` takes, built-ins first."""
-    return tuple(_table())
+    return EXPORTERS.names()
 
 
 def load_exporter(name: str) -> Exporter:
-    """The exporter called ``name``.
-
-    Raises:
-        ConfigurationError: where there is none, naming those that are there, or where a plug-in
-            can't be loaded or is no exporter.
-    """
-    table = _table()
-    if name not in table:
-        raise ConfigurationError(f"no export format {name!r}; there are {', '.join(table)}")
-    try:
-        return table[name]()
-    except ImportError as error:  # of a built-in one: an extra isn't installed
-        raise ConfigurationError(f"the export format {name!r} can't be loaded: {error}") from error
+    """The exporter of a format; see :meth:`~model.core.registry.Registry.load`."""
+    return EXPORTERS.load(name)
 
 
 def export(

@@ -336,7 +336,7 @@ class _Writer:
             path = f"{scope}/{self._identifier('joints', 'fixed_to_world')}"
             made = self.UsdPhysics.FixedJoint.Define(self.stage, path)
             made.CreateBody1Rel().SetTargets([self.links[self.obj.tree.root].GetPath()])
-        for a, b in self.physics.touching:
+        for a, b in self.physics.overlapping:
             api = self.UsdPhysics.FilteredPairsAPI.Apply(self.links[a])
             api.CreateFilteredPairsRel().AddTarget(self.links[b].GetPath())
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from model.core.errors import ConfigurationError, InputFileError, KinematicsError
 from model.core.inertial import Inertial, inertial_problems
 from model.core.installing import install_command
-from model.core.joint import Joint, Mimic, ToldDynamics
+from model.core.joint import DeclaredDynamics, Joint, Mimic
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
@@ -101,7 +101,7 @@ class _Motion:
     axis: Any
     origin: Any
     limits: tuple[float | None, float | None]
-    dynamics: ToldDynamics | None
+    dynamics: DeclaredDynamics | None
 
 
 class _Reader:
@@ -194,9 +194,9 @@ class _Reader:
 
     # -- joints ----------------------------------------------------------------------------------
 
-    def _joints(self) -> tuple[list[Joint], dict[str, ToldDynamics]]:
+    def _joints(self) -> tuple[list[Joint], dict[str, DeclaredDynamics]]:
         model, out = self.model, []
-        told: dict[str, ToldDynamics] = {}
+        told: dict[str, DeclaredDynamics] = {}
         names = {model.joint(j).name for j in range(model.njnt)} - {""}
         for body in range(1, model.nbody):
             child, above = self.links[body], self.links[model.body_parentid[body]]
@@ -268,7 +268,7 @@ class _Reader:
                 self.notes.append(f"joint {follower!r} follows {mimic.joint!r}, which is not kept")
         return out
 
-    def _dynamics(self, j: int) -> ToldDynamics | None:
+    def _dynamics(self, j: int) -> DeclaredDynamics | None:
         """MuJoCo's zeros are what nobody has said."""
         model, dof = self.model, int(self.model.jnt_dofadr[j])
         damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
@@ -278,7 +278,7 @@ class _Reader:
         if damping <= 0 and friction <= 0 and effort is None:
             return None
         said = damping > 0 or friction > 0
-        return ToldDynamics(
+        return DeclaredDynamics(
             max(damping, 0.0) if said else None, max(friction, 0.0) if said else None, effort
         )
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import Poses, object_from_links
+from model.io.readback.poses import pose_problems
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -47,8 +48,6 @@ def _silent() -> Iterator[None]:
 
 
 def _problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]) -> list[str]:
-    from model.io.readback.compare import pose_problems
-
     bullet: Any = import_module("pybullet")
     client = bullet.connect(bullet.DIRECT)
     try:

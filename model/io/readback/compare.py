@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,16 +12,16 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
 from model.io.assets.reload import (
-    Poses,
     mujoco_problems,
-    object_from_links,
     random_q,
     yourdfpy_problems,
 )
-from model.io.export.registry import BUILT_IN
-
-TOLERANCE = 1e-5
-"""Metres and entries of rotation matrices, in the size of the pose where that is above 1."""
+from model.io.export.registry import EXPORTERS
+from model.io.export.ros import URDF
+from model.io.readback.bullet import bullet_problems
+from model.io.readback.drake import drake_problems
+from model.io.readback.glb import glb_problems
+from model.io.readback.usd import usd_problems
 
 Reader = Callable[[Path, ArticulatedObject, list[dict[str, float]]], list[str]]
 
@@ -60,7 +59,7 @@ def read_back(
     Raises:
         ArtiworldError: for a format that nothing here can check.
     """
-    if format not in BUILT_IN:
+    if format not in EXPORTERS.built_in:
         raise ArtiworldError(f"nothing here reads the format {format!r} back")
     rng = np.random.default_rng(seed)
     settings = [random_q(obj, rng) for _ in range(configurations)]
@@ -78,51 +77,24 @@ def read_back(
 
 def _readers(format: str) -> list[tuple[str, str, Reader]]:
     """(name, module, function) of those that read a format."""
-    from model.io.readback import bullet as readback_bullet
-    from model.io.readback import drake as readback_drake
-    from model.io.readback import glb as readback_glb
-    from model.io.readback import usd as readback_usd
-
     return {
         "urdf": [
             ("yourdfpy", "yourdfpy", yourdfpy_problems),
             ("MuJoCo", "mujoco", mujoco_problems),
-            ("PyBullet", "pybullet", readback_bullet.bullet_problems),
+            ("PyBullet", "pybullet", bullet_problems),
         ],
         "ros": [("yourdfpy", "yourdfpy", _ros_problems)],
         "mjcf": [("MuJoCo", "mujoco", mujoco_problems)],
-        "usd": [("usd-core", "pxr", readback_usd.usd_problems)],
+        "usd": [("usd-core", "pxr", usd_problems)],
         "sdf": [
-            ("PyBullet", "pybullet", readback_bullet.bullet_problems),
-            ("Drake", "pydrake", readback_drake.drake_problems),
+            ("PyBullet", "pybullet", bullet_problems),
+            ("Drake", "pydrake", drake_problems),
         ],
-        "glb": [("pygltflib", "pygltflib", readback_glb.glb_problems)],
+        "glb": [("pygltflib", "pygltflib", glb_problems)],
     }[format]
 
 
 def _ros_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
-    from model.io.export.ros import URDF
-
     return yourdfpy_problems(path.parent / URDF, obj, settings)
-
-
-def pose_problems(
-    reader: str, expected: Poses, seen: Mapping[str, np.ndarray], tolerance: float = TOLERANCE
-) -> list[str]:
-    """Links that are elsewhere, or missing."""
-    out: list[str] = []
-    for link, pose in expected.items():
-        if link not in seen:
-            out.append(f"{reader} doesn't know the link {link!r}")
-            continue
-        error = float(np.abs(pose - seen[link]).max())
-        scale = max(1.0, float(np.abs(pose).max()))
-        if not error <= tolerance * scale:
-            shown = "not a number" if math.isnan(error) else f"off by {error:.3g}"
-            out.append(f"{reader} puts {link!r} elsewhere, {shown}")
-    return out
-
-
-__all__ = ["TOLERANCE", "ReadBack", "object_from_links", "pose_problems", "read_back"]

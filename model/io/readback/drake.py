@@ -8,6 +8,7 @@ from typing import Any
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import object_from_links
+from model.io.readback.poses import pose_problems
 
 
 def drake_problems(
@@ -15,7 +16,6 @@ def drake_problems(
 ) -> list[str]:
     """What is wrong when Drake parses the file and its joints are set."""
     from model.io.export.sdf import sdf_joint_names
-    from model.io.readback.compare import pose_problems
 
     plant_module: Any = import_module("pydrake.multibody.plant")
     parsing: Any = import_module("pydrake.multibody.parsing")

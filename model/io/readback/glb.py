@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import object_from_links
 from model.io.export.glb import joint_track
+from model.io.readback.poses import pose_problems
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -25,8 +26,6 @@ def glb_problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, fl
     A viewer has no joint values, so each of the ``settings`` stands for a moment instead: its
     number of moments, spread over the animation.
     """
-    from model.io.readback.compare import pose_problems
-
     gltf = import_module("pygltflib").GLTF2().load_binary(str(path))
     leaders = [j for j in obj.tree.joints if j.moves and j.mimic is None]
     problems: list[str] = []

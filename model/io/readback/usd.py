@@ -13,14 +13,13 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import object_from_links
 from model.io.export.usd import NAME_KEY
+from model.io.readback.poses import pose_problems
 
 FloatArray = npt.NDArray[np.float64]
 
 
 def usd_problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]) -> list[str]:
     """What is wrong when usd-core opens the file and its joints are moved."""
-    from model.io.readback.compare import pose_problems
-
     Usd, UsdPhysics = import_module("pxr.Usd"), import_module("pxr.UsdPhysics")
     stage = Usd.Stage.Open(str(path))
     if not stage or not stage.GetDefaultPrim():

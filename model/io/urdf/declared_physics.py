@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.inertial import Inertial, inertial_problems
-from model.core.joint import ToldDynamics
+from model.core.joint import DeclaredDynamics
 from model.core.rotations import rotation_from_rpy
 from model.core.shapes import Shape
 from model.io.urdf.collision import ToldCollision, told_shapes
@@ -44,7 +44,7 @@ class Told:
     """
 
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
-    dynamics: Mapping[str, ToldDynamics] = field(default_factory=dict)
+    dynamics: Mapping[str, DeclaredDynamics] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     collision: Mapping[str, ToldCollision] = field(default_factory=dict)
 
@@ -90,7 +90,7 @@ def told_in(robot: Element, object_from_link: Mapping[str, FloatArray]) -> Told:
     dynamics = {
         joint.get("name", ""): told
         for joint in robot.findall("joint")
-        if (told := _dynamics(joint)) != ToldDynamics()
+        if (told := _dynamics(joint)) != DeclaredDynamics()
     }
     return Told(inertials, dynamics, notes)
 
@@ -133,7 +133,7 @@ def _balanced(tensor: FloatArray) -> FloatArray:
     return np.asarray(axes @ np.diag([values[0], values[1], most]) @ axes.T)
 
 
-def _dynamics(joint: Element) -> ToldDynamics:
+def _dynamics(joint: Element) -> DeclaredDynamics:
     """What is absent or none that a joint can have is not told; 0 is what exporters that know
     neither effort nor velocity write."""
     resists, limit = joint.find("dynamics"), joint.find("limit")
@@ -145,7 +145,7 @@ def _dynamics(joint: Element) -> ToldDynamics:
     if limit is not None:
         effort = _from_zero(_one(limit, "effort")) or None
         velocity = _from_zero(_one(limit, "velocity")) or None
-    return ToldDynamics(damping, friction, effort, velocity)
+    return DeclaredDynamics(damping, friction, effort, velocity)
 
 
 def _from_zero(value: float | None) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -127,3 +128,15 @@ def load_full_predictor(folder: Path, *, engine: str = "local") -> FullPredictor
     else:
         made = LocalEngine(words.decoder.to(device), words.tokenizer, reader.end)
     return FullPredictor(reader.eval(), made, f"qwen3 {folder.name}")
+
+
+@lru_cache(maxsize=1)  # gigabytes: a worker keeps them
+def with_local_engine(folder: str) -> FullPredictor:
+    """The paper-size model with our own decoder."""
+    return load_full_predictor(Path(folder))
+
+
+@lru_cache(maxsize=1)
+def with_vllm(folder: str) -> FullPredictor:
+    """The paper-size model with vLLM."""
+    return load_full_predictor(Path(folder), engine="vllm")

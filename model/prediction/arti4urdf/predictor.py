@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -230,3 +231,15 @@ def load_arti4urdf(
 
     model, version = load_weights(folder or SHIPPED)
     return Arti4UrdfPredictor(model, name=name, hybrid=hybrid, version=version)
+
+
+@lru_cache(maxsize=2)
+def hybrid(folder: str | None = None) -> Arti4UrdfPredictor:
+    """The network with geometry beside it, with the shipped weights or those in ``folder``."""
+    return load_arti4urdf(Path(folder) if folder else None, name="hybrid", hybrid=HybridSettings())
+
+
+@lru_cache(maxsize=2)
+def network_alone(folder: str | None = None) -> Arti4UrdfPredictor:
+    """The network alone, with the shipped weights or those in ``folder``."""
+    return load_arti4urdf(Path(folder) if folder else None)

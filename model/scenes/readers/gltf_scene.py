@@ -19,9 +19,9 @@ from model.core.errors import InputFileError
 from model.io.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.io.formats.loaded import Loaded
 from model.io.geometry_files import turned_up
-from model.scenes.embedded import Unpacked, Unpacker, placed_frame
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import FloatArray, Scene, SceneFrame, SceneObject, SceneObjectError
+from model.scenes.unpacking import Unpacked, Unpacker, placed_frame
 from model.scenes.values import Place, collect, maybe_text, shown
 
 _UP = turned_up("y")

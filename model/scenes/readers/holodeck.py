@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.scenes.embedded import Unpacked, Unpacker
 from model.scenes.poses import from_unity
 from model.scenes.readers.house import structure_of
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError
+from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
 _MAX_DEPTH = 16

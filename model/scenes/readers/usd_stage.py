@@ -23,7 +23,6 @@ from model.io.formats.loaded import Loaded, check_indices, colors_from
 from model.io.formats.srgb import to_srgb
 from model.io.formats.triangulate import triangulate
 from model.io.geometry_files import turned_up
-from model.scenes.embedded import Unpacked, Unpacker, placed_frame
 from model.scenes.readers.lisdf import spoken
 from model.scenes.scene import (
     FloatArray,
@@ -33,6 +32,7 @@ from model.scenes.scene import (
     SceneObjectError,
     SceneProblem,
 )
+from model.scenes.unpacking import Unpacked, Unpacker, placed_frame
 from model.scenes.values import MAX_OBJECTS, Place, collect, maybe_text
 
 _MAX_DEPTH = 256

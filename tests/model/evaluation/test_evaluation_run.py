@@ -116,7 +116,7 @@ class Breaking:
 def test_crashes_hangs_and_exceptions_are_failures(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(predictors.BUILT_IN, "breaking", Breaking)
+    monkeypatch.setitem(predictors.PREDICTORS.built_in, "breaking", Breaking)
     report = evaluate(EvaluationConfig(of(root), predictor="breaking", jobs=2, timeout=2.0))
     problems = {s.object_id: s.problem for s in report.scores}
     assert "boom" in problems["0"]
@@ -147,7 +147,7 @@ def test_a_stopped_run_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.M
     from model.evaluation import run
 
     run._predictor.cache_clear()
-    monkeypatch.setitem(predictors.BUILT_IN, "geometric", Counting)
+    monkeypatch.setitem(predictors.PREDICTORS.built_in, "geometric", Counting)
     report = evaluate(config)
     run._predictor.cache_clear()
     assert len(report.scores) == 5

@@ -107,7 +107,7 @@ def physics(obj) -> Physics:
 def whole(obj, physics, tmp_path_factory):
     """Format → files with collision shapes, masses and dynamics."""
     out: dict[str, tuple[Path, ...]] = {}
-    for name in registry.BUILT_IN:
+    for name in registry.EXPORTERS.built_in:
         folder = tmp_path_factory.mktemp("whole") / name
         out[name] = write_object(obj, load_exporter(name), folder, physics=physics)
     return out
@@ -124,7 +124,7 @@ def test_the_built_in_formats_are_there():
     assert exporter_names()[:3] == ("urdf", "mjcf", "glb")
 
 
-@pytest.mark.parametrize("name", registry.BUILT_IN)
+@pytest.mark.parametrize("name", registry.EXPORTERS.built_in)
 class TestContract:
     def test_it_is_an_exporter(self, name):
         made = load_exporter(name)
@@ -166,14 +166,14 @@ def settings(obj) -> list[dict[str, float]]:
     return [{n: float(rng.uniform(-2, 2)) for n in free} for _ in range(5)]
 
 
-@pytest.mark.parametrize("name", registry.BUILT_IN)
+@pytest.mark.parametrize("name", registry.EXPORTERS.built_in)
 def test_other_readers_put_every_link_where_pose_does(whole, obj, name):
     for seed in range(2):
         back = read_back(name, whole[name][0], obj, seed=seed)
         assert back.readers and back.problems == ()
 
 
-@pytest.mark.parametrize("name", registry.BUILT_IN)
+@pytest.mark.parametrize("name", registry.EXPORTERS.built_in)
 def test_a_link_elsewhere_is_noticed(whole, obj, name):
     moved = replace(obj.tree.by_name["slide"], axis=(0.0, 1.0, 0.0))
     wrong = replace(obj, tree=obj.tree.with_joint(moved))
@@ -209,7 +209,7 @@ def test_shapes_of_the_source_are_what_they_were_in_every_format(tmp_path):
     parts = (Part("link_0", box_mesh(0)), Part("door", box_mesh(0.5)))
     obj = ArticulatedObject("o", parts, tree, shapes={"door": held})
     made = physics_of(obj)
-    assert made.told_shapes == ("door",) and made.collision["link_0"]
+    assert made.declared_shapes == ("door",) and made.collision["link_0"]
     assert whose_shapes(obj, made) == (
         "collision shapes of door are the file's own, those of link_0 are made"
     )
@@ -243,8 +243,8 @@ def test_shapes_of_the_source_are_what_they_were_in_every_format(tmp_path):
         if p.HasAPI(UsdPhysics.CollisionAPI) and "door" in str(p.GetPath())
     ]  # fmt: skip
     assert types == ["Cube", "Cylinder", "Sphere", "Capsule", "Mesh"]
-    ours = physics_of(obj, PhysicsSettings(told_shapes=False))
-    assert not ours.told_shapes and whose_shapes(obj, ours) == ""
+    ours = physics_of(obj, PhysicsSettings(declared_shapes=False))
+    assert not ours.declared_shapes and whose_shapes(obj, ours) == ""
 
 
 def test_usd_has_limits_drives_mass_textures_and_the_mimic(whole, physics):
@@ -527,7 +527,7 @@ def test_what_is_no_asset_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["7167", "100234"])
-@pytest.mark.parametrize("format", registry.BUILT_IN)
+@pytest.mark.parametrize("format", registry.EXPORTERS.built_in)
 def test_real_objects_can_be_exported(shared_data, tmp_path, name, format):
     path = shared_data / "partnet_mobility" / name / "mobility.urdf"
     files = export(path, format, tmp_path / "out")

@@ -10,7 +10,7 @@ import pytest
 
 from model.core.errors import InputFileError
 from model.prediction.confidence import SUREST, doubt, fit, log_odds, weighing_of
-from model.prediction.registry import BUILT_IN
+from model.prediction.registry import PREDICTORS
 
 
 def test_the_fit_finds_how_often_it_is_right() -> None:
@@ -28,7 +28,7 @@ def test_the_fit_finds_how_often_it_is_right() -> None:
     assert weighing.of({}) == pytest.approx(right.mean(), abs=0.06)
 
 
-@pytest.mark.parametrize("predictor", BUILT_IN)
+@pytest.mark.parametrize("predictor", PREDICTORS.built_in)
 def test_every_predictor_of_ours_has_one(predictor: str) -> None:
     weighing = weighing_of(predictor)
     # What the rules say less surely is never more often right.

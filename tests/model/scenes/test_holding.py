@@ -18,7 +18,7 @@ from model.io.export.sdf import SdfExporter
 from model.io.export.urdf import UrdfExporter
 from model.io.urdf.writer import read_urdf_model
 from model.physics.simulation_values import PhysicsSettings, holding_load, physics_of
-from model.scenes.convert import Outcome
+from model.scenes.outcome import Outcome
 from model.scenes.holding_friction import frictions
 from model.scenes.jobs import ASSETS, MJCF, PREDICTED
 from model.scenes.protocol import Decision

@@ -15,7 +15,7 @@ from model.io.open_asset import read_asset
 from model.scenes.embedded import unpack
 from model.scenes.native_format import scene_to_json
 from model.scenes.readers.house import THICKNESS
-from model.scenes.registry import BUILT_IN, load_reader, read_scene
+from model.scenes.registry import SCENE_READERS, load_reader, read_scene
 from tests.model.scenes import scenes_made as made
 
 CABINET_BOUNDS = np.array([[-0.3, -0.25, -0.4], [0.32, 0.25, 0.4]])
@@ -34,7 +34,7 @@ WHOLE = {
 
 
 def test_every_reader_is_covered() -> None:
-    assert {*WHOLE, "scan"} == set(BUILT_IN)  # a scan has no turned cabinet to compare
+    assert {*WHOLE, "scan"} == set(SCENE_READERS.built_in)  # a scan has no turned cabinet to compare
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -64,7 +64,7 @@ def test_written_as_our_own_it_reads_back_the_same(name: str, tmp_path: Path) ->
         assert (a.id, a.asset, a.anchor, a.fit, a.room) == (b.id, b.asset, b.anchor, b.fit, b.room)
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", SCENE_READERS.built_in)
 @pytest.mark.parametrize("text", ["", "{", "garbage \x00", "[" * 100_000, "{}", "[1, 2]", "<sdf/>"])
 def test_garbage_is_one_clear_error(name: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / (WHOLE[name][0] if name in WHOLE else "room.ply")

@@ -35,9 +35,9 @@ class Point:
     ("module", "load", "kind", "right"),
     [
         (segmenters, segmenters.load_segmenter, "segmenter", DefaultSegmenter),
-        (exporters, exporters.load_exporter, "exporter", GlbExporter),
+        (exporters, exporters.load_exporter, "export format", GlbExporter),
         (finders, finders.load_finder, "finder", LexiconFinder),
-        (scene_readers, scene_readers.load_reader, "scene reader", OwnReader),
+        (scene_readers, scene_readers.load_reader, "scene format", OwnReader),
     ],
 )
 def test_a_plug_in_that_does_not_fit_is_named_with_what_it_needs(
@@ -45,18 +45,13 @@ def test_a_plug_in_that_does_not_fit_is_named_with_what_it_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     def offered(made: Any) -> Any:
-        monkeypatch.setattr(module, "entry_points", lambda group: [Point(made)])
-        if module is segmenters:
-            segmenters._table.cache_clear()
+        monkeypatch.setattr("model.core.registry.entry_points", lambda group: [Point(made)])
         return load("theirs")
 
-    try:
-        told = rf"'theirs' \(package:make\) gives .*, which is no {kind}: it needs name"
-        with pytest.raises(ConfigurationError, match=told):
-            offered("words")
-        with pytest.raises(ConfigurationError, match=f"gives the class {right.__name__}"):
-            offered(right)
-        made = right()
-        assert offered(made) is made
-    finally:
-        segmenters._table.cache_clear()
+    told = rf"'theirs' \(package:make\) gives .*, which is no {kind}: it needs name"
+    with pytest.raises(ConfigurationError, match=told):
+        offered("words")
+    with pytest.raises(ConfigurationError, match=f"gives the class {right.__name__}"):
+        offered(right)
+    made = right()
+    assert offered(made) is made
