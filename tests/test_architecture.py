@@ -1,0 +1,177 @@
+"""The shape of the code: layers, no circles, few hidden imports, no private words."""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import networkx as nx
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("app", "sessions", "model")
+
+LAYERS = (
+    ("app", "sessions", "model"),
+    ("app.cli", "app.viewer", "app.server"),
+    (
+        "model.scenes",
+        "model.training",
+        "model.evaluation",
+        "model.data",
+        "model.validation",
+        "model.prediction",
+        "model.segmentation",
+        "model.io",
+        "model.physics",
+        "model.kinematics",
+        "model.geometry",
+        "model.core",
+    ),
+)
+"""Each imports only those after it in its row, whatever kind of import it is."""
+
+HEAVY = {
+    "torch": (
+        "model.prediction.arti4urdf",
+        "model.training",
+        "model.segmentation.adapters",
+        "model.core.checkpoints",
+    ),
+    "viser": ("app.viewer", "app.server"),
+    "sqlalchemy": ("sessions",),
+}
+"""Third-party package → where alone it may be imported."""
+
+MOST_HIDDEN = 30
+"""Imports of ours inside functions outside the command line; a comment gives each a reason."""
+
+PRIVATE_WORDS = {
+    "told", "crumb", "crumbs", "speck", "specks", "stray", "strays", "relief", "spoken", "mend",
+    "mends", "mended", "mending", "wish", "wishes", "workbench", "desk", "watched", "closeup",
+    "fittings", "plates", "retype", "retyping", "retyped", "tints", "unsure", "judging", "judged",
+    "gate", "looking", "beliefs", "stalled",
+}  # fmt: skip
+"""Words that may not be part of an identifier; the glossary has the field's word for each."""
+
+WORD_EXCEPTIONS: set[str] = {
+    "WORD_EXCEPTIONS",
+    "PRIVATE_WORDS",
+}
+"""Identifiers that hold one of these words in its plain meaning."""
+
+
+@cache
+def sources() -> dict[str, Path]:
+    """Module → its file."""
+    out: dict[str, Path] = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            out[name.removesuffix(".__init__")] = path
+    return out
+
+
+@cache
+def imports() -> dict[str, list[tuple[str, ast.stmt, bool]]]:
+    """Module → (imported module, statement, whether it stands inside a function)."""
+    out: dict[str, list[tuple[str, ast.stmt, bool]]] = {}
+    for module, path in sources().items():
+        tree = ast.parse(path.read_text())
+        inside = {
+            id(child)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            for child in ast.walk(node)
+        }
+        out[module] = [
+            (name, node, id(node) in inside)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for name in _imported(node)
+        ]
+    return out
+
+
+def _imported(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (a.name for a in node.names)
+    elif node.module:
+        yield from (
+            full if (full := f"{node.module}.{a.name}") in sources() else node.module
+            for a in node.names
+        )
+
+
+def _within(module: str, package: str) -> bool:
+    return module == package or module.startswith(package + ".")
+
+
+def test_no_circle_among_files() -> None:
+    graph = nx.DiGraph(
+        (module, name)
+        for module, found in imports().items()
+        for name, _, _ in found
+        if name in sources()
+    )
+    circles = [nx.find_cycle(graph.subgraph(c)) for c in nx.strongly_connected_components(graph)
+               if len(c) > 1]  # fmt: skip
+    shown = ["\n  imports ".join([c[0][0], *(b for _, b in c)]) for c in circles]
+    assert not circles, "circles of imports:\n" + "\n".join(shown)
+
+
+@pytest.mark.parametrize("row", LAYERS, ids=lambda row: row[0].split(".")[0])
+def test_layers_import_downwards_only(row: tuple[str, ...]) -> None:
+    wrong = [
+        f"{module} imports {name}"
+        for i, layer in enumerate(row)
+        for module, found in imports().items()
+        if _within(module, layer)
+        for name, _, _ in found
+        if any(_within(name, above) for above in row[:i])
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_heavy_packages_stay_in_their_places() -> None:
+    wrong = [
+        f"{module} imports {name}"
+        for module, found in imports().items()
+        for name, _, _ in found
+        for package, places in HEAVY.items()
+        if _within(name, package) and not any(_within(module, place) for place in places)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_few_imports_of_ours_hide_in_functions() -> None:
+    hidden: dict[tuple[str, int], bool] = {}
+    for module, found in imports().items():
+        if _within(module, "app.cli"):
+            continue
+        lines = sources()[module].read_text().splitlines()
+        for name, node, inside in found:
+            if inside and name.split(".")[0] in PACKAGES:
+                assert node.end_lineno is not None
+                around = lines[node.lineno - 2 : node.end_lineno]
+                hidden[module, node.lineno] = any("#" in line for line in around)
+    unexplained = [f"{m}:{n}" for (m, n), explained in hidden.items() if not explained]
+    assert not unexplained, "no comment says why these are lazy: " + ", ".join(unexplained)
+    assert len(hidden) <= MOST_HIDDEN, f"{len(hidden)}: {', '.join(f'{m}:{n}' for m, n in hidden)}"
+
+
+def test_private_words_do_not_come_back() -> None:
+    found: set[str] = set()
+    for module, path in sources().items():
+        for token in tokenize.generate_tokens(io.StringIO(path.read_text()).readline):
+            if token.type != tokenize.NAME or token.string in WORD_EXCEPTIONS:
+                continue
+            spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", token.string).lower()
+            if PRIVATE_WORDS & set(spaced.split("_")):
+                found.add(f"{module}: {token.string}")
+    assert not found, "the glossary has other words for:\n" + "\n".join(sorted(found))
