@@ -44,7 +44,7 @@ format: $(VENV)/.lint
 
 # Opens from the disk, without a network; a broken link or a warning fails.
 docs: $(VENV)/.docs
-	$(BIN)/mkdocs build --clean --quiet
+	$(BIN)/python docs/build_site.py
 	@echo 'The site: build/site/index.html'
 
 # All, or ARGS="joints review"; the gallery is the same again unless generated objects changed.

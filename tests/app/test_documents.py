@@ -1,7 +1,8 @@
-"""What the documents say is done: their code runs as it stands there."""
+"""The documents' code runs as it stands there, and their names, links and figures resolve."""
 
 from __future__ import annotations
 
+import ast
 import csv
 import os
 import re
@@ -18,6 +19,8 @@ from model.core.articulated_object import Part, SegmentedObject
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.io.assets.reader import load_object
+from model.io.export.registry import exporter_names
+from model.io.geometry_files import SUFFIXES
 from model.prediction.protocol import Predictor
 
 ROOT = Path(__file__).parents[2]
@@ -56,8 +59,8 @@ def plug_ins(tmp_path_factory: pytest.TempPathFactory) -> Path:
         file = folder / code.splitlines()[0].removeprefix("# ")
         file.parent.mkdir(exist_ok=True)
         file.write_text(code)
-    (told,) = blocks("docs/extending.md", "toml")
-    points = tomllib.loads(told)["project"]["entry-points"]
+    (project,) = blocks("docs/extending.md", "toml")
+    points = tomllib.loads(project)["project"]["entry-points"]
     info = folder / "your_package-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: your_package\nVersion: 1.0\n")
@@ -112,18 +115,20 @@ def test_settled_joints_stay_in_the_predictor_of_the_documents(plug_ins: Path) -
     assert refused.tree is None and refused.problems
 
 
+DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+
+
 def headings(document: Path) -> set[str]:
-    """The anchors of a document's headings, as GitHub makes them."""
+    """The anchors of a document's headings, as GitHub and the site make them."""
     text = re.sub(r"```.*?```", "", document.read_text(), flags=re.DOTALL)
     titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
 
 
 def test_links_between_documents_lead_somewhere() -> None:
-    documents = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    assert len(documents) > 10
+    assert len(DOCUMENTS) > 20
     broken = []
-    for document in documents:
+    for document in DOCUMENTS:
         for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", document.read_text()):
             file, _, anchor = link.partition("#")
             target = document.parent / file if file else document
@@ -132,15 +137,112 @@ def test_links_between_documents_lead_somewhere() -> None:
     assert not broken
 
 
+def test_every_page_is_in_the_navigation() -> None:
+    navigation = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert pages <= set(navigation)
+    assert all((ROOT / name).exists() for name in set(navigation) - pages)
+
+
+def test_the_site_builds_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("zensical")
+    pytest.importorskip("mkdocstrings_handlers.python")
+    run([str(ROOT / "docs" / "build_site.py"), str(tmp_path)], ROOT)
+    fetched = re.compile(r"""<(?:script|link|img)[^>]+(?:src|href)=["']?(?:https?:)?//""")
+    for page in tmp_path.rglob("*.html"):
+        assert not fetched.search(page.read_text()), page
+
+
+def known_names(module: Path) -> set[str]:
+    """Names that a module or package defines or imports, and ``Class.member``."""
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.ClassDef):
+            for inner in ast.walk(node):
+                if isinstance(inner, ast.FunctionDef | ast.ClassDef):
+                    found.add(f"{node.name}.{inner.name}")
+                elif isinstance(inner, ast.AnnAssign) and isinstance(inner.target, ast.Name):
+                    found.add(f"{node.name}.{inner.target.id}")
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.ImportFrom | ast.Import):
+            found |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+    return found
+
+
+def is_there(name: str) -> bool:
+    """Whether a dotted name of ours is a module, or something in one."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        path = ROOT.joinpath(*parts[:length])
+        if path.is_dir() and length == len(parts):
+            return True
+        for module in (path.with_suffix(".py"), path / "__init__.py"):
+            if module.is_file():
+                rest = ".".join(parts[length:])
+                return not rest or rest in known_names(module)
+    return False
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: d.relative_to(ROOT).as_posix())
+def test_paths_and_names_in_documents_are_there(document: Path) -> None:
+    text = re.sub(r"```.*?```", "", document.read_text(), flags=re.DOTALL)
+    quoted = re.findall(r"`([\w./-]+)`", text)
+    ours = re.compile(r"(app|model|sessions|static_assets|tests|docs)[/.]")
+    missing = [
+        name
+        for name in quoted
+        if ours.match(name) and "NAME" not in name
+        if not (ROOT / name).exists() and ("/" in name or not is_there(name))
+    ]
+    assert not missing
+
+
+def test_each_convention_takes_one_line() -> None:
+    rows = [r for r in (ROOT / "CONVENTIONS.md").read_text().splitlines() if r.startswith("| ")]
+    assert len(rows) > 40
+    for row in rows[1:]:
+        convention, _, test = (cell.strip() for cell in row.strip("|").split(" | "))
+        assert len(convention) <= 170, convention
+        assert test, convention
+
+
+def test_the_readme_is_short() -> None:
+    text = (ROOT / "README.md").read_text()
+    words = [w for line in text.splitlines() if not line.startswith("|") for w in line.split()]
+    assert len(words) <= 700
+
+
+def test_the_changelog_keeps_its_form() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text()
+    assert len(text.split()) <= 2000
+    versions = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert versions[0] == "[Unreleased]"
+    assert versions[1].startswith(f"[{project['version']}] - ")
+    assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", v) for v in versions[1:])
+    groups = re.findall(r"^### (.*)$", text, re.MULTILINE)
+    assert set(groups) <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+
+
+def test_every_format_that_is_read_and_written_is_listed() -> None:
+    text = (ROOT / "docs" / "formats.md").read_text()
+    assert all(f"`{suffix}`" in text for suffix in SUFFIXES)
+    assert all(f"`{name}`" in text for name in exporter_names())
+
+
 def test_every_picture_is_shown_and_can_be_taken_anew() -> None:
-    shown = "".join((ROOT / name).read_text() for name in ("README.md", "docs/annotating.md"))
+    shown = "".join(document.read_text() for document in DOCUMENTS)
     script = (ROOT / "tests" / "browser" / "pictures.py").read_text()
     for picture in (ROOT / "docs" / "pictures").iterdir():
         assert f"pictures/{picture.name})" in shown and f'"{picture.stem}"' in script, picture.name
+        assert picture.stat().st_size < 2_000_000
 
 
 def test_the_citation_names_this_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    told = (ROOT / "CITATION.cff").read_text()
-    assert f"version: {project['version']}\n" in told
-    assert f"license: {project['license']}\n" in told
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"version: {project['version']}\n" in citation
+    assert f"license: {project['license']}\n" in citation
