@@ -46,7 +46,7 @@ def working_copy(
 ) -> tuple[Asset, Path]:
     """The asset of ``path`` and the folder of its arrays, which is made where it isn't there."""
     from model.io.asset_cache import load_asset, save_asset
-    from model.io.open_asset import read_asset
+    from model.io.open_asset import open_asset
 
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
@@ -67,7 +67,7 @@ def working_copy(
             asset, _ = working_copy(path, workspace, before, progress)
             asset = _split(asset, options.face_cuts[-1], workspace)
         else:
-            asset = read_asset(
+            asset = open_asset(
                 path, up_axis=options.up_axis, unit_scale=options.unit_scale, progress=progress
             )
             if options.left_out is not None:

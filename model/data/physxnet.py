@@ -36,7 +36,7 @@ from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
 from model.io.geometry_files import turned_up
 from model.io.merging import merge_rigid
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.io.urdf.meshes import merged
 
 Vector = tuple[float, float, float]
@@ -130,7 +130,7 @@ class PhysXNet:
         path = Path(self.root) / "partseg" / object_id / "objs" / f"{label}.obj"
         if not path.is_file():
             raise InputFileError(path, f"the mesh of part {label} isn't there")
-        mesh = read_asset(path, up_axis="z").mesh
+        mesh = open_asset(path, up_axis="z").mesh
         if mesh is None:
             raise InputFileError(path, "has no faces")
         return mesh

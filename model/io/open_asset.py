@@ -35,7 +35,7 @@ from model.io.part_folder import Manifest, find_manifest
 from model.io.source_checks import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 
 
-def read_asset(
+def open_asset(
     path: str | Path,
     *,
     up_axis: UpAxis | None = None,
@@ -201,7 +201,7 @@ def read_part_files(
 def _read_told_parts(
     path: Path, up_axis: UpAxis | None, scale: float, max_bytes: int, progress: Progress
 ) -> SegmentedObject:
-    asset = read_asset(
+    asset = open_asset(
         path, up_axis=up_axis, unit_scale=scale, max_bytes=max_bytes, progress=progress
     )
     if asset.element_part is None:

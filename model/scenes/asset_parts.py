@@ -25,7 +25,7 @@ from model.geometry.parts import split
 from model.geometry.topology import connected_shells
 from model.io.assets.reader import told_links
 from model.io.geometry_files import FOLDER_SUFFIXES
-from model.io.open_asset import read_asset, read_part_files
+from model.io.open_asset import open_asset, read_part_files
 from model.io.part_folder import is_part_folder
 from model.io.urdf.files import MOBILITY
 from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
@@ -86,7 +86,7 @@ def known_parts(path: Path) -> AssetParts:
 
 def read_unshifted(path: Path) -> Asset:
     """The asset in its file's own frame, where scenes count from, even far from its origin."""
-    return _unshifted(read_asset(path))
+    return _unshifted(open_asset(path))
 
 
 def whole(path: Path) -> Part:

@@ -63,7 +63,7 @@ class SceneProblem:
 class SceneObject:
     """One rigid object in a scene.
 
-    A vertex v of the asset (metres, +z up, as :func:`model.io.open_asset.read_asset` gives it)
+    A vertex v of the asset (metres, +z up, as :func:`model.io.open_asset.open_asset` gives it)
     stands at ``world_from_object @ (scale * (v - anchor point))``.
 
     Attributes:

@@ -11,15 +11,16 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from app.cli.commands import ServeCommand
 from app.cli.main import main
-from app.cli.serve_command import _scene_of
+from app.cli.serve import scene_to_open
 from app.server.display_tasks import open_asset
 from app.server.tasks import ReadOptions, stamp
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.assets.reader import load_object
 from model.io.find_assets import find_assets
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 
 MJCF = """<!-- a comment --><mujoco model="cupboard"><compiler angle="radian" meshdir="meshes"/>
 <asset><mesh name="body" file="body.stl"/><mesh name="door" file="door.stl"/></asset><worldbody>
@@ -65,20 +66,18 @@ def test_it_opens_with_its_parts_and_joints(mjcf: Path, tmp_path: Path) -> None:
 def test_a_zip_of_it_opens(mjcf: Path, tmp_path: Path) -> None:
     kept = keep_upload(tmp_path / "up", "cupboard.zip", zipped(mjcf.parent), 10**8)
     (found,) = find_assets([kept])
-    assert read_asset(found).part_names == ("body", "door")
+    assert open_asset(found).part_names == ("body", "door")
 
 
 def test_alone_it_is_taken_where_it_names_no_files(tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match="its meshes didn't come along"):
         keep_upload(tmp_path, "a.xml", MJCF.encode(), 10**8)
     boxes = b"<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
-    assert read_asset(keep_upload(tmp_path, "a.xml", boxes, 10**8)).mesh is not None
+    assert open_asset(keep_upload(tmp_path, "a.xml", boxes, 10**8)).mesh is not None
 
 
 def test_it_is_no_scene_and_its_meshes_count(mjcf: Path) -> None:
-    from argparse import Namespace
-
-    assert _scene_of(Namespace(paths=[mjcf], assets=[], scene=False)) is None
+    assert scene_to_open(ServeCommand(paths=(mjcf,))) is None
     assert {name for name, _, _ in stamp(mjcf)} == {"cupboard.xml", "body.stl", "door.stl"}
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from tests.model.io.test_named_meshes import glb
 
-from app.cli.headless import predict
-from app.cli.serve_command import _scene_of
+from app.cli.commands import ServeCommand
+from app.cli.predict import predict
+from app.cli.serve import scene_to_open
 from app.server.accepting import accept
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
@@ -26,11 +26,12 @@ from app.viewer.panels.joint_text import joint_note
 from app.viewer.panels.review_panel import summary
 from model.core.joint import JointDynamics
 from model.io.assets.reader import load_object, told_entry
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.app.test_open_objects import wait
+from tests.model.io.test_named_meshes import glb
 
 NOW = "2026-01-01T00:00:00.000000Z"
 URDF = """<robot name="r"><link name="body"><visual><geometry>
@@ -93,7 +94,7 @@ def test_a_saved_asset_is_called_after_its_folder(opened, urdf: Path) -> None:
     """Each was "object" in the queue, as the file of every saved asset is called so."""
     obj = opened(urdf.rename(urdf.with_name("object.urdf")))
     assert obj.record.name == "cupboard"
-    assert read_asset(obj.record.path).name == "cupboard"
+    assert open_asset(obj.record.path).name == "cupboard"
 
 
 def test_it_can_be_taken_back_and_is_not_taken_again(opened, urdf: Path) -> None:
@@ -133,7 +134,7 @@ def test_the_saved_asset_says_that_the_joints_came_from_the_file(opened, urdf: P
     told = json.loads((folder / "provenance.json").read_text())
     assert (told["predictor"]["file"], told["predictor"]["by"]) == ("cupboard.urdf", "source file")
     assert told["source"]["path"].endswith("cupboard.urdf") and told["edits"] == []
-    again = read_asset(folder)
+    again = open_asset(folder)
     assert again.tree is not None and again.tree.joint_of["link_1"].name == "hinge"
     assert again.part_names == ("body", "door")
 
@@ -174,7 +175,7 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
     }  # fmt: skip
     again = load_object(folder)
     assert {k: shown(held) for k, held in again.shapes.items()} == {"link_1": DOOR_SHAPES}
-    assert {k: shown(held) for k, held in read_asset(folder).shapes.items()} == {
+    assert {k: shown(held) for k, held in open_asset(folder).shapes.items()} == {
         "link_1": DOOR_SHAPES
     }
     door = again.inertials["link_1"]
@@ -204,9 +205,7 @@ def test_a_mesh_that_changed_is_read_again(urdf: Path) -> None:
 
 
 def test_a_urdf_is_no_scene(urdf: Path) -> None:
-    from argparse import Namespace
-
-    assert _scene_of(Namespace(paths=[urdf], assets=[], scene=False)) is None
+    assert scene_to_open(ServeCommand(paths=(urdf,))) is None
 
 
 def test_a_glb_whose_meshes_are_called_after_parts_opens_with_them(opened, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from app.cli.main import main
 from model.core.point_cloud import PointCloud
 from model.io.assets.asset_folder import load_object
-from model.io.open_asset import read_asset, read_part_files
+from model.io.open_asset import open_asset, read_part_files
 from model.io.urdf.writer import read_urdf
 from model.io.write.meshes import write_cloud, write_mesh
 from model.scenes.assets import asset_digest
@@ -426,7 +426,7 @@ def test_two_runs_into_one_folder_are_refused(assets: Path, tmp_path: Path) -> N
 
 def test_a_real_cabinet_in_a_kitchen(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "partnet_mobility"
-    rotated = read_asset(folder / "46744")
+    rotated = open_asset(folder / "46744")
     text = made.lisdf().replace("Cabinet/cab/link_0.obj", "Cabinet/46744/mobility.urdf")
     scene = made.write_scene(tmp_path / "kitchen.lisdf", text)
     summary = convert(scene, folder / "46744", tmp_path / "out", "--keep-limits")

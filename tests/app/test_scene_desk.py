@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from app.cli.main import make_parser
-from app.cli.serve_command import make_config
+from app.cli.main import parse
+from app.cli.serve import make_config
 from app.server import scene_accepting, scene_tasks, tasks
 from app.server.accepting import accept
 from app.server.app_state import AppState
@@ -32,9 +32,9 @@ from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.reader import load_object
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.scenes.assets import asset_digest
-from model.validation.report import Finding, JointReport, ValidationReport
+from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
@@ -161,7 +161,7 @@ def test_a_language_model_decides_where_its_address_is_given(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with chat_server() as chat:
         words = ["serve", str(world.scene), "--finder", "openai:m", "--finder-url", chat.url]
-        config = make_config(make_parser().parse_args(words))
+        config = make_config(parse(words)[0])
         opened = scene_tasks.read(
             world.scene, (world.assets,), None, config.finder, config.finder_url, tmp_path
         )
@@ -223,8 +223,8 @@ def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(world: World
 
 def report_of(severity: str) -> ValidationReport:
     """What the gate would say of a door that runs into its cabinet, or of one that is free."""
-    message = "Runs 131 mm into link_0 at 104°."
-    found = () if severity == "fine" else (Finding("collision", severity, message),)  # type: ignore[arg-type]
+    message = "Penetrates link_0 by 131 mm at 104°."
+    found = () if severity == Severity.OK else (Finding("collision", Severity(severity), message),)
     return ValidationReport((JointReport("door", "link_1", found),), 1.0)
 
 
@@ -273,7 +273,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     )
     gate.answer("look")
     wait(lambda: mine, "it is told")
-    assert mine == ["small, door 1: Runs 131 mm into link_0 at 104°. Choose it again: Y accepts it "
+    assert mine == ["small, door 1: Penetrates link_0 by 131 mm at 104°. Choose it again: Y accepts it "
                     "as it is, Enter shows it."]  # fmt: skip
     assert shown("small") == "held" and statuses(desk)["small"] == "predicted"
     refusal = desk.accepting.refusal(small)
@@ -390,7 +390,7 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     wait(lambda: refused, "it is told")
     refusal = desk.accepting.refusal(small)
     assert refusal is not None and refusal.wants_a_look
-    assert refusal.why == "door 1: Runs 131 mm into link_0 at 104°."
+    assert refusal.why == "door 1: Penetrates link_0 by 131 mm at 104°."
     assert desk.row(small.item).shown == "held" and statuses(desk)["small"] == "predicted"
     assert obj.begun is not None and obj.begun.comment == "the hinge is bent"
     # Seen there it is accepted as it is, and nothing is held back any more.
@@ -591,7 +591,7 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     mujoco = pytest.importorskip("mujoco")
     path = write_scan(tmp_path / "room.ply")
     (tmp_path / "room_labels.npz").unlink()
-    whole = read_asset(path).cloud
+    whole = open_asset(path).cloud
     assert whole is not None
     room = World(tmp_path, path)
     desk, app_state = room.desk, room.app_state
@@ -602,7 +602,7 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     asset = wait(lambda: obj.asset, "its picture")
     # The cabinet stands round made.POSITION; a box round it is what a person would draw.
     world = desk.world_from_copy(desk.items["room"])
-    points = read_asset(desk.items["room"].copy).cloud.points  # type: ignore[union-attr, arg-type]
+    points = open_asset(desk.items["room"].copy).cloud.points  # type: ignore[union-attr, arg-type]
     points = points + world[:3, 3]  # type: ignore[index]
     kept = np.ones(len(points), bool)
     if obj.document.left_out is not None:

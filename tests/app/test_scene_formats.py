@@ -14,7 +14,7 @@ from defusedxml import ElementTree
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.formats.gltf import open_gltf
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.io.urdf.writer import read_urdf
 from model.io.write.meshes import write_cloud
 from model.scenes.registry import read_scene
@@ -148,7 +148,7 @@ def test_the_sdf_world_says_the_same(room: Path) -> None:
         (told,) = [j for j in models["cabinet"].findall("joint") if j.get("name") == joint.name]
         assert float(told.findtext("axis/limit/upper")) == pytest.approx(joint.upper, abs=1e-6)
     for uri in root.iter("uri"):
-        assert read_asset(room / uri.text, up_axis="z").mesh is not None
+        assert open_asset(room / uri.text, up_axis="z").mesh is not None
 
 
 def test_bullet_loads_the_sdf_world(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,9 +213,9 @@ def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
     turn, at = world_of(entries["cabinet 4"])
     clouds = sorted((tmp_path / "out" / entries["cabinet 4"]["asset_folder"]).glob("meshes/*.ply"))
     assert len(clouds) == 3
-    points = [c.points for f in clouds if (c := read_asset(f).cloud) is not None]
+    points = [c.points for f in clouds if (c := open_asset(f).cloud) is not None]
     every = np.concatenate(points) @ turn.T + at
-    whole = read_asset(path).cloud
+    whole = open_asset(path).cloud
     assert whole is not None
     from scipy.spatial import KDTree
 
@@ -229,7 +229,7 @@ def test_what_was_scanned_stays_where_it_was(tmp_path: Path) -> None:
 
     mujoco = pytest.importorskip("mujoco")
     path = made.write_scan(tmp_path / "room.ply")
-    cloud = read_asset(path).cloud
+    cloud = open_asset(path).cloud
     assert cloud is not None
     with np.load(tmp_path / "room_labels.npz") as file:
         instance, classes = file["instance"].copy(), file["segment20"].copy()

@@ -9,7 +9,7 @@ import pytest
 
 from app.server import part_tasks, scene_tasks, tasks
 from model.core.shapes import Primitive
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.scenes.protocol import Decision
 from model.scenes.scene import SceneObject
 from tests.model.scenes.test_asset_parts import cupboard, robot
@@ -45,9 +45,9 @@ def test_in_another_frame_they_are_turned_along_and_damage_is_nothing(
     (cupboard / "object.urdf").write_text(robot(body=9.0, door=9.0, grip=0.2))
     obj, copy = SceneObject("a", "a", np.eye(4), np.ones(3)), tmp_path / "copy"
     scene_tasks.lay_down(scene_tasks.SceneItem(obj, Decision(True), cupboard, copy))
-    plain = read_asset(copy).inertials["link_1"]
-    turned = read_asset(copy, up_axis="y", unit_scale=0.5).inertials["link_1"]
+    plain = open_asset(copy).inertials["link_1"]
+    turned = open_asset(copy, up_axis="y", unit_scale=0.5).inertials["link_1"]
     x, y, z = plain.center
     assert turned.center == pytest.approx([x / 2, -z / 2, y / 2]) and turned.mass == plain.mass
     (copy / "told.npz").write_bytes(b"PK damaged")
-    assert not read_asset(copy).inertials
+    assert not open_asset(copy).inertials

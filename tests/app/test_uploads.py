@@ -13,7 +13,7 @@ from PIL import Image
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.find_assets import find_assets
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 
 OBJ = (
     b"mtllib door.mtl\nusemtl oak\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -42,7 +42,7 @@ def test_an_obj_keeps_its_texture(tmp_path: Path) -> None:
     content = zipped(*entries, ("__MACOSX/door/._door.obj", b"x"), ("door/run.sh", b"rm"))
     kept = keep_upload(tmp_path, "door.zip", content, ROOM)
     (path,) = find_assets([kept])
-    mesh = read_asset(path).mesh
+    mesh = open_asset(path).mesh
     assert mesh is not None and mesh.materials[0].texture is not None
     assert not list(kept.rglob("*.sh")) and not (kept / "__MACOSX").exists()
     assert keep_upload(tmp_path, "door.zip", content, ROOM) == kept

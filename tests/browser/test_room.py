@@ -16,8 +16,9 @@ from app.server import tasks
 from app.viewer.panels.validation_list import MENDS
 from model.geometry.crop import largest_piece
 from model.geometry.picking import Picker
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.simulated_clicks import iou, next_click
+from model.validation.report import Severity
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.saved import points_in_place
 
@@ -190,16 +191,16 @@ class RoomTab(SceneTab):
             report = wait_until(
                 lambda: not obj.busy and obj.judging.report, "the gate's answer", SLOW
             )
-            if report.severity != "broken":
+            if report.severity != Severity.ERROR:
                 break
             # A scan's door may graze its body: a person takes the range that is free.
             self.button(MENDS["limits"]).first.click()
             self.clicks += 1
             wait_until(lambda seen=report: obj.judging.report is not seen, "the gate asks again")
-        assert report.severity != "broken"
+        assert report.severity != Severity.ERROR
         accept = self.page.get_by_role("button", name="ccept").locator("visible=true").first
         accept.click()
-        if report.severity == "look":  # it is shown first
+        if report.severity == Severity.WARNING:  # it is shown first
             self.clicks += 1
             wait_until(lambda: self.app.review_panel.gate.looked_at(obj), "it was shown")
             self.wait_seen()
@@ -255,7 +256,7 @@ def test_two_objects_come_out_of_a_real_room(
     assert {i: o["state"] for i, o in said.items()} == {
         "room": "static", first: "accepted", second: "accepted",
     }  # fmt: skip
-    points, whole = points_in_place(out), read_asset(room).cloud
+    points, whole = points_in_place(out), open_asset(room).cloud
     assert whole is not None and len(points) == len(whole)
     assert KDTree(points).query(whole.points)[0].max() < 1e-6
     stage = pytest.importorskip("pxr.Usd").Stage.Open(str(out / "scene.usda"))

@@ -11,7 +11,7 @@ from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.geometry.parts import split
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 
 EXAMPLES = static_assets() / "examples"
 DEMOS = tuple(sorted(p.stem for p in (EXAMPLES / "truth").glob("*.json")))
@@ -21,7 +21,7 @@ def demo_object(name: str) -> ArticulatedObject:
     """A demo cut by its true labels, with its true joints."""
     truth = json.loads((EXAMPLES / "truth" / f"{name}.json").read_text())
     path = next(p for p in EXAMPLES.glob(f"{name}.*") if p.suffix in (".glb", ".ply"))
-    asset = read_asset(path)
+    asset = open_asset(path)
     labels = np.concatenate([np.full(n, part) for part, n in truth["runs"]])
     parts = split(asset, np.maximum(labels, 0), {p["id"]: p["name"] for p in truth["parts"]})
     joints = tuple(

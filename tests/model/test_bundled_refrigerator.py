@@ -10,7 +10,7 @@ import pytest
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.resources import static_assets
 from model.geometry.parts import split
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.prediction.registry import load_predictor
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter
@@ -29,7 +29,7 @@ def clicked_parts(*, named: bool) -> tuple[Part, ...]:
         for part in NAMES
         for c in [c for c in given if c["part"] == part][:CLICKS]
     ]
-    scan = read_asset(EXAMPLES / "refrigerator_scan.ply")
+    scan = open_asset(EXAMPLES / "refrigerator_scan.ply")
     labels = load_segmenter().encode(scan).segment(Prompts(tuple(clicks))).labels
     return split(scan, labels, NAMES if named else {})
 

@@ -35,7 +35,7 @@ from model.data.procedural.materials import Palette, metal, plain, wood
 from model.data.procedural.modules import Opening
 from model.data.procedural.scan import ScanSettings, View, simulate_scan, visible_elements
 from model.geometry.sampling import sample_surface
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.io.write.glb import mesh_to_glb
 from model.io.write.meshes import write_cloud
 from model.segmentation.prompts import Click, Prompts
@@ -179,7 +179,7 @@ def completed(
     Returns:
         The prompts with the clicks up to the best answer.
     """
-    asset = read_asset(path)
+    asset = open_asset(path)
     assert asset.mesh is not None
     session = load_segmenter().encode(asset)
     centers, areas = asset.element_centers, asset.mesh.face_areas
@@ -238,7 +238,7 @@ def _labels_as_read(path: Path, whole: Mesh, owner: npt.NDArray[np.int32]) -> np
     """(E,) part of each face in the order in which a reader gives them."""
     from scipy.spatial import KDTree
 
-    centers = read_asset(path).element_centers
+    centers = open_asset(path).element_centers
     return owner[KDTree(whole.triangles.mean(axis=1)).query(centers)[1]]
 
 

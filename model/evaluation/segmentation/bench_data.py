@@ -267,7 +267,7 @@ def room_objects(folder: Path) -> Iterator[BenchObject]:
     Raises:
         InputFileError: where there is no such pair, or the labels don't fit the scan.
     """
-    from model.io.open_asset import read_asset
+    from model.io.open_asset import open_asset
 
     pairs = [
         (scan, truth)
@@ -279,7 +279,7 @@ def room_objects(folder: Path) -> Iterator[BenchObject]:
             folder, "no labelled scan in it", "put <name>.ply and <name>_labels.npz there"
         )
     for scan, truth in pairs:
-        asset = read_asset(scan)
+        asset = open_asset(scan)
         with np.load(truth) as data:
             instance, kind = data["instance"].astype(np.int16), data["segment20"]
         if len(instance) != asset.element_count:

@@ -18,7 +18,7 @@ from model.data.procedural.examples import EXAMPLES, write_examples
 from model.data.procedural.generate import GenerateSettings, generate, make
 from model.data.procedural.grammar import transformed
 from model.data.procedural.scan import ScanSettings, View, simulate_scan
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.registry import load_segmenter
 
 FOLDER = static_assets() / "examples"
@@ -170,7 +170,7 @@ def test_folders_read_back_as_they_were_made(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
 def test_demo_objects_have_a_truth_and_clicks_that_fit(name: str) -> None:
     path = next(FOLDER.glob(f"{name}.[gp]l[by]"))
-    asset = read_asset(path)
+    asset = open_asset(path)
     truth = json.loads((FOLDER / "truth" / f"{name}.json").read_text())
     labels = np.concatenate([np.full(n, part) for part, n in truth["runs"]])
     assert len(labels) == asset.element_count
@@ -194,7 +194,7 @@ def test_demo_objects_have_a_truth_and_clicks_that_fit(name: str) -> None:
 
 @pytest.mark.parametrize("name", [n for n in sorted(EXAMPLES) if not n.endswith("_scan")])
 def test_clicks_of_demo_meshes_cut_them_exactly(name: str) -> None:
-    asset = read_asset(FOLDER / f"{name}.glb")
+    asset = open_asset(FOLDER / f"{name}.glb")
     assert asset.mesh is not None
     truth = json.loads((FOLDER / "truth" / f"{name}.json").read_text())
     labels = np.concatenate([np.full(n, part) for part, n in truth["runs"]])
@@ -206,7 +206,7 @@ def test_clicks_of_demo_meshes_cut_them_exactly(name: str) -> None:
 
 def test_demo_objects_are_made_again_by_the_command(tmp_path: Path) -> None:
     for path in write_examples(tmp_path, names=("cabinet", "laptop")):
-        again, shipped = read_asset(path), read_asset(FOLDER / path.name)
+        again, shipped = open_asset(path), open_asset(FOLDER / path.name)
         assert again.element_count == shipped.element_count
         assert np.allclose(again.element_centers, shipped.element_centers, atol=1e-5)
         truth = f"truth/{path.stem}.json"

@@ -13,7 +13,7 @@ from PIL import Image
 
 from model.core.asset import Asset
 from model.core.surface_maps import SurfaceMaps
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 
 TRIANGLE = (
     "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nusemtl a\nf 1/1 2/2 3/3\n"
@@ -23,7 +23,7 @@ TRIANGLE = (
 def mtl_maps(folder: Path, text: str) -> tuple[SurfaceMaps, tuple[str, ...]]:
     (folder / "m.mtl").write_text(f"newmtl a\n{text}\n")
     (folder / "a.obj").write_text(TRIANGLE)
-    asset = read_asset(folder / "a.obj")
+    asset = open_asset(folder / "a.obj")
     assert asset.mesh is not None
     maps = asset.mesh.materials[0].maps
     assert (asset.mesh.uv is not None) == bool(maps.images)
@@ -81,7 +81,7 @@ def glb_maps(path: Path, checker: Image.Image, change: Callable[[dict], None]) -
     )  # fmt: skip
     box.visual = TextureVisuals(np.asarray(box.vertices[:, :2]), material=material)
     box.export(path, tree_postprocessor=lambda tree: (change(tree), tree)[1], unitize_normals=False)
-    return read_asset(path)
+    return open_asset(path)
 
 
 def test_maps_that_lie_in_another_way_are_left_out(tmp_path: Path, checker: Image.Image) -> None:

@@ -19,7 +19,7 @@ from model.core.point_cloud import PointCloud
 from model.io.find_assets import find_assets
 from model.io.formats.npz import read_npz
 from model.io.geometry_files import SUFFIXES
-from model.io.open_asset import read_asset, read_part_files
+from model.io.open_asset import open_asset, read_part_files
 from model.io.write.meshes import write_cloud, write_mesh
 
 HEAD = (
@@ -31,7 +31,7 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 def refused(path: Path, match: str) -> InputFileError:
     with pytest.raises(InputFileError, match=match) as caught:
-        read_asset(path)
+        open_asset(path)
     assert path.name in str(caught.value)
     return caught.value
 
@@ -73,19 +73,19 @@ def test_missing_unknown_and_strange_paths(tmp_path: Path) -> None:
 def test_file_over_the_limit(tmp_path: Path, cloud: PointCloud) -> None:
     write_cloud(cloud, tmp_path / "a.ply")
     with pytest.raises(InputFileError, match="over the limit"):
-        read_asset(tmp_path / "a.ply", max_bytes=1000)
+        open_asset(tmp_path / "a.ply", max_bytes=1000)
 
 
 def test_nan_points_are_left_out_and_counted(tmp_path: Path) -> None:
     rows = ["0 0 0", "nan 0 0", "1 0 0", "0 1 inf", "0 1 0", "0 0 1"]
     (tmp_path / "a.ply").write_text(HEAD.format("ascii", 6) + "\n".join(rows))
-    asset = read_asset(tmp_path / "a.ply")
+    asset = open_asset(tmp_path / "a.ply")
     assert asset.element_count == 4
     assert "2 of 6 points are NaN" in asset.warnings[0]
     (tmp_path / "b.ply").write_text(HEAD.format("ascii", 6) + "nan nan nan\n" * 6)
     refused(tmp_path / "b.ply", "all 6 points are NaN")
     (tmp_path / "c.obj").write_text(TRIANGLE + "v nan 0 0\nf 1 2 3\nf 1 2 4\n")
-    asset = read_asset(tmp_path / "c.obj")
+    asset = open_asset(tmp_path / "c.obj")
     assert asset.element_kind == "face" and asset.element_count == 1
     assert "with 1 faces" in asset.warnings[0]
 
@@ -101,11 +101,11 @@ def test_too_few_points(tmp_path: Path) -> None:
 
 def test_mesh_without_faces_is_a_cloud(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text(TRIANGLE + "v 0 0 1\n")
-    assert read_asset(tmp_path / "a.obj").element_kind == "point"
+    assert open_asset(tmp_path / "a.obj").element_kind == "point"
     (tmp_path / "b.obj").write_text("# nothing\n")
     refused(tmp_path / "b.obj", "no vertices")
     (tmp_path / "c.obj").write_text(TRIANGLE + "v 0 0 1\nf 1 1 1\nf 2 2 3\n")
-    asset = read_asset(tmp_path / "c.obj")
+    asset = open_asset(tmp_path / "c.obj")
     assert asset.element_kind == "point" and "none of its 2 faces" in asset.warnings[0]
     (tmp_path / "d.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     refused(tmp_path / "d.obj", "none of its 1 faces has an area")
@@ -117,11 +117,11 @@ def test_mesh_without_faces_is_a_cloud(tmp_path: Path) -> None:
 def test_missing_and_broken_materials_are_warnings(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     path.write_text("mtllib gone.mtl\n" + TRIANGLE + "usemtl x\nf 1 2 3\n")
-    assert "gone.mtl" in read_asset(path).warnings[0]
+    assert "gone.mtl" in open_asset(path).warnings[0]
     (tmp_path / "gone.mtl").write_text("newmtl x\nmap_Kd gone.png\nKd one two\n")
-    assert "gone.png" in read_asset(path).warnings[0]
+    assert "gone.png" in open_asset(path).warnings[0]
     (tmp_path / "gone.png").write_bytes(b"no image at all")
-    assert "not an image" in read_asset(path).warnings[0]
+    assert "not an image" in open_asset(path).warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_references_may_not_leave_the_folder(tmp_path: Path, name: str) -> None:
     (tmp_path / "secret").write_text("newmtl m\nKd 1 0 0\n")
     (folder / "link").symlink_to(tmp_path / "secret")
     (folder / "a.obj").write_text(f"mtllib {name}\n{TRIANGLE}usemtl m\nf 1 2 3\n")
-    asset = read_asset(folder / "a.obj")
+    asset = open_asset(folder / "a.obj")
     assert asset.mesh is not None and asset.mesh.materials[0].base_color != (255, 0, 0, 255)
     assert "not used" in asset.warnings[0]
     tree = {"asset": {"version": "2.0"}, "buffers": [{"uri": name, "byteLength": 4}],
@@ -152,7 +152,7 @@ def test_references_may_not_leave_the_folder(tmp_path: Path, name: str) -> None:
         "</visual></link></robot>"
     )
     with pytest.raises(InputFileError, match=r"outside|absolute|address"):
-        read_asset(folder)
+        open_asset(folder)
 
 
 def test_xml_entities_are_refused(tmp_path: Path) -> None:
@@ -160,13 +160,13 @@ def test_xml_entities_are_refused(tmp_path: Path) -> None:
         '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot name="r">&a;</robot>'
     )
     with pytest.raises(InputFileError, match="entities"):
-        read_asset(tmp_path)
+        open_asset(tmp_path)
     (tmp_path / "mobility.urdf").write_text(
         '<robot name="r"><link name="a"><visual><origin xyz="0.01, 0 0"/><geometry>'
         '<box size="1 1 1"/></geometry></visual></link></robot>'
     )
     with pytest.raises(InputFileError, match="blanks between"):
-        read_asset(tmp_path)
+        open_asset(tmp_path)
 
 
 def test_absurd_counts_are_not_believed(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_many_shells_and_huge_polygons_open(tmp_path: Path) -> None:
     """200 disconnected triangles, and a star that no fan can fill."""
     rows = [f"v {i} 0 0\nv {i} 1 0\nv {i} 0 1\nf -3 -2 -1\n" for i in range(200)]
     (tmp_path / "a.obj").write_text("".join(rows))
-    assert read_asset(tmp_path / "a.obj").element_count == 200
+    assert open_asset(tmp_path / "a.obj").element_count == 200
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = np.where(np.arange(400) % 2, 0.3, 1.0)
     rows = [
@@ -238,7 +238,7 @@ def test_many_shells_and_huge_polygons_open(tmp_path: Path) -> None:
     (tmp_path / "b.obj").write_text(
         "\n".join(rows) + "\nf " + " ".join(map(str, range(1, 401))) + "\n"
     )
-    mesh = read_asset(tmp_path / "b.obj").mesh
+    mesh = open_asset(tmp_path / "b.obj").mesh
     assert mesh is not None
     assert mesh.face_areas.sum() == pytest.approx(200 * 0.3 * np.sin(np.pi / 200), rel=1e-4)
 
@@ -273,7 +273,7 @@ def test_an_archive_that_unpacks_to_far_more_is_refused_before_it_is_unpacked(tm
     tracemalloc.start()
     try:
         with pytest.raises(InputFileError, match="unpacks to"):
-            read_asset(path)
+            open_asset(path)
         assert tracemalloc.get_traced_memory()[1] < 5_000_000
     finally:
         tracemalloc.stop()
@@ -328,13 +328,13 @@ def test_damaged_bytes_never_surprise(tmp_path: Path, samples: list[Path], seed:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for path in samples:
-            assert read_asset(path).element_count > 0
+            assert open_asset(path).element_count > 0
             data = path.read_bytes()
             for _ in range(60):
                 target = path.with_name(f"damaged{path.suffix}")
                 target.write_bytes(damaged(data, rng))
                 try:
-                    asset = read_asset(target)
+                    asset = open_asset(target)
                     assert np.isfinite(asset.bounds).all() and asset.element_count > 0
                     outcomes.add("opened")
                 except ArtiworldError as error:

@@ -30,7 +30,7 @@ from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
 from model.io.export.registry import export, losses_of
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 
@@ -101,7 +101,7 @@ def source(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def cut(source, tmp_path_factory) -> Asset:
     """The box as the app keeps it, its triangles split by a plane; the upper half is part 1."""
-    read = read_asset(source)
+    read = open_asset(source)
     assert read.mesh is not None and read.warnings == ()
     made = split_faces(read.mesh, np.ones(12, bool), [Plane((0, 0, 0.1), (0, 0, 1))])
     upper = made.inside.astype(np.int32)
@@ -135,7 +135,7 @@ def check(material: Material) -> None:
 
 
 def test_they_are_read_kept_and_cut(source, cut):
-    check(read_asset(source).mesh.materials[0])
+    check(open_asset(source).mesh.materials[0])
     (material,) = cut.mesh.materials
     check(material)
     # Texture coordinates of cut triangles are where the plane cuts them.
@@ -154,8 +154,8 @@ def test_a_saved_asset_has_them_once(saved):
 
 def test_they_survive_a_second_round(exported):
     for name in ("urdf", "ros"):
-        check(read_asset(exported[name].parent).mesh.materials[0])
-    whole = read_asset(exported["glb"])
+        check(open_asset(exported[name].parent).mesh.materials[0])
+    whole = open_asset(exported["glb"])
     assert whole.warnings == ()
     check(whole.mesh.materials[0])
 
@@ -273,7 +273,7 @@ def test_light_without_a_map(tmp_path):
         tree["extensionsUsed"] = list(told)
 
     rewritten(tmp_path / "lamp.glb", change)
-    read = read_asset(tmp_path / "lamp.glb")
+    read = open_asset(tmp_path / "lamp.glb")
     assert read.warnings == () and read.mesh.materials[0].maps == SurfaceMaps(emission=(4, 0, 0))
     parts = split(read, np.zeros(12, int))
     obj = ArticulatedObject("lamp", parts, KinematicTree(("link_0",)))

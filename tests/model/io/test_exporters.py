@@ -32,7 +32,7 @@ from model.io.export import registry
 from model.io.export.protocol import Exporter
 from model.io.export.registry import export, exporter_names, load_exporter, write_object
 from model.io.export.urdf import losses_of
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.io.readback.compare import read_back
 from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
@@ -482,7 +482,7 @@ def test_glb_is_read_again_with_the_names_of_its_parts(obj, tmp_path):
     named = replace(obj, parts=tuple(parts))
     files = load_exporter("glb").export(named, tmp_path)
     assert read_back("glb", files[0], named, configurations=1).problems == ()
-    again = read_asset(files[0])
+    again = open_asset(files[0])
     assert again.element_part is not None and again.part_names[0] == "base"
     told = {"door mesh", "drawer", "link_3 mesh", "link_4 mesh"}  # one link is called "door"
     assert set(again.part_names[1:]) == told

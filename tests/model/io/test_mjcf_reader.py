@@ -20,7 +20,7 @@ from model.io.export.mjcf import MjcfExporter
 from model.io.export.registry import write_object
 from model.io.find_assets import find_assets
 from model.io.mjcf import reader as mjcf_reader
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.physics.simulation_values import physics_of
 from tests.model.demos import demo_object
 
@@ -34,7 +34,7 @@ def written(folder: Path, body: str, name: str = "robot.xml") -> Path:
 
 
 def opened(folder: Path, body: str) -> Asset:
-    return read_asset(written(folder, body))
+    return open_asset(written(folder, body))
 
 
 def tree_of(asset: Asset):
@@ -56,7 +56,7 @@ def test_an_export_of_ours_opens_as_it_was(name: str, tmp_path: Path) -> None:
     files = write_object(obj, MjcfExporter(), out, physics=physics)
     assert find_assets([tmp_path]) == [out], "its meshes are no objects"
     for path in (files[0], out):
-        asset = read_asset(path)
+        asset = open_asset(path)
         assert asset.part_names == tuple(p.name or "" for p in obj.parts)
         assert asset.element_count == sum(len(p.mesh.faces) for p in obj.parts if p.mesh)
         assert not asset.warnings
@@ -96,7 +96,7 @@ def test_meshes_lie_where_mujoco_has_them(tmp_path: Path) -> None:
       <geom type="mesh" mesh="m" pos="0.1 0.2 0.3" euler="1 0 0"/>
       <geom type="mesh" mesh="inline" euler="0 1 0"/><geom type="capsule" size="0.1 0.4"/>
       <geom type="ellipsoid" size="0.1 0.2 0.3" pos="1 0 0"/></body></worldbody>""")  # fmt: skip
-    asset = read_asset(path)
+    asset = open_asset(path)
     assert asset.mesh is not None
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -208,7 +208,7 @@ def test_includes_and_folders(tmp_path: Path) -> None:
     scene = written(
         tmp_path / "robot", '<include file="body.xml"/><worldbody><light/></worldbody>', "s.xml"
     )
-    asset = read_asset(tmp_path / "robot")
+    asset = open_asset(tmp_path / "robot")
     assert asset.part_names == ("", "b") and asset.element_count == 12
     assert find_assets([tmp_path]) == [scene], "what it is made of is none"
 
@@ -257,22 +257,22 @@ def test_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     path = written(tmp_path, '<asset><mesh file="b.stl"/></asset><worldbody>'
                    '<geom type="mesh" mesh="b"/></worldbody>')  # fmt: skip
     with pytest.raises(InputFileError, match=r"b\.stl"):
-        read_asset(path, max_bytes=100)
+        open_asset(path, max_bytes=100)
     monkeypatch.setattr("model.io.xml_file.MAX_BYTES", 10)
     with pytest.raises(InputFileError, match=r"robot\.xml: is larger"):
-        read_asset(path)
+        open_asset(path)
 
 
 def test_other_xml_and_doctypes_are_none(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     path.write_text("<scene/>")
     with pytest.raises(InputFileError, match="begins with <scene>"):
-        read_asset(path)
+        open_asset(path)
     with pytest.raises(InputFileError, match="nothing in it can be opened"):
         find_assets([tmp_path])
     path.write_text('<!DOCTYPE m [<!ENTITY a "b">]><mujoco>&a;</mujoco>')
     with pytest.raises(InputFileError, match="DTD"):
-        read_asset(path)
+        open_asset(path)
 
 
 def test_without_mujoco_the_line_that_installs_it_is_told(

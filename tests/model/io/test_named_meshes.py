@@ -10,7 +10,7 @@ import trimesh
 
 from model.core.errors import InputFileError
 from model.core.part_names import MOST_NAMED, named_parts
-from model.io.open_asset import read_asset, read_part_files
+from model.io.open_asset import open_asset, read_part_files
 
 
 def glb(path: Path, *names: str) -> Path:
@@ -25,7 +25,7 @@ def glb(path: Path, *names: str) -> Path:
 
 
 def test_the_base_is_part_0_and_the_others_follow_in_order(tmp_path: Path) -> None:
-    asset = read_asset(glb(tmp_path / "cab.glb", "door_left", "Cabinet Body", "drawer\x07"))
+    asset = open_asset(glb(tmp_path / "cab.glb", "door_left", "Cabinet Body", "drawer\x07"))
     assert asset.part_names == ("Cabinet Body", "door_left", "drawer")
     assert asset.element_part is not None and asset.tree is None
     assert asset.element_part.tolist() == [1] * 12 + [0] * 12 + [2] * 12
@@ -39,7 +39,7 @@ def test_the_base_is_part_0_and_the_others_follow_in_order(tmp_path: Path) -> No
 )
 def test_other_names_may_be_materials(tmp_path: Path, names: tuple[str, ...]) -> None:
     path = glb(tmp_path / "cab.glb", *names)
-    asset = read_asset(path)
+    asset = open_asset(path)
     assert asset.element_part is None and asset.part_names == ()
     with pytest.raises(InputFileError, match="doesn't tell its parts"):
         read_part_files(path)

@@ -20,7 +20,7 @@ from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.export.registry import load_exporter
 from model.io.find_assets import find_assets
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.io.urdf.reader import MOST_LINKS
 from model.physics.simulation_values import plain_physics
 
@@ -72,7 +72,7 @@ def test_what_is_fixed_together_weighs_together_in_the_frame_that_is_asked_for(
         link("tool", weighing(1)), joint("turn", "base", "arm"),
         joint("bolt", "arm", "tool", "fixed", ""),
     )  # fmt: skip
-    got = read_asset(path, up_axis="y", unit_scale=0.5)
+    got = open_asset(path, up_axis="y", unit_scale=0.5)
     assert set(got.inertials) == {"link_1"}, "of the base nothing is told"
     found = got.inertials["link_1"]
     # At (1, 2, 0) and (2, 0, 0) of the file; y is up there.
@@ -87,7 +87,7 @@ def test_the_mass_of_a_handle_alone_is_not_its_doors(tmp_path: Path) -> None:
         tmp_path, link("base"), link("door"), link("handle", BOX + weighing(10)),
         joint("turn", "base", "door"), joint("bolt", "door", "handle", "fixed", ""),
     )  # fmt: skip
-    assert not read_asset(path).inertials
+    assert not open_asset(path).inertials
 
 
 def load_asset_again(asset: Asset, folder: Path) -> Asset:
@@ -107,7 +107,7 @@ def load_asset_again(asset: Asset, folder: Path) -> Asset:
 )
 def test_a_mass_that_no_body_has_is_left_out_and_told(tmp_path: Path, wrong: str) -> None:
     path = robot(tmp_path, link("base"), link("arm", BOX + wrong), joint("turn", "base", "arm"))
-    got = read_asset(path)
+    got = open_asset(path)
     assert not got.inertials and got.tree is not None
     assert any("link 'arm'" in w and "left out" in w for w in got.warnings)
 
@@ -118,14 +118,14 @@ def test_rounded_moments_and_frames_without_mass_are_no_mistake(tmp_path: Path) 
         tmp_path, link("base"), link("arm", arm), link("tip", weighing(0)),
         joint("turn", "base", "arm"), joint("bolt", "arm", "tip", "fixed", ""),
     )  # fmt: skip
-    got = read_asset(path)
+    got = open_asset(path)
     assert got.inertials["link_1"].tensor[2, 2] == pytest.approx(0.2) and not got.warnings
 
 
 def test_effort_and_velocity_of_zero_tell_nothing(tmp_path: Path) -> None:
     limit = '<limit lower="0" upper="1" effort="0" velocity="0"/>'
     path = robot(tmp_path, link("base"), link("arm"), joint("turn", "base", "arm", inner=limit))
-    tree = read_asset(path).tree
+    tree = open_asset(path).tree
     assert tree is not None and tree.joints[0].dynamics is None
 
 
@@ -135,7 +135,7 @@ def test_links_are_parts_and_joints_the_tree(tmp_path: Path) -> None:
         joint("hinge", "cabinet", "door"), joint("tip", "door", "tcp"),
         joint("screw", "door", "handle", "fixed", ""),
     )  # fmt: skip
-    asset = read_asset(path)
+    asset = open_asset(path)
     assert (asset.name, asset.part_names) == ("robot", ("cabinet", "door"))
     assert numbers(asset) == [1, 0]  # elements come as in the file, the handle with its door
     assert asset.tree is not None and asset.tree.links == ("link_0", "link_1")
@@ -153,7 +153,7 @@ def test_joints_turn_and_grow_with_the_source(tmp_path: Path) -> None:
         tmp_path, link("a"), link("b"), link("c"),
         joint("slide", "a", "b", "prismatic"), joint("turn", "a", "c", inner=follows),
     )  # fmt: skip
-    asset = read_asset(path, up_axis="y", unit_scale=0.01)
+    asset = open_asset(path, up_axis="y", unit_scale=0.01)
     assert asset.tree is not None
     slide, turn = asset.tree.joints
     np.testing.assert_allclose(slide.axis, (0, -1, 0), atol=1e-12)
@@ -165,7 +165,7 @@ def test_joints_turn_and_grow_with_the_source(tmp_path: Path) -> None:
 
 
 def test_an_empty_root_keeps_its_joints_and_no_part_is_the_base(tmp_path: Path) -> None:
-    asset = read_asset(
+    asset = open_asset(
         robot(tmp_path, link("world", ""), link("door"), joint("j", "world", "door"))
     )
     assert asset.tree is not None and asset.tree.root == "world"
@@ -173,15 +173,15 @@ def test_an_empty_root_keeps_its_joints_and_no_part_is_the_base(tmp_path: Path) 
 
 
 def test_where_nothing_moves_links_are_parts_without_joints(tmp_path: Path) -> None:
-    asset = read_asset(robot(tmp_path, link("a"), link("b"), joint("j", "a", "b", "fixed", "")))
+    asset = open_asset(robot(tmp_path, link("a"), link("b"), joint("j", "a", "b", "fixed", "")))
     assert (numbers(asset), asset.part_names, asset.tree) == ([0, 1], ("a", "b"), None)
-    single = read_asset(robot(tmp_path, link("a"), name="single"))
+    single = open_asset(robot(tmp_path, link("a"), name="single"))
     assert (single.element_part, single.part_names, single.tree) == (None, (), None)
 
 
 def test_links_called_alike_stay_apart(tmp_path: Path) -> None:
     joints = joint("1", "x", "door") + joint("2", "x", "link_door")
-    asset = read_asset(robot(tmp_path, link("x"), link("door"), link("link_door"), joints))
+    asset = open_asset(robot(tmp_path, link("x"), link("door"), link("link_door"), joints))
     assert (numbers(asset), asset.part_names) == ([0, 1, 2], ("x", "door", "door"))
 
 
@@ -216,8 +216,8 @@ def test_a_saved_asset_opens_as_it_was_saved(tmp_path: Path, cabinet: Articulate
     folder = tmp_path / "cabinet-1"
     write_asset(cabinet, folder, provenance={})
     assert find_assets([tmp_path]) == [folder]
-    check_cabinet(read_asset(folder), cabinet, category="StorageFurniture")
-    assert read_asset(folder).name == "cabinet-1"
+    check_cabinet(open_asset(folder), cabinet, category="StorageFurniture")
+    assert open_asset(folder).name == "cabinet-1"
 
 
 def test_an_export_opens_with_the_names_of_its_visuals(
@@ -226,14 +226,14 @@ def test_an_export_opens_with_the_names_of_its_visuals(
     load_exporter("urdf").export(cabinet, tmp_path, physics=plain_physics(cabinet))
     about = {"format": "urdf", "category": "StorageFurniture"}
     (tmp_path / "artiworld.json").write_text(json.dumps(about))
-    check_cabinet(read_asset(tmp_path), cabinet, category="StorageFurniture")
+    check_cabinet(open_asset(tmp_path), cabinet, category="StorageFurniture")
 
 
 def test_names_and_category_of_an_object_json_count(tmp_path: Path) -> None:
     path = robot(tmp_path, link("link_0"), link("link_1"), joint("j", "link_0", "link_1"))
     said = {"category": "Box", "names": {"link_1": "lid"}}
     (tmp_path / "object.json").write_text(json.dumps(said))
-    asset = read_asset(path)
+    asset = open_asset(path)
     assert (asset.part_names, asset.category) == (("", "lid"), "Box")
 
 
@@ -250,7 +250,7 @@ def test_meshes_of_a_urdf_are_no_objects_of_their_own(tmp_path: Path) -> None:
     )  # fmt: skip
     assert find_assets([tmp_path]) == [package, package / "scans" / "chair.ply"]
     for source in (package, package / "urdf", path):
-        asset = read_asset(source)
+        asset = open_asset(source)
         assert asset.tree is not None and asset.name == source.stem
     other = robot(package / "urdf", link("a"), name="other")
     assert set(find_assets([package / "urdf"])) == {path, other}
@@ -282,7 +282,7 @@ def test_errors_name_the_file_and_what_would_be_right(
     tmp_path: Path, body: str, words: str
 ) -> None:
     with pytest.raises(InputFileError, match=words) as caught:
-        read_asset(robot(tmp_path, body))
+        open_asset(robot(tmp_path, body))
     assert str(caught.value).startswith(str(tmp_path))
 
 
@@ -290,11 +290,11 @@ def test_entities_are_refused(tmp_path: Path) -> None:
     bomb = '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="r">&b;</robot>'
     (tmp_path / "robot.urdf").write_text(bomb)
     with pytest.raises(InputFileError, match="entities"):
-        read_asset(tmp_path / "robot.urdf")
+        open_asset(tmp_path / "robot.urdf")
 
 
 def test_a_real_cabinet_opens_with_its_joints(shared_data: Path) -> None:
-    asset = read_asset(shared_data / "partnet_mobility" / "41083")
+    asset = open_asset(shared_data / "partnet_mobility" / "41083")
     assert asset.tree is not None and asset.category == "StorageFurniture"
     assert asset.part_names == (
         "furniture_body", "rotation_door", "rotation_door", "drawer", "drawer",

@@ -20,7 +20,7 @@ from model.core.point_cloud import PointCloud
 from model.core.textures import encode
 from model.geometry.appearance import face_colors
 from model.geometry.parts import split
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.io.write.glb import face_order
 from model.io.write.meshes import mesh_to_glb, write_cloud, write_mesh
 
@@ -70,7 +70,7 @@ def test_textured_parts_share_their_texture_files(tmp_path: Path, textured: Mesh
         assert part.mesh is not None
         write_mesh(part.mesh, tmp_path / f"{part.link}.obj")
     assert len(list(tmp_path.glob("*.png"))) == 2
-    back = read_asset(tmp_path)
+    back = open_asset(tmp_path)
     assert back.mesh is not None and back.warnings == ()
     assert back.mesh.face_areas.sum() == pytest.approx(6, abs=1e-6)
     index = np.concatenate([np.arange(12)[i::3] for i in range(3)])
@@ -84,7 +84,7 @@ def test_photographs_are_not_compressed_again(tmp_path: Path, rng: np.random.Gen
     (tmp_path / "a.obj").write_text(
         "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
     )
-    mesh = read_asset(tmp_path / "a.obj").mesh
+    mesh = open_asset(tmp_path / "a.obj").mesh
     assert mesh is not None and mesh.materials[0].texture is not None
     original = (tmp_path / "p.jpg").read_bytes()
     assert encode(mesh.materials[0].texture) == (original, ".jpg")
@@ -102,7 +102,7 @@ def test_meshes_come_back_in_place_and_the_same_bytes(
     assert files[0] == path and all(f.is_file() for f in files)
     first = [f.read_bytes() for f in files]
     assert [f.read_bytes() for f in write_mesh(textured, path)] == first
-    back = read_asset(path, up_axis="z" if suffix == ".obj" else None).mesh
+    back = open_asset(path, up_axis="z" if suffix == ".obj" else None).mesh
     assert back is not None
     key, other = (np.sort(np.round(m.triangles.mean(1), 5), axis=0) for m in (back, textured))
     np.testing.assert_allclose(key, other, atol=1e-5)
@@ -116,7 +116,7 @@ def test_vertex_colours_come_back(tmp_path: Path, ball: Mesh, rng: np.random.Gen
     want = face_colors(mesh)
     for suffix in (".obj", ".glb", ".ply"):
         write_mesh(mesh, tmp_path / f"a{suffix}")
-        back = read_asset(tmp_path / f"a{suffix}").mesh
+        back = open_asset(tmp_path / f"a{suffix}").mesh
         assert back is not None
         assert np.abs(face_colors(back).astype(int) - want).max() <= 1, suffix
 
@@ -172,7 +172,7 @@ def test_metal_and_roughness_come_back_from_cut_parts(
     for part in split(Asset("cube", mesh=textured), labels):
         assert part.mesh is not None
         write_mesh(part.mesh, tmp_path / f"{part.link}{suffix}")
-    plain, shiny = (read_asset(tmp_path / f"link_{i}{suffix}").mesh for i in (0, 1))
+    plain, shiny = (open_asset(tmp_path / f"link_{i}{suffix}").mesh for i in (0, 1))
     assert plain is not None and shiny is not None
     (material,) = shiny.materials
     assert (material.metallic, material.roughness) == (0.75, 0.25)

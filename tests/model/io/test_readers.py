@@ -16,7 +16,7 @@ from model.core.point_cloud import PointCloud
 from model.core.surface_maps import SurfaceMaps
 from model.geometry.appearance import face_colors
 from model.io.find_assets import find_assets
-from model.io.open_asset import read_asset, read_part_files
+from model.io.open_asset import open_asset, read_part_files
 from model.io.write.meshes import write_cloud, write_mesh
 
 
@@ -39,7 +39,7 @@ def ply(path: Path, cloud: PointCloud, style: str) -> Path:
 
 @pytest.mark.parametrize("style", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_ply_clouds_in_every_encoding(tmp_path: Path, cloud: PointCloud, style: str) -> None:
-    got = read_asset(ply(tmp_path / "scan.ply", cloud, style)).cloud
+    got = open_asset(ply(tmp_path / "scan.ply", cloud, style)).cloud
     assert got is not None and got.normals is not None and cloud.normals is not None
     np.testing.assert_array_equal(got.points, cloud.points)
     np.testing.assert_array_equal(got.colors, cloud.colors)
@@ -64,7 +64,7 @@ def test_ply_polygons_of_different_sizes_ascii_and_binary(tmp_path: Path) -> Non
     (tmp_path / "b.ply").write_bytes(head.format("binary_little_endian").encode() + body)
     slant = 4 * 0.5 * 2 * np.sqrt(2)
     for name in ("a.ply", "b.ply"):
-        mesh = read_asset(tmp_path / name).mesh
+        mesh = open_asset(tmp_path / name).mesh
         assert mesh is not None and len(mesh.faces) == 6
         assert mesh.face_areas.sum() == pytest.approx(4 + slant)
         np.testing.assert_array_equal(face_colors(mesh)[:, 0], [0, 0, 10, 20, 30, 40])
@@ -76,7 +76,7 @@ def test_obj_ngons_negative_indices_and_materials(tmp_path: Path) -> None:
         "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0.5 0.25 0\nv 0 1 0\n"
         "usemtl red\nf -5 -4 -3 -2 -1\nv 0 0 2\nv 1 0 2\nv 1 1 2\nusemtl blue\nf 6/1 7/2 8/3\n"
     )
-    mesh = read_asset(tmp_path / "a.obj", up_axis="z").mesh
+    mesh = open_asset(tmp_path / "a.obj", up_axis="z").mesh
     assert mesh is not None
     # A concave pentagon: the square less the triangle that is cut out of its upper side.
     assert mesh.face_areas.sum() == pytest.approx(1 - 0.5 * 0.75 + 0.5)
@@ -88,7 +88,7 @@ def test_textures_of_obj_and_glb_show_the_same_colours(tmp_path: Path, textured:
     want = face_colors(textured)
     for name in ("a.obj", "a.glb"):
         write_mesh(textured, tmp_path / name)
-        got = read_asset(tmp_path / name, up_axis="z" if name == "a.obj" else None)
+        got = open_asset(tmp_path / name, up_axis="z" if name == "a.obj" else None)
         assert got.mesh is not None and got.warnings == ()
         # Order of faces may differ between materials: compare by place.
         order = np.lexsort(np.round(got.element_centers, 4).T)
@@ -110,7 +110,7 @@ def test_what_materials_have_beside_colour(tmp_path: Path, checker: Image.Image)
     )  # fmt: skip
     box.visual = TextureVisuals(np.zeros((len(box.vertices), 2)), material=material)
     box.export(tmp_path / "a.glb")
-    asset = read_asset(tmp_path / "a.glb")
+    asset = open_asset(tmp_path / "a.glb")
     assert asset.mesh is not None
     (got,) = asset.mesh.materials
     assert (got.metallic, got.roughness) == pytest.approx((0.1, 128 / 255))
@@ -118,7 +118,7 @@ def test_what_materials_have_beside_colour(tmp_path: Path, checker: Image.Image)
     assert asset.warnings == ("a map of metallic and roughness became its mean",)
     (tmp_path / "m.mtl").write_text("newmtl a\nPm 0.75\nPr 2\nmap_Pr r.png\nnewmtl b\nKe 0 0 0\n")
     (tmp_path / "a.obj").write_text("mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
-    asset = read_asset(tmp_path / "a.obj")
+    asset = open_asset(tmp_path / "a.obj")
     assert asset.mesh is not None
     assert (asset.mesh.materials[0].metallic, asset.mesh.materials[0].roughness) == (0.75, 1.0)
     assert asset.mesh.materials[0].maps == SurfaceMaps()
@@ -131,7 +131,7 @@ def test_texture_from_another_machine_is_found_beside(tmp_path: Path, checker: I
     (tmp_path / "a.obj").write_text(
         "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nusemtl a\nf 1/1 2/2 3/3\n"
     )
-    asset = read_asset(tmp_path / "a.obj")
+    asset = open_asset(tmp_path / "a.obj")
     assert asset.mesh is not None and asset.mesh.materials[0].texture is not None
     assert asset.warnings == ()
 
@@ -144,7 +144,7 @@ def test_glb_nodes_are_placed(tmp_path: Path) -> None:
         matrix[0, 3] += 2 * i
         scene.add_geometry(box, node_name=f"n{i}", geom_name="box", transform=matrix)
     scene.export(tmp_path / "s.glb")
-    got = read_asset(tmp_path / "s.glb", up_axis="z")
+    got = open_asset(tmp_path / "s.glb", up_axis="z")
     assert got.mesh is not None and got.mesh.face_areas.sum() == pytest.approx(18)
     np.testing.assert_allclose(got.bounds, scene.bounds, atol=1e-6)
 
@@ -153,7 +153,7 @@ def test_mirrored_node_keeps_the_outside_outside(tmp_path: Path) -> None:
     scene = trimesh.Scene()
     scene.add_geometry(trimesh.creation.box((1, 2, 3)), transform=np.diag([-1.0, 1, 1, 1]))
     scene.export(tmp_path / "s.glb")
-    mesh = read_asset(tmp_path / "s.glb").mesh
+    mesh = open_asset(tmp_path / "s.glb").mesh
     assert mesh is not None
     assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume == pytest.approx(6)
 
@@ -165,7 +165,7 @@ def test_up_axis_is_turned_to_z(tmp_path: Path, axis: str, rng: np.random.Genera
     along, sign = "xyz".index(axis[-1]), -1.0 if axis[0] == "-" else 1.0
     points[:, along] = sign * np.linspace(0, 5, 50)
     np.savetxt(tmp_path / "c.xyz", points)
-    got = read_asset(tmp_path / "c.xyz", up_axis=axis)  # type: ignore[arg-type]
+    got = open_asset(tmp_path / "c.xyz", up_axis=axis)  # type: ignore[arg-type]
     np.testing.assert_allclose(got.element_centers[:, 2], np.linspace(0, 5, 50), atol=1e-6)
     turn, *_ = np.linalg.lstsq(points, got.element_centers, rcond=None)
     assert np.linalg.det(turn) == pytest.approx(1, abs=1e-5)
@@ -175,15 +175,15 @@ def test_default_up_axes_and_unit_scale(tmp_path: Path) -> None:
     tall = trimesh.creation.box((1, 3, 0.5))  # 3 along y
     for suffix, axis in ((".obj", 2), (".glb", 2), (".ply", 1), (".stl", 1)):
         tall.export(tmp_path / f"t{suffix}")
-        asset = read_asset(tmp_path / f"t{suffix}", unit_scale=0.01)
+        asset = open_asset(tmp_path / f"t{suffix}", unit_scale=0.01)
         size = np.ptp(asset.bounds, axis=0)
         assert int(np.argmax(size)) == axis, suffix
         assert size.max() == pytest.approx(0.03)
         assert asset.source is not None and asset.source.unit_scale == 0.01
     with pytest.raises(ConfigurationError, match="up axis"):
-        read_asset(tmp_path / "t.ply", up_axis="w")  # type: ignore[arg-type]
+        open_asset(tmp_path / "t.ply", up_axis="w")  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError, match="unit scale"):
-        read_asset(tmp_path / "t.ply", unit_scale=0)
+        open_asset(tmp_path / "t.ply", unit_scale=0)
 
 
 @pytest.mark.parametrize("style", ["ascii", "binary", "binary_compressed"])
@@ -199,7 +199,7 @@ def test_pcd(tmp_path: Path, cloud: PointCloud, style: str) -> None:
         str(path), pcd, write_ascii=style == "ascii", compressed=style == "binary_compressed"
     )
     assert f"DATA {style}\n".encode() in path.read_bytes()
-    got = read_asset(path).cloud
+    got = open_asset(path).cloud
     assert got is not None and got.normals is not None
     np.testing.assert_allclose(got.points, cloud.points, atol=1e-6)
     np.testing.assert_allclose(got.normals, cloud.normals, atol=1e-5)
@@ -226,7 +226,7 @@ def test_text_columns(
     table = np.column_stack([of[c] for c in columns]).astype(np.float64)
     rows = "\n".join(separator.join(f"{v:.9g}" for v in row) for row in table)
     (tmp_path / name).write_text(head + rows + "\n")
-    got = read_asset(tmp_path / name).cloud
+    got = open_asset(tmp_path / name).cloud
     assert got is not None
     np.testing.assert_allclose(got.points, small.points, atol=1e-7)
     assert (got.colors is not None) == ("c" in columns)
@@ -243,7 +243,7 @@ def test_part_folder_with_object_json(tmp_path: Path, ball: Mesh, textured: Mesh
         "parts": [{"file": "knob one.obj", "name": "knob"}, {"file": "body.obj"}],
     }
     (tmp_path / "object.json").write_text(json.dumps(tree))
-    asset = read_asset(tmp_path)
+    asset = open_asset(tmp_path)
     assert asset.category == "oven" and asset.part_names == ("knob", "body")
     assert asset.element_part is not None
     np.testing.assert_array_equal(np.bincount(asset.element_part), [len(ball.faces), 12])
@@ -261,7 +261,7 @@ def test_part_folder_by_names_in_natural_order(tmp_path: Path, cloud: PointCloud
         shifted = PointCloud(cloud.points + np.float32(i))
         write_cloud(shifted, tmp_path / f"link_{i}.ply")
     (tmp_path / "notes.txt").write_text("not a part")
-    asset = read_asset(tmp_path)
+    asset = open_asset(tmp_path)
     assert asset.part_names == ("link_0", "link_2", "link_10")
     assert asset.cloud is not None and len(asset.cloud) == 3 * len(cloud)
     assert [p.link for p in read_part_files(tmp_path).parts] == ["link_0", "link_2", "link_10"]
@@ -272,7 +272,7 @@ def test_coloured_part_beside_plain_part_keeps_both_looks(tmp_path: Path, textur
     box.visual.vertex_colors = np.tile([9, 99, 199, 255], (8, 1))
     box.export(tmp_path / "link_0.ply")
     write_mesh(textured.take_faces(np.arange(6, 12)), tmp_path / "link_1.obj")
-    asset = read_asset(tmp_path)
+    asset = open_asset(tmp_path)
     assert asset.mesh is not None
     colors = face_colors(asset.mesh)[:, :3]
     np.testing.assert_array_equal(colors[:12], np.tile([9, 99, 199], (12, 1)))
@@ -301,7 +301,7 @@ def test_mobility_folder_in_its_rest_pose(tmp_path: Path, checker: Image.Image) 
     )
     (tmp_path / "mobility.urdf").write_text(MOBILITY)
     assert find_assets([tmp_path]) == [tmp_path]
-    asset = read_asset(tmp_path)
+    asset = open_asset(tmp_path)
     assert asset.mesh is not None and asset.warnings == ()
     # y up in the body's frame is z up in the base's.
     want = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 0, 5], [0.5, 0, 5], [0, 0, 5.5]]
@@ -338,7 +338,7 @@ def test_the_same_bytes_have_the_same_digest(tmp_path: Path, cloud: PointCloud) 
     import hashlib
 
     write_cloud(cloud, tmp_path / "a.ply")
-    source = read_asset(tmp_path / "a.ply").source
+    source = open_asset(tmp_path / "a.ply").source
     assert source is not None
     assert source.sha256 == hashlib.sha256((tmp_path / "a.ply").read_bytes()).hexdigest()
 
@@ -348,7 +348,7 @@ def test_surveyed_scans_keep_their_detail(tmp_path: Path, rng: np.random.Generat
     points = rng.random((500, 3))
     far = points + np.array([4_512_334.0, 512_000.0, 120.0])
     np.savetxt(tmp_path / "utm.xyz", far, fmt="%.6f")
-    asset = read_asset(tmp_path / "utm.xyz")
+    asset = open_asset(tmp_path / "utm.xyz")
     assert asset.cloud is not None and asset.source is not None
     np.testing.assert_allclose(asset.cloud.points + np.array(asset.source.shift), far, atol=2e-6)
     assert any("far from its origin" in w for w in asset.warnings)
@@ -359,6 +359,6 @@ def test_gaussian_splats_and_float_colours(tmp_path: Path) -> None:
     head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"))
     rows = "0 0 0 1.772454 0 -1.772454\n" * 2 + "1 1 1 0 0 0\n0 1 0 0 0 0\n"
     (tmp_path / "s.ply").write_text(head + "end_header\n" + rows)
-    got = read_asset(tmp_path / "s.ply").cloud
+    got = open_asset(tmp_path / "s.ply").cloud
     assert got is not None and got.colors is not None
     np.testing.assert_allclose(got.colors[0].astype(int), [255, 128, 0], atol=1)

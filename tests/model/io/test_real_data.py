@@ -9,7 +9,7 @@ import pytest
 
 from model.io.find_assets import find_assets
 from model.io.geometry_files import SUFFIXES
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 
 
 def test_partnet_mobility_objects_open_with_their_textures(shared_data: Path) -> None:
@@ -20,7 +20,7 @@ def test_partnet_mobility_objects_open_with_their_textures(shared_data: Path) ->
     assert {"dex_cup", "102872"} <= names
     textured = 0
     for path in chosen:
-        asset = read_asset(path)
+        asset = open_asset(path)
         assert asset.mesh is not None and asset.warnings == (), path.name
         assert 0.01 < asset.diagonal < 10, path.name
         textured += any(m.texture is not None for m in asset.mesh.materials)
@@ -33,7 +33,7 @@ def test_rest_pose_agrees_with_yourdfpy(shared_data: Path) -> None:
         folder = shared_data / "partnet_mobility" / name
         urdf = yourdfpy.URDF.load(str(folder / "mobility.urdf"), load_meshes=True)
         urdf.update_cfg(np.zeros(len(urdf.actuated_joint_names)))
-        asset = read_asset(folder)
+        asset = open_asset(folder)
         assert asset.mesh is not None
         np.testing.assert_allclose(asset.bounds, urdf.scene.bounds, atol=1e-6)
         assert asset.mesh.face_areas.sum() == pytest.approx(urdf.scene.area, rel=1e-6)
@@ -43,7 +43,7 @@ def test_all_scans_open(shared_data: Path) -> None:
     found = find_assets([shared_data / "scans"])
     assert len(found) == 12
     for path in found:
-        asset = read_asset(path)
+        asset = open_asset(path)
         assert asset.cloud is not None and asset.cloud.colors is not None, path.name
         assert asset.warnings == ()
 
@@ -56,4 +56,4 @@ def test_articulated_meshes_open(shared_data: Path) -> None:
     )
     assert len(files) > 60
     for path in files[::4]:
-        assert read_asset(path).element_kind == "face", path.name
+        assert open_asset(path).element_kind == "face", path.name

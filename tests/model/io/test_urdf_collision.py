@@ -11,7 +11,7 @@ import trimesh
 from model.core.shapes import Primitive, Solid, hull_of_shape
 from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.reader import load_object, reading_notes
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 
 VISUAL = '<visual><geometry><mesh filename="{}.ply"/></geometry></visual>'
 JOINT = """<joint name="hinge" type="revolute"><origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>
@@ -112,7 +112,7 @@ def test_a_bad_one_is_told_and_the_links_are_not_taken(
     assert set(obj.shapes) == {"body"}
     (note,) = reading_notes(path, obj)
     assert said in note and "link 'door'" in note and "not taken" in note
-    asset = read_asset(path)
+    asset = open_asset(path)
     assert set(asset.shapes) == {"link_0"} and note in asset.warnings
 
 
@@ -129,7 +129,7 @@ def test_what_is_fixed_together_collides_together(urdf, tmp_path: Path) -> None:
     <child link="grip"/></joint>"""
     again = collision('<mesh filename="door.ply"/>')
     for unit in (1.0, 0.5):
-        asset = read_asset(urdf(door=again, more=more), unit_scale=unit)
+        asset = open_asset(urdf(door=again, more=more), unit_scale=unit)
         mesh, sphere = asset.shapes["link_1"]
         assert isinstance(mesh, Solid) and isinstance(sphere, Primitive)
         assert sphere.sizes == pytest.approx((0.2 * unit,))

@@ -12,7 +12,7 @@ import trimesh
 
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.physics.simulation_values import plain_physics
 from model.scenes.asset_parts import known_parts
 from model.scenes.jobs import AssetJob, ConvertAsset
@@ -41,7 +41,7 @@ def test_meshes_that_are_called_after_parts_are_parts(tmp_path: Path) -> None:
         "Body": 72, "door_left": 24, "Drawer.001": 48,
     }  # fmt: skip
     assert found.parts[0].link == "link_0" and found.how == "its named meshes"
-    whole = read_asset(path).bounds
+    whole = open_asset(path).bounds
     assert np.allclose(np.min([p.bounds[0] for p in found.parts], axis=0), whole[0], atol=1e-6)
     assert np.allclose(np.max([p.bounds[1] for p in found.parts], axis=0), whole[1], atol=1e-6)
 

@@ -10,11 +10,12 @@ import pytest
 from scipy.spatial import KDTree
 
 from model.core.errors import InputFileError
-from model.io.open_asset import read_asset, read_part_files
+from model.io.open_asset import open_asset, read_part_files
 from model.scenes.asset_parts import known_parts
-from model.scenes.embedded import Unpacked, placed_frame, unpack
+from model.scenes.embedded import unpack
 from model.scenes.registry import read_scene, recognised
 from model.scenes.scene import Scene, SceneObjectError
+from model.scenes.unpacking import Unpacked, placed_frame
 from tests.model.scenes import scenes_made as made
 
 
@@ -31,7 +32,7 @@ def in_world(scene: Scene, found: Unpacked, name: str) -> np.ndarray:
     if path.is_dir():
         points = np.concatenate([p.mesh.vertices for p in read_part_files(path).parts if p.mesh])
     else:
-        asset = read_asset(path)
+        asset = open_asset(path)
         points = asset.mesh.vertices if asset.mesh is not None else asset.cloud.points  # type: ignore[union-attr]
     bounds = np.stack([points.min(0), points.max(0)])
     placed = obj.placed(bounds)
@@ -169,7 +170,7 @@ def test_broken_prims_are_told_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert "vertex 9" in problem
     last = scene.objects[-1]
     assert last.category == "trash can"
-    asset = read_asset(found.files[last.asset or ""])
+    asset = open_asset(found.files[last.asset or ""])
     assert np.allclose(np.ptp(asset.bounds, axis=0), [0.5, 0.4, 0.4], atol=1e-3)
     assert asset.mesh is not None and asset.mesh.materials[0].base_color[:3] == (255, 0, 0)
 
@@ -206,7 +207,7 @@ def test_a_scanned_room_is_cut_by_labels_or_boxes(labels: bool, tmp_path: Path) 
     if labels:  # the splinter stays in the background
         assert [p.object for p in scene.problems] == ["other furniture 6"]
     every = np.concatenate([in_world(scene, found, i) for i in ids])
-    whole = read_asset(path).cloud
+    whole = open_asset(path).cloud
     assert whole is not None and len(every) == len(whole)
     assert apart(every, whole.points.astype(float)) < 1e-6
     assert len(in_world(scene, found, name)) == pytest.approx(9000, rel=0.01)
@@ -256,7 +257,7 @@ def test_labels_inside_the_ply_and_faces_of_a_mesh(tmp_path: Path) -> None:
     path.write_text("\n".join([*head, *rows, *faces, *other]) + "\n")
     scene, found = unpacked(path, tmp_path / "out")
     assert [o.id for o in scene.objects] == ["object 0", "object 1"]
-    mesh = read_asset(found.files[scene.objects[0].asset or ""]).mesh
+    mesh = open_asset(found.files[scene.objects[0].asset or ""]).mesh
     assert mesh is not None and len(mesh.faces) == len(faces)
 
 
@@ -266,7 +267,7 @@ def test_the_real_room(shared_data: Path, tmp_path: Path) -> None:
     assert not found.problems
     named = {o.id: o.category for o in scene.objects}
     assert named["refrigerator 27"] == "refrigerator" and named["cabinet 1"] == "cabinet"
-    crop = read_asset(path.with_name("scene0011_00_i27_refrigerator.ply")).cloud
+    crop = open_asset(path.with_name("scene0011_00_i27_refrigerator.ply")).cloud
     assert crop is not None
     cut = in_world(scene, found, "refrigerator 27")
     assert len(cut) == len(crop) and apart(cut, crop.points.astype(float)) < 1e-6

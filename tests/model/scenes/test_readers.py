@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.scenes.embedded import unpack
 from model.scenes.native_format import scene_to_json
 from model.scenes.readers.house import THICKNESS
@@ -34,7 +34,9 @@ WHOLE = {
 
 
 def test_every_reader_is_covered() -> None:
-    assert {*WHOLE, "scan"} == set(SCENE_READERS.built_in)  # a scan has no turned cabinet to compare
+    assert {*WHOLE, "scan"} == set(
+        SCENE_READERS.built_in
+    )  # a scan has no turned cabinet to compare
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -217,7 +219,7 @@ def test_floors_and_walls_of_a_house_are_solids_with_openings(tmp_path: Path) ->
     assert [o.id for o in scene.objects] == ["cabinet-0 (kitchen)", "building"]
     assert [p.object for p in scene.problems] == ["bad"] and scene.objects[1].static
     found = unpack(scene, tmp_path / "inside").files[scene.objects[1].asset or ""]
-    mesh = read_asset(found).mesh
+    mesh = open_asset(found).mesh
     assert mesh is not None
     hole = 0.9 * 2.1
     volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume

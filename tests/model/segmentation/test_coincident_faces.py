@@ -13,7 +13,7 @@ from model.core.mesh import Mesh
 from model.core.resources import static_assets
 from model.data.simulated.primitives import block
 from model.geometry.topology import coincident_faces
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.encode.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region
@@ -33,7 +33,7 @@ def doubled(mesh: Mesh) -> Mesh:
 
 @pytest.fixture(scope="module")
 def cabinet() -> DefaultSession:
-    mesh = read_asset(EXAMPLES / "cabinet.glb").mesh
+    mesh = open_asset(EXAMPLES / "cabinet.glb").mesh
     assert mesh is not None
     return DefaultSegmenter().encode(Asset("cabinet", mesh=doubled(mesh)))
 
@@ -98,7 +98,7 @@ def test_both_sides_of_a_face_are_in_one_part(cabinet: DefaultSession) -> None:
 
 
 def test_the_parts_are_those_of_the_mesh_with_each_face_once(cabinet: DefaultSession) -> None:
-    asset = read_asset(EXAMPLES / "cabinet.glb")
+    asset = open_asset(EXAMPLES / "cabinet.glb")
     once = DefaultSegmenter().encode(asset).segment(Prompts(clicks())).labels
     twice = cabinet.segment(Prompts(clicks())).labels
     assert set(once.tolist()) == {0, 1, 2, 3, 4, 5}

@@ -15,7 +15,7 @@ from model.core.resources import static_assets
 from model.data.procedural.examples import joined
 from model.data.procedural.generate import make
 from model.data.simulated.primitives import block
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.describe.masks import FEATURE_NAMES
 from model.segmentation.describe.repeats import Repeats
@@ -246,7 +246,7 @@ def bundled() -> tuple[DefaultSession, np.ndarray, dict]:
     path = static_assets() / "examples" / "cabinet.glb"
     truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
     labels = np.repeat([part for part, _ in truth["runs"]], [count for _, count in truth["runs"]])
-    return DefaultSegmenter().encode(read_asset(path)), labels, truth
+    return DefaultSegmenter().encode(open_asset(path)), labels, truth
 
 
 def test_tab_shows_masks_that_differ_and_whole_drawers(bundled) -> None:
@@ -424,7 +424,7 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
     scan = static_assets() / "examples" / "oven_scan.ply"
     runs = json.loads((scan.parent / "truth" / "oven_scan.json").read_text())["runs"]
     labels = np.concatenate([np.full(number, part) for part, number in runs])
-    asset = read_asset(scan)
+    asset = open_asset(scan)
     points, session = asset.element_centers, DefaultSegmenter().encode(asset)
     door, known, rng = labels == 1, labels >= 0, np.random.default_rng(0)
 
@@ -554,7 +554,7 @@ def test_clicks_that_agree_do_not_hold_the_mask_as_it_is(monkeypatch) -> None:
     """The clicks beside the bundled oven: five on the glass of its door, then its frame."""
     monkeypatch.setattr(fronts, "_MORE", 0)  # else the first click takes the whole door
     folder = static_assets() / "examples"
-    session = DefaultSegmenter().encode(read_asset(folder / "oven_scan.ply"))
+    session = DefaultSegmenter().encode(open_asset(folder / "oven_scan.ply"))
     runs = json.loads((folder / "truth" / "oven_scan.json").read_text())["runs"]
     labels = np.repeat([part for part, _ in runs], [count for _, count in runs])
     told = json.loads((folder / "oven_scan.prompts.json").read_text())["clicks"]

@@ -12,7 +12,7 @@ from model.core.mesh import Mesh
 from model.core.resources import static_assets
 from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.finish.attached_shells import fittings_of
 from model.segmentation.finish.contacts import contacts_of
@@ -105,7 +105,7 @@ def bundled() -> tuple[DefaultSession, np.ndarray, dict[int, str]]:
     path = static_assets() / "examples" / "cabinet.glb"
     truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
     labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    session = DefaultSegmenter().encode(read_asset(path))
+    session = DefaultSegmenter().encode(open_asset(path))
     return session, labels, {p["id"]: p["name"] for p in truth["parts"] if p["id"]}
 
 

@@ -10,7 +10,7 @@ import pytest
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
 from model.core.resources import static_assets
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.describe.fronts import FRONT_FEATURES, front_features
 from model.segmentation.encode.edge_strength import shipped_edge_model
@@ -153,7 +153,7 @@ def test_a_knob_is_clicked_for_the_panel_behind_it(fronts, panels) -> None:
 def bundled(name: str):
     """A bundled scan, the true part of each point, and its session."""
     folder = static_assets() / "examples"
-    asset = read_asset(folder / f"{name}.ply")
+    asset = open_asset(folder / f"{name}.ply")
     runs = json.loads((folder / "truth" / f"{name}.json").read_text())["runs"]
     labels = np.concatenate([np.full(number, part) for part, number in runs])
     return asset, labels, DefaultSegmenter().encode(asset)

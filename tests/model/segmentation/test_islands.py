@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.core.resources import static_assets
-from model.io.open_asset import read_asset
+from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.tools.connected import hover
@@ -23,7 +23,7 @@ def oven() -> Oven:
     path = static_assets() / "examples" / "oven_scan.ply"
     truth = json.loads((path.parent / "truth" / "oven_scan.json").read_text())
     labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    asset = read_asset(path)
+    asset = open_asset(path)
     points = asset.element_centers
     low, high = np.array([-0.23, -0.43, 0.67]), np.array([0.31, -0.355, 0.73])
     bar = (labels == DOOR) & ((points > low) & (points < high)).all(1)

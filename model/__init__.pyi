@@ -1,0 +1,58 @@
+"""The names of the public API and where each is."""
+
+from .core.articulated_object import (
+    ArticulatedObject,
+    Part,
+    Prediction,
+    SegmentedObject,
+)
+from .core.asset import Asset
+from .core.errors import ArtiworldError
+from .core.joint import Joint
+from .core.mesh import Mesh
+from .core.point_cloud import PointCloud
+from .core.tree import KinematicTree
+from .data.registry import DatasetOptions, open_dataset
+from .geometry.parts import split
+from .io.assets.asset_folder import write_asset
+from .io.assets.reader import load_object
+from .io.export.registry import export, exporter_names, load_exporter
+from .io.open_asset import open_asset, read_part_files
+from .prediction.registry import load_predictor, predictor_names
+from .scenes.registry import read_scene
+from .segmentation.prompts import Click, PartSegmentation, Prompts, Region
+from .segmentation.registry import load_segmenter, segmenter_names
+from .validation.runner import validate
+
+__all__ = [
+    "ArticulatedObject",
+    "ArtiworldError",
+    "Asset",
+    "Click",
+    "DatasetOptions",
+    "Joint",
+    "KinematicTree",
+    "Mesh",
+    "Part",
+    "PartSegmentation",
+    "PointCloud",
+    "Prediction",
+    "Prompts",
+    "Region",
+    "SegmentedObject",
+    "export",
+    "exporter_names",
+    "load_exporter",
+    "load_object",
+    "load_predictor",
+    "load_segmenter",
+    "open_asset",
+    "open_dataset",
+    "predictor_names",
+    "read_part_files",
+    "read_scene",
+    "segmenter_names",
+    "split",
+    "validate",
+    "write_asset",
+]
