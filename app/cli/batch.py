@@ -1,21 +1,21 @@
-"""One function over many objects in worker processes; one that fails or crashes ends nothing."""
+"""One function over many assets in worker processes; no failure or crash ends the batch."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from model.core.errors import InputFileError
-from model.evaluation.pool import in_processes
+from model.core.errors import ArtiworldError, InputFileError
+from model.evaluation.pool import robust_map
 
 T = TypeVar("T")
 
 ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml")
-"""What marks a folder as an asset: ours, PartNet-Mobility's, and our exports to MJCF."""
+"""Files that mark a folder as an asset: ArtiWorld's, PartNet-Mobility's, an export to MJCF."""
 
 
 class Crashed(RuntimeError):
@@ -23,7 +23,7 @@ class Crashed(RuntimeError):
 
 
 def find_assets(paths: Sequence[Path]) -> list[Path]:
-    """Assets among ``paths``: URDF and MJCF files, asset folders, and folders that hold such.
+    """Assets among ``paths``: URDF and MJCF files, asset folders, and folders of these.
 
     Raises:
         InputFileError: for a path with nothing of the kind.
@@ -57,14 +57,14 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def asset_names(assets: Sequence[Path]) -> list[str]:
-    """A name for each that no other has: the folder's, for a file its folder's or its own."""
+    """A unique name for each: the folder's, or the file's where it has a name of its own."""
     out: list[str] = []
     for asset in assets:
-        bare = asset.is_dir() or asset.name in ASSET_FILES
-        base = name = (asset if asset.is_dir() else asset.parent).resolve().name if bare else (
-            asset.stem
-        )  # fmt: skip
-        number = 2
+        if asset.is_dir():
+            base = asset.resolve().name
+        else:
+            base = asset.parent.resolve().name if asset.name in ASSET_FILES else asset.stem
+        name, number = base, 2
         while name in out:
             name, number = f"{base}_{number}", number + 1
         out.append(name)
@@ -72,45 +72,42 @@ def asset_names(assets: Sequence[Path]) -> list[str]:
 
 
 def run_all(
-    function: Callable[[Any], T], tasks: Sequence[Any], jobs: int
+    function: Callable[[Any], T], tasks: Sequence[Any], jobs: int | None
 ) -> Iterator[tuple[int, T | Exception]]:
-    """(number of the task, its answer or what it raised), as they come.
+    """(index of the task, its answer or exception), in the order of completion.
 
-    A task that brings its process down is tried once more by itself; then it is a
-    :class:`Crashed`.
+    A task whose process dies twice, the second time alone, gives a :class:`Crashed`.
+
+    Args:
+        function: can be pickled.
+        jobs: processes; None for as many as processors.
     """
-    if jobs <= 1 or len(tasks) == 1:
-        for i, task in enumerate(tasks):
-            yield i, _tried(function, task)
-        return
-    left = dict(enumerate(tasks))
-    yield from _pool(function, left, jobs)
-    while left:
-        number = next(iter(left))
-        alone = {number: left[number]}
-        yield from _pool(function, alone, 1)
-        if alone:
-            yield number, Crashed("the worker process crashed (often because memory ran out)")
-        del left[number]
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    numbered = [_Numbered(i, task) for i, task in enumerate(tasks)]
+    for each, outcome in robust_map(partial(_outcome, function), numbered, jobs, "spawn"):
+        if outcome is None:
+            crash = Crashed("the worker process crashed (often because memory ran out)")
+            yield each.index, crash
+        else:
+            yield each.index, outcome[0]
 
 
-def _pool(
-    function: Callable[[Any], T], left: dict[int, Any], jobs: int
-) -> Iterator[tuple[int, T | Exception]]:
-    """Answers of what is in ``left``, from which the answered are taken."""
-    with in_processes(partial(_tried, function), list(left.values()), jobs, "spawn") as futures:
-        numbers = dict(zip(futures, list(left), strict=True))
-        for future in as_completed(futures):
-            try:
-                answer = future.result()
-            except BrokenProcessPool:
-                continue
-            del left[numbers[future]]
-            yield numbers[future], answer
+@dataclass(frozen=True, eq=False)
+class _Numbered:
+    """A task with its identity, as equal tasks may come twice."""
+
+    index: int
+    task: Any
 
 
-def _tried(function: Callable[[Any], T], task: Any) -> T | Exception:
+def _outcome(function: Callable[[Any], T], numbered: _Numbered) -> tuple[T | Exception]:
     try:
-        return function(task)
+        return (function(numbered.task),)
     except Exception as error:  # the boundary of a task
-        return error
+        return (error,)
+
+
+def error_text(error: Exception) -> str:
+    """A failed task's message; faults of ours are named by their type."""
+    kind = "" if isinstance(error, ArtiworldError) else f"{type(error).__name__}: "
+    return f"{kind}{error}"

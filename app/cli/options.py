@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from app.cli.command import Option, flag, option
+from model.prediction import DEFAULT
+from model.prediction.remote import TOKEN_VARIABLE
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 
-def add_reading(parser: argparse.ArgumentParser) -> None:
-    """How files are read."""
-    parser.add_argument(
-        "--up-axis", choices=UP_AXES, metavar="AXIS",
-        help=f"up axis of the files, one of {', '.join(UP_AXES)} (default: by format)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--unit-scale", type=positive_number, default=1.0, metavar="METRES",
-        help="metres per unit of the files, 0.001 for millimetres (default: 1)",
-    )  # fmt: skip
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Output for programs."""
-    parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
-
-
 def positive_number(text: str) -> float:
-    """A type of option: a finite number above 0."""
+    """Read a finite number above 0."""
     value = float(text)
     if not 0 < value < float("inf"):
         raise ValueError
@@ -33,30 +22,94 @@ def positive_number(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """A type of option: a whole number from 0."""
+    """Read a whole number from 0."""
     value = int(text)
     if value < 0:
         raise ValueError
     return value
 
 
-count.__name__ = "whole number"
+def positive_count(text: str) -> int:
+    """Read a whole number from 1."""
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
 positive_number.__name__ = "positive number"
+count.__name__ = "whole number"
+positive_count.__name__ = "number from 1"
 
 
-def add_point_sam(parser: argparse.ArgumentParser) -> None:
-    """``--point-sam PATH`` is ``--segmenter point-sam:PATH``."""
-    parser.add_argument(
-        "--point-sam", dest="segmenter", type="point-sam:{}".format, metavar="PATH",
-        help="let Point-SAM answer, with the published weights at PATH")  # fmt: skip
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """How geometry files are read."""
+
+    up_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = option(
+        f"up axis of the files, one of {', '.join(UP_AXES)} (default: by format)", "AXIS"
+    )
+    unit_scale: float = option(
+        "metres per unit of the files, 0.001 for millimetres", "METRES", 1.0, parse=positive_number
+    )
 
 
-def joined_axes(words: list[str]) -> list[str]:
-    """argparse would take the -z of ``--up-axis -z`` for an option."""
-    out: list[str] = []
-    for word in words:
-        if out and out[-1] == "--up-axis" and word in UP_AXES:
-            out[-1] = f"--up-axis={word}"
-        else:
-            out.append(word)
-    return out
+@dataclass(frozen=True, kw_only=True)
+class PredictorOptions:
+    """The predictor, or an ArtiWorld backend that has one."""
+
+    predictor: str = option("predictor of the joints", "NAME", DEFAULT)
+    backend: str | None = option("ask an artiworld backend instead of predicting here", "URL")
+    backend_token: str | None = option(f"token of the backend; or set {TOKEN_VARIABLE}", "TOKEN")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsOptions:
+    """Mass, collision shapes and joint dynamics.
+
+    An option for shapes, masses or dynamics replaces what the asset's source declares.
+    """
+
+    no_collision: bool = flag("leave collision shapes out")
+    method: str | None = option(
+        "make collision shapes, also where the file declares them: hollow, coacd, hull, or auto "
+        "(hollow, and coacd where that is better) (default: hollow, where the file declares none)",
+        "NAME",
+    )
+    max_hulls: int | None = option(
+        "most collision shapes of a part, made for all parts (default: 24)", "N"
+    )
+    density: float | None = option("kg/m³ of every part, instead of the table's", "KG")
+    material: str | None = option("material of every part, such as wood or metal", "NAME")
+    materials: Path | None = option(
+        "your own table, in the form of static_assets/physics/materials.json", "FILE"
+    )
+    turning: str | None = option("of turning joints, in N m s/rad,N m", "DAMPING,FRICTION")
+    sliding: str | None = option("of sliding joints, in N s/m,N", "DAMPING,FRICTION")
+    free_base: bool = flag("let the base move, in formats that state it (MJCF, SDF, USD)")
+    cache: Path | None = option(
+        "folder of kept collision shapes (default: ~/.cache/artiworld/collision)", "DIR"
+    )
+    no_cache: bool = flag("keep no collision shapes")
+
+
+def json_flag() -> Any:
+    """``--json``."""
+    return flag("print JSON and nothing else")
+
+
+def seed_option(help: str = "the only source of randomness") -> Any:
+    """``--seed SEED``."""
+    return option(help, "SEED", 0, parse=count)
+
+
+def segmenter_option() -> Any:
+    """``--segmenter NAME``; ``--point-sam PATH`` stands for ``--segmenter point-sam:PATH``."""
+    point_sam = Option(
+        "use Point-SAM, with the published weights at PATH", "PATH", "--point-sam",
+        "point-sam:{}".format,
+    )  # fmt: skip
+    return option(
+        "segmenter that turns clicks into parts", "NAME", "default", synonym=point_sam
+    )
+

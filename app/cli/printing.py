@@ -6,33 +6,39 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
+from rich.table import Table
+from rich.text import Text
 
+from model.core.progress import Progress, no_progress
+
+if TYPE_CHECKING:
     from app.cli.doctor import Check
 
-FILES_TOLD = 10
-"""Files of one folder that get a row each; of more the folder gets one."""
-NARROWEST = 120
-"""Columns where nobody looks (a pipe, a log); rich would fold everything into 80."""
+MOST_FILES = 10
+"""Files of one folder that get a row each; a folder with more gets one row."""
+PIPE_WIDTH = 120
+"""Columns in a pipe or a file, for which rich takes 80."""
 
 
-@dataclass
+Result = tuple[Any, Callable[[], object]]
+"""A report for a program, and the function that prints it for a person."""
+
+
+@dataclass(frozen=True)
 class Show:
-    """How a command answers."""
+    """How a command shows its progress and its result."""
 
     as_json: bool
-
-    def progress(self, fraction: float, message: str) -> None:
-        """One line on the terminal that is written over; nothing in a pipe."""
-        if sys.stderr.isatty() and not self.as_json:
-            print(f"\r\033[K{100 * fraction:3.0f} % {message}", end="", file=sys.stderr, flush=True)
+    progress: Progress = no_progress
 
     def result(self, report: Any, table: Callable[[], object]) -> None:
         """Print ``report`` as JSON, or call ``table``."""
@@ -44,146 +50,142 @@ class Show:
 
 @contextmanager
 def session(as_json: bool) -> Iterator[Show]:
-    """A :class:`Show`; with JSON, what libraries print meanwhile goes to stderr."""
-    show = Show(as_json)
-    saved = None
-    if as_json:
-        sys.stdout.flush()
-        saved = os.dup(1)
-        os.dup2(2, 1)
+    """A :class:`Show`; with JSON, anything that libraries print meanwhile goes to stderr."""
+    if not as_json:
+        with progress_bar() as progress:
+            yield Show(False, progress)
+        return
+    sys.stdout.flush()
+    saved = os.dup(1)
+    os.dup2(2, 1)
     try:
-        yield show
+        yield Show(True)
     finally:
-        if saved is not None:
-            sys.stdout.flush()
-            os.dup2(saved, 1)
-            os.close(saved)
-        elif sys.stderr.isatty():
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        sys.stdout.flush()
+        os.dup2(saved, 1)
+        os.close(saved)
 
 
-def console() -> Console:
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar on stderr, driven as a :class:`~model.core.progress.Progress`; none in a file."""
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
+    with ProgressBar(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda fraction, message: bar.update(task, completed=fraction, description=message)
+
+
+def console(pipe_width: int = PIPE_WIDTH) -> Console:
     """Standard output, wide enough for a table in a pipe."""
-    made = _console(None)
-    return made if made.is_terminal else _console(max(NARROWEST, made.width))
+    # Names of users' files are plain text, whatever brackets they contain.
+    made = Console(markup=False, highlight=False, emoji=False)
+    if not made.is_terminal:
+        made.width = max(pipe_width, made.width)
+    return made
 
 
-def _console(width: int | None) -> Console:
-    from rich.console import Console
-
-    # Names of users' files are text, whatever brackets they hold.
-    return Console(width=width, markup=False, highlight=False, emoji=False)
-
-
-def parts_table(report: dict[str, Any], out: Path) -> None:
-    """What ``segment`` wrote."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(f"{report['name']} in {len(report['parts'])} parts"))
-    table.add_column("file")
-    table.add_column("name")
-    table.add_column(f"{report['source']['elements']}s", justify="right")
-    for part in report["parts"]:
-        table.add_row(part["file"], part.get("name") or "", f"{part['count']:,}")
-    _print(table, report["problems"], out)
+def table_of(
+    title: str | None, columns: Iterable[str], rows: Iterable[Iterable[str | Text]],
+    numbers: Iterable[str] = (),
+) -> Table:  # fmt: skip
+    """A table; columns among ``numbers`` are flush right."""
+    right = set(numbers)
+    table = Table(title=None if title is None else Text(title))
+    for column in columns:
+        table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+    return table
 
 
-def joints_table(report: dict[str, Any], out: Path) -> None:
-    """What ``predict`` found."""
-    from rich.table import Table
-    from rich.text import Text
+def print_records(title: str, rows: list[dict[str, Any]]) -> None:
+    """Print a table of rows that have the same keys."""
+    columns = list(rows[0]) if rows else []
+    cells = [map(str, row.values()) for row in rows]
+    console().print(table_of(title, columns, cells, columns))
 
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print a yellow line for each note."""
+    for note in notes:
+        console().print(Text(f"note: {note}", "yellow"))
+
+
+def print_parts(report: dict[str, Any], out: Path) -> None:
+    """Print the parts that ``segment`` wrote."""
+    elements = f"{report['source']['elements']}s"
+    rows = [(p["file"], p.get("name") or "", f"{p['count']:,}") for p in report["parts"]]
+    title = f"{report['name']} in {len(rows)} parts"
+    console().print(table_of(title, ("file", "name", elements), rows, [elements]))
+    print_notes(report["problems"])
+    console().print(f"written to {out}")
+
+
+def print_joints(report: dict[str, Any], out: Path) -> None:
+    """Print the joints that ``predict`` found."""
+    names = {part["link"]: part["name"] for part in report["parts"]}
+    numbers = ("axis", "origin (m)", "limits", "confidence")
+    rows = []
+    for joint in report["joints"]:
+        moves, confidence = joint["type"] != "fixed", joint["confidence"]
+        rows.append((
+            joint["name"], joint["type"], joint["parent"], joint["child"],
+            names.get(joint["child"]) or "",
+            _vector(joint["axis"]) if moves else "", _vector(joint["origin"]) if moves else "",
+            limits_text(joint["type"], joint["limits"]),
+            "" if confidence is None else f"{100 * confidence:.0f} %",
+        ))  # fmt: skip
     title = (
         f"{report['name']}: base {report['base']}, {report['backend']}, {report['seconds']:.2f} s"
     )
-    table = Table(title=Text(title))
-    names = {part["link"]: part["name"] for part in report["parts"]}
-    for column in ("joint", "type", "parent", "child", "part"):
-        table.add_column(column)
-    for column in ("axis", "origin (m)", "limits", "sure"):
-        table.add_column(column, justify="right")
-    for joint in report["joints"]:
-        moves = joint["type"] != "fixed"
-        sure = joint["confidence"]
-        table.add_row(
-            joint["name"],
-            joint["type"],
-            joint["parent"],
-            joint["child"],
-            names.get(joint["child"]) or "",
-            _vector(joint["axis"]) if moves else "",
-            _vector(joint["origin"]) if moves else "",
-            limits_text(joint["type"], joint["limits"]),
-            "" if sure is None else f"{100 * sure:.0f} %",
-        )
-    shapes = report["collision_shapes"]
-    told = (
-        f"{shapes} collision shapes" if shapes else "no collision shapes (--collision makes them)"
-    )
-    _print(table, report["problems"], out, f"{report['kilograms']:.3g} kg, {told}")
+    columns = ("joint", "type", "parent", "child", "part", *numbers)
+    console().print(table_of(title, columns, rows, numbers))
+    print_notes(report["problems"])
+    shapes = report["collision_shapes"] or "no"
+    hint = "" if report["collision_shapes"] else " (--collision makes them)"
+    console().print(f"{report['kilograms']:.3g} kg, {shapes} collision shapes{hint}")
+    console().print(f"written to {out}")
 
 
-def files_table(report: dict[str, Any], out: Path) -> None:
-    """What ``export`` wrote; a folder of many files, as of collision shapes, is one row."""
-    from rich.table import Table
-    from rich.text import Text
-
-    of_folder: dict[str, list[dict[str, Any]]] = {}
+def print_files(report: dict[str, Any], out: Path) -> None:
+    """Print the files that ``export`` wrote; a folder of many, as of shapes, gets one row."""
+    folders: dict[str, list[dict[str, Any]]] = {}
     for file in report["files"]:
-        of_folder.setdefault(os.path.dirname(file["file"]), []).append(file)
-    table = Table(title=Text(f"{report['asset']} as {report['format']}"))
-    table.add_column("file")
-    table.add_column("bytes", justify="right")
-    for folder, files in of_folder.items():
-        if folder and len(files) > FILES_TOLD:
+        folders.setdefault(os.path.dirname(file["file"]), []).append(file)
+    rows = []
+    for folder, files in folders.items():
+        if folder and len(files) > MOST_FILES:
             total = sum(file["bytes"] for file in files)
-            table.add_row(f"{folder}/ · {len(files)} files", f"{total:,}")
-            continue
-        for file in files:
-            table.add_row(file["file"], f"{file['bytes']:,}")
-    _print(table, [], out)
+            rows.append((f"{folder}/ · {len(files)} files", f"{total:,}"))
+        else:
+            rows += [(file["file"], f"{file['bytes']:,}") for file in files]
+    title = f"{report['asset']} as {report['format']}"
+    console().print(table_of(title, ("file", "bytes"), rows, ["bytes"]))
+    console().print(f"written to {out}")
 
 
-def checks_table(checks: list[Check]) -> None:
-    """What ``doctor`` found, and how to mend it."""
-    from rich.table import Table
-    from rich.text import Text
-
+def print_checks(checks: list[Check]) -> None:
+    """Print what ``doctor`` found, and the remedies."""
     styles = {"fine": "green", "note": "yellow", "wrong": "bold red"}
-    table = Table()
-    for column in ("", "what", "found"):
-        table.add_column(column)
-    for check in checks:
-        style = styles[check.status]
-        table.add_row(Text(check.status, style), Text(check.name), Text(check.found))
-    out = console()
-    out.print(table)
+    rows = [(Text(c.status, styles[c.status]), c.name, c.found) for c in checks]
+    console().print(table_of(None, ("", "what", "found"), rows))
     for check in checks:
         if check.remedy:
-            out.print(Text(f"{check.status}: {check.name}: {check.remedy}", styles[check.status]))
+            line = f"{check.status}: {check.name}: {check.remedy}"
+            console().print(Text(line, styles[check.status]))
 
 
 def limits_text(kind: str, limits: list[float] | None) -> str:
     """Limits with their unit: degrees or millimetres."""
     if limits is None:
         return ""
-    scale, unit = (1000.0, "mm") if kind == "prismatic" else (180.0 / math.pi, "°")
+    scale, unit = (1000.0, " mm") if kind == "prismatic" else (180.0 / math.pi, "°")
     low, high = (round(v * scale) + 0 for v in limits)
-    return f"{low}…{high} {unit}" if unit == "mm" else f"{low}…{high}{unit}"
+    return f"{low}…{high}{unit}"
 
 
 def _vector(values: list[float]) -> str:
     return " ".join(f"{v + 0.0:.3f}" for v in values)
-
-
-def _print(table: object, problems: list[str], out: Path, more: str = "") -> None:
-    from rich.text import Text
-
-    target = console()
-    target.print(table)
-    for problem in problems:
-        target.print(Text(f"note: {problem}", "yellow"))
-    if more:
-        target.print(Text(more))
-    target.print(Text(f"written to {out}"))

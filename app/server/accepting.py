@@ -6,32 +6,23 @@ of the one that was accepted before.
 
 from __future__ import annotations
 
-import logging
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from app.server.acceptance_record import acceptance_record, asset_folder
 from app.server.display_names import in_words
+from app.server.open_object import OpenObject
+from app.server.part_tasks import PartSource
 from app.server.validating import Wish
 from model.core.asset import Source
 from model.core.errors import CommandError
 from model.io.assets.asset_folder import publish
-from model.io.assets.reader import recover
-from model.validation.report import GateReport
+from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.provenance import provenance
-from sessions.state import Context, SessionState, apply, review_problems
-from sessions.store import Begun, Entry, ObjectRecord
-
-if TYPE_CHECKING:
-    from app.server.app_state import Workbench
-    from app.server.open_object import OpenObject
-    from app.server.part_tasks import PartSource
-
-log = logging.getLogger(__name__)
+from sessions.state import Context, apply, review_problems
+from sessions.store import PendingAcceptance
 
 
 def accept(
@@ -41,7 +32,7 @@ def accept(
     at: str,
     override: str = "",
     *,
-    looked_at: GateReport | None = None,
+    looked_at: ValidationReport | None = None,
     refused: Callable[[CommandError], None] | None = None,
 ) -> None:
     """Write the asset, read it back, and only then record the decision.
@@ -66,17 +57,17 @@ def accept(
         raise CommandError("; ".join(problems))
     assert doc.tree is not None
     source = obj.source(doc)
-    store = obj.bench.store
+    acceptances = obj.services.acceptances
 
-    begun = Begun(state.seq, comment, override)
+    begun = PendingAcceptance(state.seq, comment, override)
 
     def again() -> None:
         try:
             _check_unchanged(obj, doc, source)
         except CommandError as error:
-            store.accepting_ends(obj.record.id)
+            acceptances.end(obj.record.id)
             _refuse(obj, error, refused)
-            obj.bench.tell_queue()
+            obj.services.queue.notify()
             return
         try:
             _check_judged(obj)
@@ -91,12 +82,13 @@ def accept(
     command = cmd.Accept(comment, obj.judging.doubts(), override)
     after = apply(state, command, Context(who, at))
     record = acceptance_record(
-        after, store.history(obj.record.id), _source_record(obj), gate, override,
-        looked_at=gate is not None and gate is looked_at, scene=_in_scene(obj),
+        after, obj.services.store.history(obj.record.id), _source_record(obj), gate, override,
+        looked_at=gate is not None and gate is looked_at,
+        scene=None if obj.in_scene is None else obj.in_scene.source(),
     )  # fmt: skip
-    folder = asset_folder(obj.bench.workspace, obj.record)
-    store.accepting_begins(obj.record.id, begun)
-    job = obj.bench.draft_asset(source, doc.tree, obj.jobs.progress("save"))
+    folder = asset_folder(obj.services.workspace, obj.record)
+    acceptances.begin(obj.record.id, begun)
+    job = obj.services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
         try:
@@ -122,35 +114,36 @@ def take_back(obj: OpenObject) -> bool:
     """
     if not obj.judging.take_back():
         return False
-    obj.bench.store.accepting_ends(obj.record.id)
+    obj.services.acceptances.end(obj.record.id)
     obj.tell("Not accepted", "Taken back before the joints were judged", "gray")
-    obj.bench.tell_queue()
+    obj.services.queue.notify()
     obj.changed()
     return True
 
 
-def _admits(obj: OpenObject, wish: Wish, begun: Begun) -> bool:
+def _admits(obj: OpenObject, wish: Wish, begun: PendingAcceptance) -> bool:
     """Whether it may be accepted now; False where the wish waits for the gate.
 
     Raises:
         CommandError: where it may not.
     """
-    judging, store = obj.judging, obj.bench.store
+    judging, acceptances = obj.judging, obj.services.acceptances
     waits = judging.report is None and not judging.problem
     if waits and judging.waiting and not (begun.comment or begun.override):
-        asked = f"{obj.bench.called(obj.record)}: as soon as the joints are judged"
+        asked = f"{obj.display_name}: as soon as the joints are judged"
         obj.tell("Accepting", f"{asked}, as was asked before", "gray")
         return False
     if waits:  # first, as the gate may answer any moment: what was typed outlives this server
-        store.accepting_begins(obj.record.id, begun)
+        acceptances.begin(obj.record.id, begun)
     try:
         admitted = judging.admits(wish)
     except CommandError:
         if waits:
-            store.accepting_ends(obj.record.id)
+            acceptances.end(obj.record.id)
         raise
     if not admitted:
-        obj.bench.tell_queue()
+        obj.tell("Accepting", f"{obj.display_name}: as soon as the joints are judged", "blue")
+        obj.services.queue.notify()
         obj.changed()
     return admitted
 
@@ -166,44 +159,13 @@ def _check_judged(obj: OpenObject) -> None:
         raise CommandError(f"The joints couldn't be judged: {why}. Y accepts it unjudged")
 
 
-def _hold(obj: OpenObject, begun: Begun, why: str) -> None:
+def _hold(obj: OpenObject, begun: PendingAcceptance, why: str) -> None:
     """Keep that the gate held it back, and what was typed for it, until it is decided or changed;
     whoever asked may have gone on."""
     why = in_words(obj.document, why)
-    if obj.bench.desk is not None:
-        obj.bench.desk.accepting.hold(obj.record.id, why, obj.judging.report)
-    obj.bench.hold(obj.record.id, replace(begun, seq=obj.state.seq, held=why))
-
-
-def take_up(bench: Workbench) -> dict[int, Begun]:
-    """See to the acceptances that a server which died has begun.
-
-    One that was decided is finished. The others wait for a person: what the gate says of them, and
-    what it showed, is gone. So does what the gate held back.
-
-    Returns:
-        Objects that wait → what was begun; they do so until their next command.
-    """
-    waiting: dict[int, Begun] = {}
-    for object_id, begun in bench.store.accepting().items():
-        record = bench.store.object(object_id)
-        folder = asset_folder(bench.workspace, record)
-        recover(folder)
-        if record.seq == begun.seq:
-            waiting[object_id] = begun
-            if begun.held:
-                continue
-            log.warning(
-                "%s: its acceptance was begun and not finished; accept it again, unless another "
-                "server is at it", record.name,
-            )  # fmt: skip
-            continue
-        live = bench.hub.session(object_id)
-        doc = live.document
-        if doc.review.state == "accepted" and doc.saved is None and folder.is_dir():
-            live.do(cmd.Saved(str(folder)), doc.review.by)
-        bench.store.accepting_ends(object_id)
-    return waiting
+    if obj.in_scene is not None:
+        obj.in_scene.hold(why, obj.judging.report)
+    obj.services.acceptances.hold(obj.record.id, replace(begun, seq=obj.state.seq, held=why))
 
 
 def _check_unchanged(obj: OpenObject, before: Document, source: PartSource) -> None:
@@ -228,43 +190,7 @@ def _refuse(
         refused(error)
 
 
-def _in_scene(obj: OpenObject) -> dict[str, Any] | None:
-    desk = obj.bench.desk
-    work = None if desk is None else desk.works.get(obj.record.id)
-    return None if desk is None or work is None else work.source(desk.path, obj.bench.workspace)
-
-
 def _source_record(obj: OpenObject) -> Source:
     asset = obj.asset
     assert asset is not None
     return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale)
-
-
-def acceptance_record(
-    after: SessionState,
-    history: list[Entry],
-    source: Source,
-    gate: GateReport | None,
-    override: str = "",
-    *,
-    looked_at: bool = False,
-    scene: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """What ``provenance.json`` of an accepted asset holds, the gate's answer included.
-
-    Args:
-        override: why it was accepted although the gate calls a joint broken, else "".
-        looked_at: whether the person had been shown what the gate doubts.
-        scene: of what was worked on in a scene, what its source is there.
-    """
-    record = provenance(after, history, source)
-    record["source"].update(scene or {})
-    said = {"override": override, "looked_at": looked_at}
-    record["gate"] = None if gate is None else {**gate.to_json(), **said}
-    return record
-
-
-def asset_folder(workspace: Path, record: ObjectRecord) -> Path:
-    """Where the accepted asset of an object goes."""
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "_", record.name).strip("._") or "object"
-    return workspace / "assets" / f"{plain[:60]}-{record.id}"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
+from model.core.display_names import joint_display_name, link_display_name
 from model.core.tree import KinematicTree, moving_chain
-from model.validation.phrases import called, joint_called
 from sessions.document import Document
 
 _LINK = re.compile(r"(?<![\w/])(?:link|helper)_\d+(?!\.?\w)")
@@ -29,12 +29,12 @@ def joint_title(doc: Document, child: str) -> str:
     that has several."""
     if doc.tree is None or child not in doc.tree.joint_of:
         return _part(doc, child)
-    return joint_called(doc.tree, child, holds_part, lambda link: _part(doc, link))
+    return joint_display_name(doc.tree, child, holds_part, lambda link: _part(doc, link))
 
 
 def _part(doc: Document, link: str) -> str:
     name = next((p.name for p in doc.parts if p.link == link), None)
-    return called(link, name, root=doc.tree is None or link == doc.tree.root)
+    return link_display_name(link, name, root=doc.tree is None or link == doc.tree.root)
 
 
 def in_words(doc: Document, text: str) -> str:

@@ -8,27 +8,25 @@ done when the scene is opened again.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from app.server.accepting import acceptance_record, asset_folder
+from app.server.acceptance_record import acceptance_record, asset_folder
 from app.server.display_names import joint_title
 from app.server.jobs import CLICKS
 from app.server.observable import Notice
 from app.server.part_tasks import PartSource
-from app.server.scene_rows import HELD
+from app.server.scene_rows import HELD, Work
+from app.server.scene_state import SceneState
 from app.server.validation_tasks import judge_joints
 from model.io.assets.asset_folder import publish
-from model.validation.low_confidence import with_unsure
-from model.validation.report import GateReport
+from model.validation.low_confidence import with_low_confidence
+from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
 from sessions.state import Context, apply, review_problems
-
-if TYPE_CHECKING:
-    from app.server.scene_rows import Work
-    from app.server.scene_workspace import SceneDesk
 
 Mark = Literal["", "judging", "held"]
 
@@ -45,12 +43,12 @@ class Refusal:
 
     why: str
     document: Document
-    report: GateReport | None = None
+    report: ValidationReport | None = None
 
     @property
     def wants_a_look(self) -> bool:
         """Whether a person who was shown it may accept it as it is."""
-        return self.report is not None and self.report.verdict == "look"
+        return self.report is not None and self.report.severity == Severity.WARNING
 
 
 @dataclass(eq=False)
@@ -76,10 +74,11 @@ class Accepting:
         refused: session id → why the object wasn't accepted.
     """
 
-    def __init__(self, desk: SceneDesk) -> None:
-        self._desk = desk
+    def __init__(self, scene: SceneState, is_accepting: Callable[[int], bool]) -> None:
+        self._scene = scene
+        self._is_accepting = is_accepting
         self._queue: list[tuple[int, DecisionRecord]] = []
-        self._seen: tuple[DecisionRecord, ...] = desk.document.decided
+        self._seen: tuple[DecisionRecord, ...] = scene.document.decided
         self._asked = 0
         self._done = 0
         self._running: tuple[int, DecisionRecord] | None = None
@@ -103,7 +102,7 @@ class Accepting:
 
     def mark(self, work: Work) -> Mark:
         """Whether the gate is at work on the object, or holds it back."""
-        if work.id in self.waiting or self._desk.bench.under_way(work.id):
+        if work.id in self.waiting or self._is_accepting(work.id):
             return "judging"
         return "" if self.refusal(work) is None else "held"
 
@@ -112,24 +111,22 @@ class Accepting:
         """Session ids of objects that are being accepted."""
         return frozenset(i for i, _ in self._queue)
 
-    def hold(self, session: int, why: str, report: GateReport | None) -> None:
-        """An object that was opened, and then left, isn't accepted as was asked for there.
+    def hold(self, work: Work, why: str, report: ValidationReport | None) -> None:
+        """Put on hold the acceptance of an object that was opened, and then left.
 
         Args:
-            why: where the gate found nothing to tell.
+            why: the reason where validation reports nothing.
         """
-        work = self._desk.works.get(session)
-        if work is not None:
-            if report is not None and report.verdict != "fine":
-                why = self._said(work.document, report)
-            self.refused[work.id] = Refusal(why, work.document, report)
-            self._desk.changed()
+        if report is not None and report.severity != Severity.OK:
+            why = self._said(work.document, report)
+        self.refused[work.id] = Refusal(why, work.document, report)
+        self._scene.changed()
 
     @staticmethod
-    def _said(doc: Document, report: GateReport) -> str:
+    def _said(doc: Document, report: ValidationReport) -> str:
         """What is worst of a gate's answer, with the joint that it is about."""
         worst = report.joints[0]
-        return f"{joint_title(doc, worst.child)}: {worst.sentence}"
+        return f"{joint_title(doc, worst.child)}: {worst.message}"
 
     def expect(self, objects: tuple[int, ...], notice: Notice) -> None:
         """The next decision about these is made by whoever hears ``notice``."""
@@ -147,24 +144,24 @@ class Accepting:
         """Whether the decision, maybe of an earlier server, has accepted an object, or will."""
         if (i, record) in self._queue:
             return True
-        entries = self._desk.bench.store.history(i)
+        entries = self._scene.services.store.history(i)
         return any(
             isinstance(e.command, cmd.Accept) and e.command.decided_at == record.at for e in entries
         )
 
     def told(self, record: DecisionRecord) -> str:
         """What was decided, in a few words."""
-        work = self._desk.works.get(record.objects[0])
+        work = self._scene.works.get(record.objects[0])
         if len(record.objects) > 1 or work is None:
             return f"{record.decision} {len(record.objects)} objects"
         return f"{record.decision} {work.item.obj.id}"
 
     def take_up(self) -> None:
         """What was decided and not carried out before the server ended."""
-        store = self._desk.bench.store
-        before, self._seen = self._seen, self._desk.document.decided
+        store = self._scene.services.store
+        before, self._seen = self._seen, self._scene.document.decided
         for record in before:
-            left = [i for i in record.objects if i in self._desk.works]
+            left = [i for i in record.objects if i in self._scene.works]
             self._carry_out(record, [i for i in left if store.object(i).updated < record.at])
 
     def follow(self, decided: tuple[DecisionRecord, ...], *, here: bool = True) -> None:
@@ -188,24 +185,24 @@ class Accepting:
                 self._carry_out(record, list(record.objects))
         self._asked = self._done + len(self._queue)
         if self._running is not None and self._running not in self._queue:
-            self._desk.jobs.cancel("accept")
+            self._scene.jobs.cancel("accept")
 
     def _carry_out(self, record: DecisionRecord, objects: list[int]) -> None:
-        notice = self._expected.pop(record.objects, self._desk.tell)
+        notice = self._expected.pop(record.objects, self._scene.tell)
         if record.decision == "accept":
-            objects = [i for i in objects if i in self._desk.works]
+            objects = [i for i in objects if i in self._scene.works]
             if not self._queue:
                 self._asked = self._done = 0
             self._told.append(_Told(record, notice, set(objects)))
             for i in objects:
                 if record.looked:
-                    self._looked[i] = self._desk.works[i].document
+                    self._looked[i] = self._scene.works[i].document
                 self.refused.pop(i, None)
                 self._queue.append((i, record))
                 self._asked += 1
             return
         for i in objects:
-            work = self._desk.works.get(i)
+            work = self._scene.works.get(i)
             if work is None:
                 continue
             self._overtake(work, record, notice)
@@ -229,7 +226,7 @@ class Accepting:
     def _take_back(self, record: DecisionRecord) -> None:
         state = {"accept": "accepted", "reject": "rejected"}[record.decision]
         for i in record.objects:
-            work = self._desk.works.get(i)
+            work = self._scene.works.get(i)
             if work is None:
                 continue
             review = work.document.review
@@ -242,13 +239,13 @@ class Accepting:
 
     def go_on(self) -> None:
         """Start with the next object that is ready."""
-        desk = self._desk
-        if "accept" in desk.jobs:
+        scene = self._scene
+        if "accept" in scene.jobs:
             return
         self._running = None
         for entry in list(self._queue):
             i, record = entry
-            work = desk.works[i]
+            work = scene.works[i]
             doc = work.document
             problems = review_problems(doc)
             if doc.review.state == "accepted":
@@ -270,54 +267,57 @@ class Accepting:
         return self._done / max(1, self._asked), f"{what} {work.item.obj.id}"
 
     def _judge(self, work: Work, record: DecisionRecord) -> None:
-        desk, doc = self._desk, work.document
+        scene, doc = self._scene, work.document
         assert doc.tree is not None
         source = self._source(work)
-        job = desk.bench.prediction.submit(
+        job = scene.services.workers.prediction.submit(
             judge_joints, source, doc.tree, priority=6, gives_way=CLICKS
         )
 
-        def keep(answer: GateReport) -> None:
+        def keep(answer: ValidationReport) -> None:
             assert doc.tree is not None
-            report = with_unsure(answer, doc.tree, doc.unsettled)
+            report = with_low_confidence(answer, doc.tree, doc.unsettled)
             if not _as_it_was(doc, work.live.refresh().present):
                 return  # edited or decided on meanwhile: it is looked at again
             if (work.id, record) not in self._queue:
                 return  # taken back meanwhile
             looked = self._looked.get(work.id)
             seen = looked is not None and _same(looked, work.document)
-            if report.verdict == "broken" or (report.verdict == "look" and not seen):
+            warned = report.severity == Severity.WARNING
+            if report.severity == Severity.ERROR or (warned and not seen):
                 self._refuse(work, self._said(doc, report), report)
             else:
                 self._save(work, record, source, report, seen)
 
         self._running = (work.id, record)
-        desk.start("accept", job, keep, self._progress(work, "judging"), work)
+        scene.start("accept", job, keep, self._progress(work, "judging"), work)
 
     def _source(self, work: Work) -> PartSource:
         doc = work.document
         assert work.drawn is not None and work.item.copy is not None
         return PartSource(
-            work.drawn.folder, self._desk.bench.workspace, work.drawn.labels, doc.part_names,
+            work.drawn.folder, self._scene.services.workspace, work.drawn.labels, doc.part_names,
             doc.category, work.name,
         )  # fmt: skip
 
     def _save(
-        self, work: Work, record: DecisionRecord, source: PartSource, report: GateReport,
+        self, work: Work, record: DecisionRecord, source: PartSource, report: ValidationReport,
         looked_at: bool,
     ) -> None:  # fmt: skip
-        desk, doc = self._desk, work.document
+        scene, doc = self._scene, work.document
         assert doc.tree is not None and work.drawn is not None
-        doubts = tuple(f"{j.joint}: {j.sentence}" for j in report.joints if j.verdict != "fine")
+        doubts = tuple(
+            f"{j.joint}: {j.message}" for j in report.joints if j.severity != Severity.OK
+        )
         command = cmd.Accept("", doubts, decided_at=record.at)
-        store = desk.bench.store
+        store = scene.services.store
         after = apply(work.live.state, command, Context(record.by, record.at))
         told = acceptance_record(
             after, store.history(work.id), work.drawn.source, report, looked_at=looked_at,
-            scene=work.source(desk.path, desk.bench.workspace),
+            scene=work.source(scene.path, scene.services.workspace),
         )  # fmt: skip
-        folder = asset_folder(desk.bench.workspace, store.object(work.id))
-        job = desk.bench.draft_asset(source, doc.tree, _silent)
+        folder = asset_folder(scene.services.workspace, store.object(work.id))
+        job = scene.services.drafts.finish(source, doc.tree, _silent)
 
         def keep(draft: Path) -> None:
             if not _as_it_was(doc, work.live.refresh().present):
@@ -331,13 +331,13 @@ class Accepting:
             self._accepted((work.id, record))
 
         self._running = (work.id, record)
-        desk.start("accept", job, keep, self._progress(work, "saving"), work)
+        scene.start("accept", job, keep, self._progress(work, "saving"), work)
 
     def failed(self, work: Work, message: str) -> None:
         """The gate or the writers broke on an object."""
         self._refuse(work, message)
 
-    def _refuse(self, work: Work, why: str, report: GateReport | None = None) -> None:
+    def _refuse(self, work: Work, why: str, report: ValidationReport | None = None) -> None:
         self.refused[work.id] = Refusal(why, work.document, report)
         for entry in [e for e in self._queue if e[0] == work.id]:
             self._drop(entry)
@@ -350,7 +350,7 @@ class Accepting:
         self._drop(entry)
         i, record = entry
         for told in [t for t in self._told if t.record == record]:
-            told.accepted += len(self._desk.twins(self._desk.works[i].item.obj.id))
+            told.accepted += len(self._scene.twins(self._scene.works[i].item.obj.id))
             self._settle(told, i)
 
     def _drop(self, entry: tuple[int, DecisionRecord]) -> None:
@@ -369,13 +369,13 @@ class Accepting:
         if told.accepted:
             told.notice("Accepted", _objects(told.accepted), "green")
         # Without those that were decided on anew meanwhile.
-        held = [(self._desk.works[i], self.refused[i]) for i in told.refused if i in self.refused]
+        held = [(self._scene.works[i], self.refused[i]) for i in told.refused if i in self.refused]
         if not held:
             return
         work, first = next(
             ((w, r) for w, r in held if r.report is not None and not r.wants_a_look), held[0]
         )
-        count = sum(len(self._desk.twins(w.item.obj.id)) for w, _ in held)
+        count = sum(len(self._scene.twins(w.item.obj.id)) for w, _ in held)
         more = f" The others: Show, {HELD}." if len(held) > 1 else ""
         what = (
             # By now the person may be at another object.

@@ -6,17 +6,16 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from app.server.display_names import joint_title
+from app.server.jobs import CLICKS
+from app.server.object_context import ObjectContext
+from app.server.validation_tasks import judge_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
-from model.validation.low_confidence import with_unsure
-from model.validation.report import GateReport, Mend
+from model.validation.low_confidence import with_low_confidence
+from model.validation.report import Fix, Severity, ValidationReport
 from sessions.document import Document
-
-if TYPE_CHECKING:
-    from app.server.open_object import OpenObject
 
 KEPT = 16
 """Answers kept for undo and redo."""
@@ -58,17 +57,17 @@ class Wish:
     """
 
     override: str
-    looked_at: GateReport | None
+    looked_at: ValidationReport | None
     again: Callable[[], None]
 
 
 class Judging:
     """Runs the gate for an object and keeps its answers by revision."""
 
-    def __init__(self, obj: OpenObject) -> None:
+    def __init__(self, obj: ObjectContext) -> None:
         self._obj = obj
-        self._answers: OrderedDict[Revision, GateReport] = OrderedDict()
-        self._told: dict[tuple[Revision, Sure], GateReport] = {}
+        self._answers: OrderedDict[Revision, ValidationReport] = OrderedDict()
+        self._told: dict[tuple[Revision, Sure], ValidationReport] = {}
         self._asked: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
         self._waiting: Wish | None = None
@@ -81,7 +80,7 @@ class Judging:
         return self._waiting is not None
 
     @property
-    def report(self) -> GateReport | None:
+    def report(self) -> ValidationReport | None:
         """The answer to the present joints and parts, with what the predictor itself doubts; None
         while there is none. The same until something changes."""
         document = self._obj.document
@@ -93,7 +92,7 @@ class Judging:
         key = revision, tuple(sorted(sure.items()))
         told = self._told.get(key)
         # All tabs get the same one, also where two ask at once.
-        return told or self._told.setdefault(key, with_unsure(answer, revision[0], sure))
+        return told or self._told.setdefault(key, with_low_confidence(answer, revision[0], sure))
 
     @property
     def checks(self) -> list[JointCheck]:
@@ -121,12 +120,20 @@ class Judging:
             return
         self._asked = revision
         obj.jobs.cancel("check")
-        obj.bench.stop_preparing()
+        obj.services.drafts.stop()
         if revision in self._answers:
             self._answers.move_to_end(revision)
             self._prepare(revision)
             return
-        obj.start_gate(revision[0], lambda report: self._keep(revision, report))
+        job = obj.services.workers.prediction.submit(
+            judge_joints,
+            obj.source(),
+            revision[0],
+            on_progress=obj.jobs.progress("check"),
+            key=("check", obj.record.id),
+            gives_way=CLICKS,
+        )
+        obj.start("check", job, lambda report: self._keep(revision, report))
 
     def forget_request(self) -> None:
         """The gate was stopped to make room for other work; ask again."""
@@ -139,7 +146,7 @@ class Judging:
                 self._problem = (self._asked, message)
         self._accept_waiting()
 
-    def _keep(self, revision: Revision, report: GateReport) -> None:
+    def _keep(self, revision: Revision, report: ValidationReport) -> None:
         with self._lock:
             self._answers[revision] = report
         while len(self._answers) > KEPT:
@@ -155,9 +162,9 @@ class Judging:
         """Write what will be accepted while the person still looks at it."""
         obj = self._obj
         decided = obj.document.review.state == "accepted"
-        if decided or obj.asset is None or self._answers[revision].verdict == "broken":
+        if decided or obj.asset is None or self._answers[revision].severity == Severity.ERROR:
             return  # what is broken will be edited
-        obj.bench.prepare_asset(obj.source(), revision[0])
+        obj.services.drafts.prepare(obj.source(), revision[0])
 
     @staticmethod
     def _revision(document: Document) -> Revision | None:
@@ -180,20 +187,18 @@ class Judging:
             self._waiting = wish if waits else None
             self._wished = self._revision(self._obj.document)
         if waits:
-            name = self._obj.bench.called(self._obj.record)  # another one follows at once
-            self._obj.tell("Accepting", f"{name}: as soon as the joints are judged", "blue")
             return False
         document = self._obj.document
-        if report is not None and report.verdict == "broken" and not wish.override.strip():
-            count, worst = len(report.with_verdict("broken")), report.joints[0]
-            what = f"{joint_title(document, worst.child)} is broken: {worst.sentence}"
+        if report is not None and report.severity == Severity.ERROR and not wish.override.strip():
+            count, worst = len(report.joints_with(Severity.ERROR)), report.joints[0]
+            what = f"{joint_title(document, worst.child)} is broken: {worst.message}"
             more = f" So {'are' if count > 2 else 'is'} {count - 1} more." if count > 1 else ""
             raise CommandError(f"{what}{more} Mend it, or say why it is right")
-        if report is not None and report.verdict == "look" and wish.looked_at is not report:
-            count, worst = len(report.with_verdict("look")), report.joints[0]
+        if report and report.severity == Severity.WARNING and wish.looked_at is not report:
+            count, worst = len(report.joints_with(Severity.WARNING)), report.joints[0]
             more = f" {count - 1} more to look at." if count > 1 else ""
             raise LookFirstError(
-                f"{joint_title(document, worst.child)}: {worst.sentence}{more} "
+                f"{joint_title(document, worst.child)}: {worst.message}{more} "
                 "Y again accepts it as it is"
             )
         return True
@@ -215,9 +220,9 @@ class Judging:
         report = self.report
         if report is None:
             return (f"the joints were not judged: {self.problem}",) if self.problem else ()
-        return tuple(f"{j.joint}: {j.sentence}" for j in report.joints if j.verdict != "fine")
+        return tuple(f"{j.joint}: {j.message}" for j in report.joints if j.severity != Severity.OK)
 
-    def mend(self, joint: str, kind: str) -> Mend:
+    def mend(self, joint: str, kind: str) -> Fix:
         """The mend of that kind for a joint.
 
         Raises:
@@ -225,17 +230,17 @@ class Judging:
         """
         report = self.report
         found = None if report is None else report.of(joint)
-        for mend in () if found is None else found.mends:
+        for mend in () if found is None else found.fixes:
             if mend.kind == kind:
                 return mend
         raise CommandError("the joints changed meanwhile; they are being judged again")
 
 
-def checks_of(report: GateReport) -> list[JointCheck]:
+def checks_of(report: ValidationReport) -> list[JointCheck]:
     """The collisions of a gate's answer as the views mark them."""
     return [
         JointCheck(j.joint, f.q.get(j.joint, 0.0), f.depth, f.where, f.other)
         for j in report.joints
         for f in j.findings
-        if f.kind in ("collision", "jammed") and f.verdict != "fine" and f.where is not None
+        if f.kind in ("collision", "jammed") and f.severity != Severity.OK and f.where is not None
     ]

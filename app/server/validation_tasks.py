@@ -14,26 +14,26 @@ from model.core import codec
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
-from model.validation.report import GateReport
+from model.validation.report import ValidationReport
 
 PACKAGES = static_assets().parent
-DECIDES = ("collision", "exporters", "gate", "geometry", "kinematics")
+DECIDES = ("core", "geometry", "kinematics", "physics", "validation")
 """Packages of the model that an answer depends on, with their thresholds."""
 
 
 def judge_joints(
     source: PartSource, tree: KinematicTree, progress: Progress = no_progress
-) -> GateReport:
+) -> ValidationReport:
     """Ask the gate about every joint, or say again what it said of them before."""
     kept = _kept_at(source, tree)
     try:
-        return codec.read(GateReport, json.loads(kept.read_text(encoding="utf-8")))
+        return codec.read(ValidationReport, json.loads(kept.read_text(encoding="utf-8")))
     except (OSError, ValueError):
         pass
-    from model.validation.runner import run_gate
+    from model.validation.runner import validate
 
     obj = articulated_object(source, tree)
-    report = run_gate(obj, store=source.workspace / "collision", progress=progress)
+    report = validate(obj, store=source.workspace / "collision", progress=progress)
     draft = kept.with_name(f".{kept.name}.{secrets.token_hex(4)}")
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)

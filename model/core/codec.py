@@ -7,6 +7,7 @@ Reading never converts silently: a wrong type, NaN, an unknown or a missing fiel
 from __future__ import annotations
 
 import dataclasses
+import enum
 import math
 import types
 from collections.abc import Callable, Mapping
@@ -36,6 +37,8 @@ def write(value: Any, where: str = "value") -> Any:
     """
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, enum.Enum):
+        value = value.value
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, float):
@@ -88,6 +91,8 @@ def _read(kind: Any, data: Any, where: str) -> Any:
     simple = _SIMPLE.get(kind)
     if simple is not None:
         return simple(data, where)
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return kind(_literal(tuple(m.value for m in kind), data, where))
     origin = get_origin(kind)
     if origin is Literal:
         return _literal(get_args(kind), data, where)

@@ -31,7 +31,7 @@ class Mimic:
 
 
 @dataclass(frozen=True)
-class ToldDynamics:
+class DeclaredDynamics:
     """What a joint's source says of what resists its motion; None where it says nothing.
 
     Attributes:
@@ -100,7 +100,7 @@ class Joint:
     upper: float | None = None
     mimic: Mimic | None = None
     give_way: bool = False
-    dynamics: ToldDynamics | None = None
+    dynamics: DeclaredDynamics | None = None
 
     def __post_init__(self) -> None:
         problems = self._problems()

@@ -1,8 +1,8 @@
 """Whether a predicted object works: every joint over its range, alone, together, and in MuJoCo.
 
-The gate (:mod:`model.validation`) does the looking; here its findings become figures of an object:
-penetration, coming off, jamming, floating, senseless limits, and in the simulator what is no
-number, explodes, drifts or stops short. An object is executable where nothing of it is broken.
+The findings of :mod:`model.validation` become figures of an object: penetration, parts that come
+off, jam or float, impossible limits, and in the simulator values that are no numbers, explode,
+drift or stop short. An object is executable where validation finds no error.
 """
 
 from __future__ import annotations
@@ -14,24 +14,25 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
 from model.core.installing import install_command
 from model.evaluation.pool import OutOfTimeError, time_limit
+from model.validation.report import Severity
+from model.validation.runner import validate
 
 MOST = 6
-"""Findings told of one object."""
+"""Findings that are listed of one object."""
 
 
 @dataclass(frozen=True)
 class Execution:
-    """What became of one object.
+    """The result of one object.
 
     Attributes:
-        executable: nothing of it is broken, and the simulator ran.
-        why: what is broken, or worth a look, in words; "" where all moves freely.
-        kinds: what was broken: collision, combination, jammed, detached, floating, limits,
-            geometry, physics.
+        executable: no errors, and the simulator ran.
+        why: errors and warnings, for people; "" where all joints move freely.
+        kinds: kinds of the errors, see :data:`model.validation.report.Kind`.
         depth: deepest penetration over the object's diagonal.
         drift: largest share of a joint's range by which it moved while others were driven.
         missed: largest share of a range that a driven joint fell short of.
-        joints, broken: how many move, and how many of them are broken.
+        joints, broken: number of moving joints, and of those with errors.
     """
 
     executable: bool
@@ -45,10 +46,10 @@ class Execution:
 
 
 def require_simulator() -> None:
-    """Say early that MuJoCo is needed.
+    """Check early that MuJoCo is installed.
 
     Raises:
-        ConfigurationError: where it isn't installed.
+        ConfigurationError: where it isn't.
     """
     if find_spec("mujoco") is None:
         raise ConfigurationError(
@@ -63,37 +64,35 @@ def execute(obj: ArticulatedObject | None, *, seed: int = 0, timeout: float = 12
     Args:
         obj: None where there is no prediction: not executable.
         seed: of the random combinations.
-        timeout: seconds after which it counts as not executable.
+        timeout: seconds, after which the object counts as not executable.
     """
     if obj is None:
         return Execution(False, "there is no prediction")
     try:
         with time_limit(timeout):
-            return _judged(obj, seed)
+            return _validated(obj, seed)
     except OutOfTimeError as error:
         return Execution(False, f"driving its joints was {error}")
     except Exception as error:  # the boundary: any geometry may come here
         return Execution(False, f"{type(error).__name__}: {error}"[:300])
 
 
-def _judged(obj: ArticulatedObject, seed: int) -> Execution:
-    from model.validation.runner import run_gate
-
-    report = run_gate(obj, seed=seed, physics=True, shapes=False, mends=False)
-    broken = report.with_verdict("broken")
-    said = [f"{v.child}: {v.sentence}" for v in report.joints if v.verdict != "fine"]
-    kinds = {f.kind for v in broken for f in v.findings if f.verdict == "broken"}
+def _validated(obj: ArticulatedObject, seed: int) -> Execution:
+    report = validate(obj, seed=seed, physics=True, shapes=False, fixes=False)
+    bad = report.joints_with(Severity.ERROR)
+    said = [f"{v.child}: {v.message}" for v in report.joints if v.severity != Severity.OK]
+    kinds = {f.kind for v in bad for f in v.findings if f.severity == Severity.ERROR}
     physics = report.physics
     ran = physics is not None and physics.ran
-    if not ran and not broken:
+    if not ran and not bad:
         said.insert(0, physics.problem if physics is not None else "the simulator didn't run")
     return Execution(
-        executable=not broken and ran,
+        executable=not bad and ran,
         why="; ".join(said[:MOST]) + ("; …" if len(said) > MOST else ""),
         kinds=tuple(sorted(kinds)),
         depth=max((v.depth for v in report.joints), default=0.0) / (report.diagonal or 1.0),
         drift=max(physics.drifted.values(), default=0.0) if physics is not None else 0.0,
         missed=max(physics.missed.values(), default=0.0) if physics is not None else 0.0,
         joints=sum(j.moves for j in obj.tree.joints),
-        broken=len(broken),
+        broken=len(bad),
     )

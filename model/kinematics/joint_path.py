@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from model.core.joint import Joint, motion
 from model.core.tree import KinematicTree
-from model.kinematics.penetration import Crossings, Path, crossings, inverse, moved
+from model.kinematics.penetration import Penetrations, RelativePath, crossings, inverse, moved
 from model.kinematics.surface import Surface
 
 FloatArray = npt.NDArray[np.float64]
@@ -20,7 +20,7 @@ Poses = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class JointPath:
     """A way of a tree's links that begins at rest.
 
     Attributes:
@@ -45,7 +45,7 @@ class LinkContact:
     moving: str
     still: str
     forward: bool
-    found: Crossings
+    found: Penetrations
     aside: float
 
     def depth(self, poses: Poses, q: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
@@ -114,7 +114,7 @@ def follows(tree: KinematicTree, joint: Joint) -> bool:
 
 
 def contacts_along(
-    way: Way,
+    way: JointPath,
     surfaces: Mapping[str, Surface],
     tolerance: float,
     pairs: Collection[frozenset[str]] | None = None,
@@ -142,15 +142,15 @@ def contacts_along(
 
 
 def _pair(
-    way: Way,
+    way: JointPath,
     a: str,
     b: str,
     b_from_a: FloatArray,
     surfaces: Mapping[str, Surface],
     tolerance: float,
 ) -> list[LinkContact]:
-    there = Path(way.q, b_from_a, way.straight)
-    back = Path(way.q, inverse(b_from_a), way.straight)
+    there = RelativePath(way.q, b_from_a, way.straight)
+    back = RelativePath(way.q, inverse(b_from_a), way.straight)
     found = [
         crossings(surfaces[part], surfaces[target], path, tolerance)
         for part, target, path in ((a, b, there), (b, a, back))

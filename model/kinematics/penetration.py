@@ -47,7 +47,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class RelativePath:
     """Motion of one part seen from another's rest frame, from rest onwards.
 
     Attributes:
@@ -66,7 +66,7 @@ class Path:
 
 
 @dataclass(frozen=True, eq=False)
-class Crossings:
+class Penetrations:
     """First crossing of each point that has one.
 
     Attributes:
@@ -122,7 +122,7 @@ def inverse(poses: FloatArray) -> FloatArray:
     return out
 
 
-def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> Crossings:
+def crossings(part: Surface, target: Surface, path: RelativePath, tolerance: float) -> Penetrations:
     """Where samples of ``part`` pass through ``target``.
 
     What was found lately is kept: where one joint is edited, most parts go the ways they went.
@@ -131,18 +131,20 @@ def crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> C
         tolerance: metres; surfaces this close behind a point at rest count as touching it.
     """
     if path.straight and len(path.q) > 2:
-        path = Path(path.q[[0, -1]], path.target_from_part[[0, -1]], True)
+        path = RelativePath(path.q[[0, -1]], path.target_from_part[[0, -1]], True)
     way = content_of(
         path.q, path.target_from_part, np.array([tolerance, path.straight], np.float64)
     )
 
-    def find() -> tuple[Crossings, Surface]:
+    def find() -> tuple[Penetrations, Surface]:
         return _crossings(part, target, path, tolerance), target  # whose id is no other's then
 
     return part.met.get((id(target), way), find, weigh=lambda held: float(len(held[0].q)))[0]
 
 
-def _crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> Crossings:
+def _crossings(
+    part: Surface, target: Surface, path: RelativePath, tolerance: float
+) -> Penetrations:
     chosen, at = _near(part, target, path, tolerance)
     judge = _Judge(part, target, path, chosen, at, tolerance)
     chords = _chords(at, target, tolerance)
@@ -181,11 +183,13 @@ def _crossings(part: Surface, target: Surface, path: Path, tolerance: float) -> 
     if part.oriented and target.oriented and len(found) > outliers:
         step = np.clip(best[found].astype(np.int64), 0, len(path.q) - 2)
         aside = _aside(target, anchor[found], at[step + 1, found] - at[step, found], tolerance)
-    return Crossings(q, part.points[chosen[found]], anchor[found], normal[found], outliers, aside)
+    return Penetrations(
+        q, part.points[chosen[found]], anchor[found], normal[found], outliers, aside
+    )
 
 
 def _near(
-    part: Surface, target: Surface, path: Path, tolerance: float
+    part: Surface, target: Surface, path: RelativePath, tolerance: float
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
     """Samples whose paths come near the target's box, and (K, P, 3) those paths."""
     low, high = target.bounds[0] - 2 * tolerance, target.bounds[1] + 2 * tolerance
@@ -246,7 +250,7 @@ class _Judge:
         self,
         part: Surface,
         target: Surface,
-        path: Path,
+        path: RelativePath,
         chosen: npt.NDArray[np.int64],
         at: FloatArray,
         tolerance: float,

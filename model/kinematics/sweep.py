@@ -17,9 +17,9 @@ from model.core.errors import KinematicsError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.kinematics.joint_path import (
+    JointPath,
     LinkContact,
     Poses,
-    Way,
     contacts_along,
     follows,
     joint_poses,
@@ -69,7 +69,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, eq=False)
-class WaySweep:
+class PathSweep:
     """Penetration between links along a way through joint space.
 
     Attributes:
@@ -174,14 +174,14 @@ def free_until(
     return _first_collision(tree, joint, contacts, end, tolerance)
 
 
-def sweep_way(
+def sweep_path(
     obj: ArticulatedObject,
     values: Sequence[Mapping[str, float]],
     *,
     pairs: Collection[frozenset[str]] | None = None,
     tolerance: float | None = None,
     points: int = POINTS,
-) -> WaySweep:
+) -> PathSweep:
     """Move several joints at once and see which links run into each other.
 
     Args:
@@ -194,11 +194,11 @@ def sweep_way(
     """
     surfaces = surfaces_of(obj, points)
     scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9
-    way = Way(np.arange(len(values), dtype=np.float64), tree_poses(obj.tree, values))
+    way = JointPath(np.arange(len(values), dtype=np.float64), tree_poses(obj.tree, values))
     found = _Deepest(len(values))
     for contact in contacts_along(way, surfaces, scale, pairs):
         found.enter(contact, way.poses, way.q, np.arange(len(values)))
-    return WaySweep(found.depth, found.where, tuple(found.pairs), scale)
+    return PathSweep(found.depth, found.where, tuple(found.pairs), scale)
 
 
 def surfaces_of(obj: ArticulatedObject, points: int = POINTS) -> dict[str, Surface]:
@@ -258,11 +258,11 @@ def _steps(joint: Joint, end: float) -> FloatArray:
     return np.linspace(0.0, end, max(count, 1) + 1)
 
 
-def _joint_way(tree: KinematicTree, joint: Joint, end: float) -> Way:
+def _joint_way(tree: KinematicTree, joint: Joint, end: float) -> JointPath:
     """From rest to ``end``."""
     q = _steps(joint, end)
     straight = not joint.rotates and not follows(tree, joint)
-    return Way(q, joint_poses(tree, joint, q), straight)
+    return JointPath(q, joint_poses(tree, joint, q), straight)
 
 
 def _first_collision(

@@ -50,7 +50,7 @@ class PhysicsSettings:
         hold: whether a joint that gravity would move out of the scanned pose has the friction to
             hold itself, as a laptop's hinge has.
         fixed_base: whether the root stands still, in formats that say so (MJCF, SDF, USD).
-        told_masses, told_dynamics, told_shapes: whether what the object's source tells of masses,
+        declared_masses, declared_dynamics, declared_shapes: whether what the object's source tells of masses,
             joint dynamics and collision shapes counts.
     """
 
@@ -60,9 +60,9 @@ class PhysicsSettings:
     sliding: JointDynamics = SLIDING
     hold: bool = True
     fixed_base: bool = True
-    told_masses: bool = True
-    told_dynamics: bool = True
-    told_shapes: bool = True
+    declared_masses: bool = True
+    declared_dynamics: bool = True
+    declared_shapes: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,15 +76,15 @@ class Physics:
         touching: pairs of links whose shapes overlap at rest all the same; formats that can tell
             the simulator to let them pass.
         fixed_base: whether the root stands still.
-        told_shapes: links whose shapes are those of the object's source.
+        declared_shapes: links whose shapes are those of the object's source.
     """
 
     inertials: Mapping[str, Inertial]
     collision: Collision
     dynamics: Mapping[str, JointDynamics]
-    touching: tuple[tuple[str, str], ...] = ()
+    overlapping: tuple[tuple[str, str], ...] = ()
     fixed_base: bool = True
-    told_shapes: tuple[str, ...] = ()
+    declared_shapes: tuple[str, ...] = ()
 
 
 def physics_of(
@@ -111,7 +111,7 @@ def physics_of(
     collision: Collision = {}
     told: tuple[str, ...] = ()
     if settings.collision is not None:
-        shaped = obj if settings.told_shapes else replace(obj, shapes={})
+        shaped = obj if settings.declared_shapes else replace(obj, shapes={})
         collision = collision_of(shaped, settings.collision, store=store, progress=progress)
         told = tuple(sorted(collision.keys() & shaped.shapes.keys()))
     progress(1.0, "weighing the parts")
@@ -119,11 +119,11 @@ def physics_of(
         if part.cloud is not None and len(part.cloud):
             part_mesh(part, store)
     inertials = inertials_of(
-        obj, material_of=lambda part: table.of(part, obj.category), told=settings.told_masses
+        obj, material_of=lambda part: table.of(part, obj.category), told=settings.declared_masses
     )
     return Physics(
         inertials, collision, _dynamics(obj.tree, inertials, settings),
-        touching_pairs(obj, collision), settings.fixed_base, told,
+        overlapping_pairs(obj, collision), settings.fixed_base, told,
     )  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def _dynamics(
         made = settings.turning if joint.rotates else settings.sliding
         if settings.hold:
             made = resisting(tree, inertials, joint, made)
-        told = asdict(joint.dynamics) if settings.told_dynamics and joint.dynamics else {}
+        told = asdict(joint.dynamics) if settings.declared_dynamics and joint.dynamics else {}
         out[joint.name] = replace(made, **{k: v for k, v in told.items() if v is not None})
     return out
 
@@ -229,12 +229,12 @@ def _load(
 def whose_shapes(obj: ArticulatedObject, physics: Physics) -> str:
     """Which collision shapes are the source's and which are made, for people; "" where all are
     made."""
-    if not physics.told_shapes:
+    if not physics.declared_shapes:
         return ""
-    made = [p.link for p in obj.parts if p.link not in physics.told_shapes]
+    made = [p.link for p in obj.parts if p.link not in physics.declared_shapes]
     if not made:
         return "all collision shapes are the file's own"
-    whose = f"collision shapes of {_listed(physics.told_shapes)} are the file's own"
+    whose = f"collision shapes of {_listed(physics.declared_shapes)} are the file's own"
     return f"{whose}, those of {_listed(made)} are made"
 
 
@@ -242,7 +242,7 @@ def _listed(links: Sequence[str]) -> str:
     return ", ".join(links[:NAMED]) + (", …" if len(links) > NAMED else "")
 
 
-def touching_pairs(obj: ArticulatedObject, collision: Collision) -> tuple[tuple[str, str], ...]:
+def overlapping_pairs(obj: ArticulatedObject, collision: Collision) -> tuple[tuple[str, str], ...]:
     """Pairs of links that move against each other and whose shapes overlap at rest."""
     bodies = {link: [hull_of_shape(s) for s in held] for link, held in collision.items()}
     found = overlaps(bodies, moving_pairs(obj.tree), obj.tree.pose({}))

@@ -1,4 +1,4 @@
-"""Joints together: ways to poses in which several joints stand somewhere in their ranges."""
+"""Collisions that happen only when several joints move."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy.typing as npt
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.kinematics.joint_path import tree_poses
-from model.kinematics.sweep import sweep_way
+from model.kinematics.sweep import sweep_path
+from model.validation import messages
 from model.validation.examine import Scene, between, limits_of
-from model.validation.phrases import length
-from model.validation.report import Finding, Verdict
+from model.validation.report import Finding, Severity
 
 POSES = 12
 STEPS = 10
 POINTS = 768
 OFTEN = 0.5
-"""Share of the ways on which two parts must meet to be worth a look: a door and the drawer beside
-it may be in each other's way, but not nearly always."""
+"""Share of the poses from which a collision is a warning: a door and the drawer beside it may block
+each other, but not nearly always."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,49 +31,50 @@ def combination_findings(
     seed: int,
     progress: Progress = no_progress,
 ) -> dict[str, Finding]:
-    """What meets only when several joints move: joint name → the deepest such finding.
+    """Find the deepest such collision of each joint, by joint name.
 
     Args:
-        known: pairs of links that meet when a joint moves alone; they are passed over.
+        known: pairs of links that collide when one joint moves alone; they are left out.
         seed: of the poses (of low discrepancy).
     """
     tree = scene.obj.tree
     joints = [j for j in tree.joints if j.moves and j.mimic is None]
-    watched = _pairs(scene) - known
-    if len(joints) < 2 or not watched:
+    pairs = _pairs(scene) - known
+    if len(joints) < 2 or not pairs:
         return {}
-    met: dict[frozenset[str], list[Finding]] = {}
+    found: dict[frozenset[str], list[Finding]] = {}
     for k, pose in enumerate(_poses(joints, seed)):
-        progress(k / POSES, "Moving the joints together")
-        way = [{n: v * t for n, v in pose.items()} for t in np.linspace(0, 1, STEPS)]
-        near = watched & _near(scene, way)
+        progress(k / POSES, messages.COMBINING)
+        path = [{n: v * t for n, v in pose.items()} for t in np.linspace(0, 1, STEPS)]
+        near = pairs & _near(scene, path)
         if not near:
             continue
-        found = sweep_way(scene.obj, way, pairs=near, tolerance=scene.tolerance, points=POINTS)
-        worst = int(np.argmax(found.depth))
-        pair = found.pairs[worst]
-        if pair is None or found.depth[worst] <= scene.tolerance:
+        sweep = sweep_path(scene.obj, path, pairs=near, tolerance=scene.tolerance, points=POINTS)
+        worst = int(np.argmax(sweep.depth))
+        pair, depth = sweep.pairs[worst], float(sweep.depth[worst])
+        if pair is None or depth <= scene.tolerance:
             continue
-        at = tuple(float(v) for v in found.where[worst])
-        one = Finding("combination", "fine", "", float(found.depth[worst]), way[worst], at, pair[1])  # type: ignore[arg-type]
-        met.setdefault(frozenset(pair), []).append(one)
-    return _by_joint(scene, met)
+        at = tuple(float(v) for v in sweep.where[worst])
+        one = Finding("combination", Severity.OK, "", depth, path[worst], at, pair[1])  # type: ignore[arg-type]
+        found.setdefault(frozenset(pair), []).append(one)
+    return _by_joint(scene, found)
 
 
-def _by_joint(scene: Scene, met: dict[frozenset[str], list[Finding]]) -> dict[str, Finding]:
+def _by_joint(scene: Scene, found: dict[frozenset[str], list[Finding]]) -> dict[str, Finding]:
     out: dict[str, Finding] = {}
-    for pair, findings in met.items():
+    for pair, findings in found.items():
         worst = max(findings, key=lambda f: f.depth)
         a, b = sorted(pair)
-        verdict: Verdict = "look" if len(findings) >= OFTEN * POSES else "fine"
-        said = (
-            f"{scene.titled(a)} and {scene.titled(b)} meet when both move: "
-            f"{length(worst.depth)} deep at worst."
-        )
-        said = said[0].upper() + said[1:]
+        severity = Severity.WARNING if len(findings) >= OFTEN * POSES else Severity.OK
+        message = messages.sentence(
+            messages.COMBINATION, first=scene.display_name(a), second=scene.display_name(b),
+            depth=messages.length(worst.depth),
+        )  # fmt: skip
         for joint in between(scene.obj.tree, a, b):
             other = b if a in scene.obj.tree.descendants(joint.child) else a
-            mine = Finding("combination", verdict, said, worst.depth, worst.q, worst.where, other)
+            mine = Finding(
+                "combination", severity, message, worst.depth, worst.q, worst.where, other
+            )
             before = out.get(joint.name)
             if before is None or before.depth < mine.depth:
                 out[joint.name] = mine
@@ -94,7 +95,7 @@ def _poses(joints: list[Joint], seed: int) -> Iterator[dict[str, float]]:
 
 
 def _pairs(scene: Scene) -> frozenset[frozenset[str]]:
-    """Links whose motion against each other takes two joints."""
+    """Pairs of links with two or more moving joints between them."""
     links = [k for k in scene.obj.tree.order if k in scene.surfaces]
     return frozenset(
         frozenset((a, b))
@@ -104,18 +105,18 @@ def _pairs(scene: Scene) -> frozenset[frozenset[str]]:
     )
 
 
-def _near(scene: Scene, way: list[dict[str, float]]) -> frozenset[frozenset[str]]:
-    """Links whose boxes meet somewhere on the way."""
+def _near(scene: Scene, path: list[dict[str, float]]) -> frozenset[frozenset[str]]:
+    """Pairs of links whose boxes overlap somewhere along the path."""
     links = list(scene.surfaces)
-    poses = tree_poses(scene.obj.tree, way)
-    still = np.broadcast_to(np.eye(4), (len(way), 4, 4))
+    poses = tree_poses(scene.obj.tree, path)
+    still = np.broadcast_to(np.eye(4), (len(path), 4, 4))
     corners = np.stack(
         [np.array(np.meshgrid(*scene.surfaces[k].bounds.T)).reshape(3, -1).T for k in links]
     )
     stacked = np.stack([poses.get(k, still) for k in links])  # (L, K, 4, 4)
     at = np.einsum("lkij,lcj->lkci", stacked[:, :, :3, :3], corners)
     at = at + stacked[:, :, None, :3, 3]
-    # Boxes may slip past each other between two steps; what one step carries them is added.
+    # Boxes may pass each other between two steps: grow them by what one step moves them.
     step = np.abs(np.diff(at, axis=1)).max(axis=(1, 2, 3), initial=0.0)
     margin = (step[:, None] + step[None])[:, :, None, None] + scene.tolerance
     low, high = at.min(axis=2), at.max(axis=2)  # (L, K, 3)

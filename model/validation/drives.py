@@ -1,7 +1,7 @@
-"""What joints did when they were driven in the simulator, kept while limits of others change.
+"""Cached drives of joints in the simulator, reused while only limits of other joints change.
 
-Each drive begins at rest, on its own. Of two models that differ in limits alone, and of those that
-a drive never came to, it sees nothing: every number on the way is the same, so it isn't run again.
+Each drive begins at rest, on its own. Where two models differ only in limits that a drive never
+reached, every number of that drive is the same, so it isn't run again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OUTSIDE = 0.2
 DRIFT = 0.1
 """Share of its range that a joint may drift while others are driven."""
 CLEAR = 1e-6
-"""Radians or metres from a limit at which it surely has no say: files round it."""
+"""Radians or metres from a limit from which it has no influence: files round it."""
 _RANGE = re.compile(r' range="[^"]*"')
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,11 +31,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """What limits say in the simulator.
+    """Limits in the simulator.
 
     Attributes:
         low, high: (J,) radians or metres.
-        most: (A,) force of each drive in N or N m.
+        most: (A,) largest force of each drive in N or N m.
     """
 
     low: FloatArray
@@ -44,17 +44,17 @@ class Bounds:
 
 
 @dataclass(eq=False)
-class Seen:
-    """What a drive of some joints showed.
+class DriveResult:
+    """The result of driving some joints.
 
     Attributes:
-        low, high: (J,) the lowest and highest value of each joint on the way.
-        force: (A,) the greatest of each drive, N or N m.
-        moved: (J,) how far each ended from where it began, less what drives give way.
-        missed: joint, share of its range that it stopped short of, and where.
-        drifted: joint and share of its range.
+        low, high: (J,) lowest and highest value of each joint.
+        force: (A,) greatest force of each drive, N or N m.
+        moved: (J,) distance of each from its start at the end, less the sag of its drive.
+        missed: joint, share of its range that it stopped short, and where.
+        drifted: joint, and share of its range.
         seconds: simulated.
-        exploded: joint, how, and where it stood where it had left its limits.
+        exploded: joint, how, and where it was if it left its limits.
     """
 
     low: FloatArray
@@ -67,83 +67,88 @@ class Seen:
     seconds: float = 0.0
 
     @staticmethod
-    def nothing(joints: int, drives: int) -> Seen:
-        """Before the first step."""
+    def empty(joints: int, drives: int) -> DriveResult:
+        """The result before the first step."""
         far = np.full(joints, np.inf)
-        return Seen(far, -far, np.zeros(drives), np.zeros(joints))
+        return DriveResult(far, -far, np.zeros(drives), np.zeros(joints))
 
-    def note(self, q: FloatArray, force: FloatArray) -> None:
-        """After a step: (J,) values and (A,) forces."""
+    def record(self, q: FloatArray, force: FloatArray) -> None:
+        """Add a step: (J,) values and (A,) forces."""
         self.low, self.high = np.minimum(self.low, q), np.maximum(self.high, q)
         self.force = np.maximum(self.force, np.abs(force))
 
 
-class KeptDrives:
-    """The drives of one model, whatever the limits in it.
+class DriveCache:
+    """Drives of one model, whatever its limits.
 
     Args:
-        key: tells models apart, but for limits.
+        key: of the model without its limits.
     """
 
     def __init__(self, key: str) -> None:
         self._key = key
 
-    def _held(
+    def _entry(
         self, gravity: float, group: Sequence[int], bounds: Bounds
-    ) -> list[tuple[Bounds, Seen]]:
+    ) -> list[tuple[Bounds, DriveResult]]:
         """A list of one, or empty."""
         own = tuple((float(bounds.low[k]), float(bounds.high[k])) for k in group)
         return _DRIVES.get((self._key, gravity, tuple(group), own), list)
 
-    def keep(self, gravity: float, group: Sequence[int], bounds: Bounds, seen: Seen) -> None:
-        """Remember what a drive of ``group`` showed; what exploded is looked at each time."""
-        self._held(gravity, group, bounds)[:] = [] if seen.exploded else [(bounds, seen)]
+    def save(
+        self, gravity: float, group: Sequence[int], bounds: Bounds, result: DriveResult
+    ) -> None:
+        """Cache a drive of ``group``, unless it exploded."""
+        self._entry(gravity, group, bounds)[:] = [] if result.exploded else [(bounds, result)]
 
-    def seen(
+    def load(
         self, gravity: float, group: Sequence[int], bounds: Bounds, driven: Sequence[int]
-    ) -> Seen | None:
-        """What a drive of ``group`` would show; None where it must be run.
+    ) -> DriveResult | None:
+        """The result of driving ``group``; None where it must be run.
 
         Args:
             driven: (A,) the joint of each drive.
         """
-        for before, seen in self._held(gravity, group, bounds):
-            if _unnoticed(before, bounds, seen, np.asarray(driven)):
-                return seen
+        for before, result in self._entry(gravity, group, bounds):
+            if _unaffected(before, bounds, result, np.asarray(driven)):
+                return result
         return None
 
 
-def _unnoticed(before: Bounds, now: Bounds, seen: Seen, driven: npt.NDArray[np.int64]) -> bool:
-    """Whether other limits would have made no difference."""
+def _unaffected(
+    before: Bounds, now: Bounds, result: DriveResult, driven: npt.NDArray[np.int64]
+) -> bool:
+    """Whether the changed limits make no difference to a result."""
     low, high = before.low != now.low, before.high != now.high
     starts = [np.clip(0.0, b.low, b.high) for b in (before, now)]
     span = np.minimum(before.high - before.low, now.high - now.low)
     force = before.most != now.most
     return bool(
         (starts[0] == starts[1]).all()
-        and (seen.low[low] > np.maximum(before.low, now.low)[low] + CLEAR).all()
-        and (seen.high[high] < np.minimum(before.high, now.high)[high] - CLEAR).all()
-        and (np.maximum(now.low - seen.low, seen.high - now.high) <= OUTSIDE * span)[
+        and (result.low[low] > np.maximum(before.low, now.low)[low] + CLEAR).all()
+        and (result.high[high] < np.minimum(before.high, now.high)[high] - CLEAR).all()
+        and (np.maximum(now.low - result.low, result.high - now.high) <= OUTSIDE * span)[
             low | high
         ].all()
-        and (seen.moved[low | high] <= DRIFT * span[low | high]).all()
-        and (seen.force[force] < 0.999 * np.minimum(before.most, now.most)[force]).all()
-        # What leads or follows others is tied to them.
+        and (result.moved[low | high] <= DRIFT * span[low | high]).all()
+        and (result.force[force] < 0.999 * np.minimum(before.most, now.most)[force]).all()
+        # Mimics and their leaders are coupled.
         and (low | high)[driven].sum() == (low | high).sum()
     )
 
 
-def kept_drives(text: str, obj: ArticulatedObject) -> KeptDrives:
-    """Those of a model.
+def drive_cache(text: str, obj: ArticulatedObject) -> DriveCache:
+    """The cached drives of a model.
 
     Args:
-        text: the simulator's model. Names in it are numbers of the object's links and joints.
+        text: the simulator's model; links and joints are named by their numbers in it.
     """
     names = (obj.tree.order, [j.name for j in obj.tree.joints])
-    said = f"{names}\0{_RANGE.sub(' range', text)}"
-    return KeptDrives(hashlib.sha256(said.encode()).hexdigest())
+    key = f"{names}\0{_RANGE.sub(' range', text)}"
+    return DriveCache(hashlib.sha256(key.encode()).hexdigest())
 
 
 _DRIVES: Recent[
-    tuple[str, float, tuple[int, ...], tuple[tuple[float, float], ...]], list[tuple[Bounds, Seen]]
+    tuple[str, float, tuple[int, ...], tuple[tuple[float, float], ...]],
+    list[tuple[Bounds, DriveResult]],
 ] = Recent(256)

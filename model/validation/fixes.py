@@ -1,5 +1,8 @@
-"""Changes of a joint that cure what the gate found. Each is tried out before it is offered, but
-for shrinking collision shapes: those are cut until nothing is in the way."""
+"""Changes of a joint that remove its findings.
+
+Each is validated before it is offered, but for shrinking collision shapes: those are cut until
+nothing blocks them.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from model.core.joint import Joint
 from model.kinematics.contact import contact_between
 from model.kinematics.snapping import box_of
 from model.kinematics.sweep import sweep_joint
+from model.validation import messages
 from model.validation.examine import (
     Scene,
     attached_range,
@@ -22,89 +26,86 @@ from model.validation.examine import (
     detached_finding,
     limits_of,
 )
-from model.validation.phrases import interval
-from model.validation.report import Finding, Mend
+from model.validation.report import Finding, Fix, Severity
 
-CURED = ("collision", "jammed", "detached", "limits")
+FIXABLE = ("collision", "jammed", "detached", "limits")
 LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
-"""Ranges below these are no mend: radians, and diagonals."""
+"""Smallest range that is offered: radians, and diagonals."""
 LEAST_SHARE = 0.1
-"""Nor is less than this share of the range before."""
+"""The same as a share of the range before."""
 INSET = 0.01
 """Limits end this share of the range before the contact."""
 ALONG_CONTACT = 0.9
 """Linearity from which a contact is a hinge line."""
 NEAR_HINGE = 0.02
-"""Axes that lie nearer to the present one than this share of the part's size are no other axes."""
+"""Axes nearer to the present one than this share of the part's size are the same axis."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
-def mends_for(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[Mend, ...]:
-    """What would cure a joint, best first: the other direction, another axis, a shorter range,
-    smaller collision shapes."""
+def find_fixes(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[Fix, ...]:
+    """Fixes of a joint, best first: the other direction, another axis, a shorter range, smaller
+    collision shapes."""
     if joint.mimic is not None:
         return ()
-    doubted = [f for f in findings if f.verdict != "fine"]
-    bad = [f for f in doubted if f.kind in CURED]
-    shrink = _shrink(joint, doubted)
+    problems = [f for f in findings if f.severity != Severity.OK]
+    bad = [f for f in problems if f.kind in FIXABLE]
+    shrink = _shrink(joint, problems)
     if not bad:
         return shrink
-    out: list[Mend] = []
-    # Where it is only worth a look, axis and direction are hardly what is wrong.
-    broken = [f.kind for f in bad if f.verdict == "broken" and f.kind != "limits"]
-    if "collision" in broken or "jammed" in broken:
+    out: list[Fix] = []
+    # Axis and direction are hardly the cause of a warning.
+    errors = [f.kind for f in bad if f.severity == Severity.ERROR and f.kind != "limits"]
+    if "collision" in errors or "jammed" in errors:
         out += _flip(scene, joint)
-    if joint.rotates and broken:
+    if joint.rotates and errors:
         out += _shift(scene, joint)
     out += _limits(scene, joint)
     return (*out, *shrink)
 
 
-def _shrink(joint: Joint, doubted: Iterable[Finding]) -> tuple[Mend, ...]:
-    """Collision shapes that give way, where others are in the way."""
+def _shrink(joint: Joint, problems: Iterable[Finding]) -> tuple[Fix, ...]:
+    """Smaller collision shapes, where others block them."""
     blocked = any(
         f.kind in ("collision", "jammed") or (f.kind == "physics" and f.other is not None)
-        for f in doubted
+        for f in problems
     )
     if joint.give_way or not blocked:
         return ()
-    said = "Shrink the collision shapes that are in the way; what is seen stays as it is."
-    return (Mend("shrink", replace(joint, give_way=True), said),)
+    return (Fix("shrink", replace(joint, give_way=True), messages.FIX_SHRINK),)
 
 
-def _cured(scene: Scene, joint: Joint) -> bool:
-    """Whether ``joint`` neither collides nor comes off over its whole range."""
+def _is_fixed(scene: Scene, joint: Joint) -> bool:
+    """Whether ``joint`` neither collides nor leaves its support over its range."""
     sweep = sweep_joint(
         scene.obj, joint, scene.samples, tolerance=scene.tolerance, points=scene.points
     )
     changed = scene.with_joint(joint)
     hit = collision_finding(changed, joint, sweep)
     off = detached_finding(changed, joint)
-    return all(f is None or f.verdict == "fine" for f in (hit, off))
+    return all(f is None or f.severity == Severity.OK for f in (hit, off))
 
 
-def _flip(scene: Scene, joint: Joint) -> list[Mend]:
-    """The same limits the other way round."""
+def _flip(scene: Scene, joint: Joint) -> list[Fix]:
+    """Reverse the axis, with the same limits."""
     lower, upper = limits_of(joint)
     if not joint.limited or math.isclose(-lower, upper, rel_tol=0.02):
         return []
     x, y, z = (-v if v else 0.0 for v in joint.axis)
     turned = replace(joint, axis=(x, y, z))
-    if not _cured(scene, turned):
+    if not _is_fixed(scene, turned):
         return []
-    return [Mend("flip", turned, "Flip the direction: the other way is free.")]
+    return [Fix("flip", turned, messages.FIX_FLIP)]
 
 
-def _shift(scene: Scene, joint: Joint) -> list[Mend]:
-    """The axis on the line where part and parent touch, or on an edge of the part that is held."""
+def _shift(scene: Scene, joint: Joint) -> list[Fix]:
+    """Move the axis to the line where part and parent touch, or to an edge of the part there."""
     for moved in _other_axes(scene, joint):
         x, y, z = (-v if v else 0.0 for v in moved.axis)
         turned = replace(moved, axis=(x, y, z))
-        for tried, also in ((moved, ""), (turned, ", opening the other way")):
-            if _cured(scene, tried):
-                said = f"Shift the axis to the contact line{also}."
-                return [Mend("shift", tried, said)]
+        for tried, message in ((moved, messages.FIX_AXIS), (turned, messages.FIX_AXIS_AND_FLIP)):
+            if _is_fixed(scene, tried):
+                return [Fix("shift", tried, message)]
     return []
 
 
@@ -121,8 +122,8 @@ def _other_axes(scene: Scene, joint: Joint) -> Iterator[Joint]:
         if contact.touches and contact.line.linearity > ALONG_CONTACT:
             lines.append((contact.line.point, contact.line.direction))
     except ArtiworldError:
-        pass  # nothing touches: only the part's edges are left
-    lines += _held_edges(child.points, parent.distance(child.points)[0] <= touch, axis)
+        pass  # no contact: only the part's edges are left
+    lines += _contact_edges(child.points, parent.distance(child.points)[0] <= touch, axis)
     for point, along in lines:
         direction = along if along @ axis >= 0 else -along
         apart = float(np.linalg.norm(np.cross(point - origin, direction)))
@@ -135,10 +136,10 @@ def _other_axes(scene: Scene, joint: Joint) -> Iterator[Joint]:
             )
 
 
-def _held_edges(
+def _contact_edges(
     points: FloatArray, touching: npt.NDArray[np.bool_], axis: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Edges of the part's box along ``axis`` at which it touches its parent, most contact first."""
+    """Edges of the part's box along ``axis`` where it touches its parent, most contact first."""
     if not touching.any():
         return []
     box = box_of(points)
@@ -150,15 +151,15 @@ def _held_edges(
         for t in (-1, 1):
             edge = np.array([s * box.half[a], t * box.half[b]])
             reach = 0.1 * max(2 * box.half[a], 2 * box.half[b])
-            held = int((np.linalg.norm(local[:, [a, b]] - edge, axis=1) <= reach).sum())
+            count = int((np.linalg.norm(local[:, [a, b]] - edge, axis=1) <= reach).sum())
             place = box.center + edge[0] * box.axes[:, a] + edge[1] * box.axes[:, b]
-            found.append((held, place, box.axes[:, along]))
+            found.append((count, place, box.axes[:, along]))
     found.sort(key=lambda e: -e[0])
-    return [(place, direction) for held, place, direction in found if held]
+    return [(place, direction) for count, place, direction in found if count]
 
 
-def _limits(scene: Scene, joint: Joint) -> list[Mend]:
-    """The range that is free and in which the part stays on what holds it."""
+def _limits(scene: Scene, joint: Joint) -> list[Fix]:
+    """Set the range in which the part is free and stays at its support."""
     lower, upper = limits_of(joint)
     least = LEAST_ANGLE if joint.rotates else LEAST_SLIDE * scene.diagonal
     wide = math.pi if joint.rotates else scene.diagonal
@@ -184,7 +185,13 @@ def _limits(scene: Scene, joint: Joint) -> list[Mend]:
     span = high - low
     if span < max(least, 0.0 if empty else LEAST_SHARE * (upper - lower)):
         return []
-    mended = replace(tried, lower=float(low), upper=float(high))
-    if mended == joint or not _cured(scene, mended):
+    changed = replace(tried, lower=float(low), upper=float(high))
+    if changed == joint or not _is_fixed(scene, changed):
         return []
-    return [Mend("limits", mended, f"Set the range to {interval(mended, low, high)}.")]
+    return [
+        Fix(
+            "limits",
+            changed,
+            messages.FIX_RANGE.format(range=messages.interval(changed, low, high)),
+        )
+    ]

@@ -13,34 +13,36 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.display_names import display_name
 from model.core.installing import install_command
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.shapes import hull_of_shape
 from model.io.urdf.writer import link_origins, vector
 from model.physics.simulation_values import Physics, rough_physics
-from model.validation.drives import DRIFT, OUTSIDE, Bounds, KeptDrives, Seen, kept_drives
-from model.validation.phrases import title, value
+from model.validation import messages
+from model.validation.drives import DRIFT, OUTSIDE, Bounds, DriveCache, DriveResult, drive_cache
+from model.validation.messages import value
 from model.validation.physics_report import PhysicsReport, Stop
 
 STEP = 0.002
 """Seconds."""
 DRIVE = 0.4
-"""Seconds to one end of a range, and as many back."""
+"""Seconds to one end of a range; as many back."""
 STIFFNESS = 100.0
-"""1/s: how fast the position drives answer; they are critically damped for what they carry."""
+"""1/s: natural frequency of the position drives, which are critically damped for their load."""
 GROUPS = 12
-"""Joints of larger objects are driven several at a time."""
+"""Most drives of an object: joints of larger ones are driven several at a time."""
 SAG = 2 * 9.81 / STIFFNESS**2
-"""Metres that a drive gives way under twice the weight that it was made for; the same in radians
-on a lever of a metre."""
+"""Metres that a drive yields under twice its load; the same in radians on a lever of a metre."""
 MISS = 0.1
+"""Share of the range short of its target from which a joint is reported."""
 HASTE = 0.5 * (1.3 * math.pi / DRIVE) ** 2
-"""1/s²: the greatest acceleration on the way, over the way."""
+"""1/s²: greatest acceleration along the path, over its length."""
 SPARE = 4.0
-"""Times the force that the way and the weight ask for; what stands in the way is not torn out."""
+"""Force limit of a drive over what path and weight need, so that obstacles are not torn out."""
 TOUCHING = 1e-3
-"""Metres of gap at which two shapes count as the ones that stop a joint."""
+"""Metres of gap up to which a shape counts as the one that stops a joint."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -54,33 +56,33 @@ def run_physics(
     """Drive each joint to both ends of its range and back while the others hold still.
 
     Args:
-        physics: what exporters write: with it the links collide as they do in an exported asset.
-            None drives rough masses and joints alone, which is quick.
+        physics: with it the links collide as in an exported asset; None drives joints with rough
+            masses alone, which is quick.
     """
     if not simulator_installed():
-        how = install_command("artiworld[physics]")
-        return PhysicsReport(False, f"MuJoCo is not installed: {how}")
+        command = install_command("artiworld[physics]")
+        return PhysicsReport(False, messages.NOT_INSTALLED.format(command=command))
     mujoco: Any = importlib.import_module("mujoco")
     joints = [j for j in obj.tree.joints if _drivable(j)]
     physics = physics or rough_physics(obj)
-    shapes = sum(len(held) for held in physics.collision.values())
+    shapes = sum(map(len, physics.collision.values()))
     if not joints:
         return PhysicsReport(True, shapes=shapes)
     text = _xml(obj, joints, physics)
     try:
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
-        return PhysicsReport(False, f"MuJoCo can't load it: {str(error)[:200]}")
-    run = _Run(model, joints, obj, kept_drives(text, obj))
+        return PhysicsReport(False, messages.NOT_LOADED.format(error=str(error)[:200]))
+    run = _Run(model, joints, obj, drive_cache(text, obj))
     for k, gravity in enumerate((0.0, -9.81)):
-        run.all_joints(gravity, lambda f, k=k: progress(0.5 * (k + f), "Running physics"))
+        run.all_joints(gravity, lambda f, k=k: progress(0.5 * (k + f), messages.SIMULATING))
     return PhysicsReport(
         True, "", run.exploded, run.drifted, run.missed, shapes, run.seconds, run.stops
     )
 
 
 def simulator_installed() -> bool:
-    """Whether the extra ``artiworld[physics]`` is there."""
+    """Whether MuJoCo (``artiworld[physics]``) is installed."""
     return importlib.util.find_spec("mujoco") is not None
 
 
@@ -115,7 +117,7 @@ def _xml(obj: ArticulatedObject, joints: Sequence[Joint], physics: Physics) -> s
             ET.SubElement(assets, "mesh", name=name, vertex=flat)
             ET.SubElement(body, "geom", type="mesh", mesh=name, mass="0")
     contact = ET.SubElement(root, "contact")
-    for a, b in physics.touching:
+    for a, b in physics.overlapping:
         ET.SubElement(contact, "exclude", body1=f"b{number[a]}", body2=f"b{number[b]}")
     _followers(root, joints)
     drives = ET.SubElement(root, "actuator")
@@ -158,10 +160,10 @@ def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
 
 
 class _Run:
-    """The simulation, and what was seen in it."""
+    """The simulation and its results so far."""
 
     def __init__(
-        self, model: Any, joints: Sequence[Joint], obj: ArticulatedObject, kept: KeptDrives
+        self, model: Any, joints: Sequence[Joint], obj: ArticulatedObject, cache: DriveCache
     ) -> None:
         mujoco: Any = importlib.import_module("mujoco")
         self.mujoco, self.model, self.joints = mujoco, model, list(joints)
@@ -180,12 +182,12 @@ class _Run:
         self.obj, self.links = obj, list(obj.tree.order)
         self.seconds = 0.0
         self.most = np.full(len(self.driven), np.inf)
-        self._kept = kept
-        self._seen = Seen.nothing(len(joints), len(self.driven))
+        self._cache = cache
+        self._result = DriveResult.empty(len(joints), len(self.driven))
         self._tune()
 
     def _tune(self) -> None:
-        """Drives as strong as what they carry asks for, critically damped."""
+        """Make each drive as strong as its load needs, critically damped."""
         model, data = self.model, self.data
         self.mujoco.mj_forward(model, data)
         for a, k in enumerate(self.driven):
@@ -217,29 +219,29 @@ class _Run:
         for n, group in enumerate(groups):
             progress(n / len(groups))
             bounds = Bounds(self.low, self.high, self.most)
-            seen = self._kept.seen(gravity, group, bounds, self.driven)
-            if seen is None:
-                seen = self._seen = Seen.nothing(len(self.joints), len(self.driven))
+            result = self._cache.load(gravity, group, bounds, self.driven)
+            if result is None:
+                result = self._result = DriveResult.empty(len(self.joints), len(self.driven))
                 self._rest()
                 self._settle()
                 before = self.data.qpos[self.place].copy()
                 for end in (self.high, self.low):
                     if not self._drive(group, end, before):
                         break
-                self._kept.keep(gravity, group, bounds, seen)
-            self._take(seen)
+                self._cache.save(gravity, group, bounds, result)
+            self._add(result)
 
-    def _take(self, seen: Seen) -> None:
-        """What one drive showed counts where it is worse than what was seen before."""
-        self.seconds += seen.seconds
-        for k, share, stop in seen.missed:
+    def _add(self, result: DriveResult) -> None:
+        """Merge one drive: the worst of each joint counts."""
+        self.seconds += result.seconds
+        for k, share, stop in result.missed:
             name = self.joints[k].name
             if share > self.missed.get(name, 0.0):
                 self.missed[name], self.stops[name] = share, stop
-        for k, share in seen.drifted:
+        for k, share in result.drifted:
             name = self.joints[k].name
             self.drifted[name] = max(self.drifted.get(name, 0.0), share)
-        for k, how, place in seen.exploded:
+        for k, how, place in result.exploded:
             name = self.joints[k].name
             self.exploded[name] = how
             if place is not None:
@@ -251,12 +253,12 @@ class _Run:
     def _drive(self, group: list[int], end: FloatArray, before: FloatArray) -> bool:
         """There and back; False where it exploded."""
         slots = [self.driven.index(k) for k in group]
-        way = end - self.start
-        if not np.abs(way[group]).max() > 0:
+        path = end - self.start
+        if not np.abs(path[group]).max() > 0:
             return True
 
         def aim(t: float) -> None:
-            self.data.ctrl[slots] = self.start[group] + t * way[group]
+            self.data.ctrl[slots] = self.start[group] + t * path[group]
 
         count = round(DRIVE / STEP)
         there = self._steps(count, lambda t: aim(0.5 - 0.5 * math.cos(math.pi * min(1.3 * t, 1))))
@@ -270,17 +272,17 @@ class _Run:
         return True
 
     def _steps(self, count: int, aim: Any) -> bool:
-        """Whether all numbers stayed finite and within reach."""
+        """Simulate; False where a value became infinite or far outside its limits."""
         for k in range(count):
             aim((k + 1) / count)
             self.mujoco.mj_step(self.model, self.data)
-            self._seen.note(self.data.qpos[self.place], self.data.actuator_force)
-            if k % 20 == 19 and not self._sound():
+            self._result.record(self.data.qpos[self.place], self.data.actuator_force)
+            if k % 20 == 19 and not self._is_stable():
                 return False
-        self._seen.seconds += count * STEP
-        return self._sound()
+        self._result.seconds += count * STEP
+        return self._is_stable()
 
-    def _sound(self) -> bool:
+    def _is_stable(self) -> bool:
         bad = self.data.warning[self.mujoco.mjtWarning.mjWARN_BADQACC].number
         return not bad and bool(np.isfinite(self.data.qpos).all()) and not self._outside().any()
 
@@ -294,39 +296,36 @@ class _Run:
         far = np.flatnonzero(self._outside())
         for k in far.tolist():
             stop = self._stop(k)
-            self._seen.exploded.append((k, self._left(k, group, stop), stop))
+            self._result.exploded.append((k, self._left(k, group, stop), stop))
         for k in group if not len(far) else ():
-            how = "becomes unstable (no finite numbers any more)"
-            self._seen.exploded.append((k, how, None))
+            self._result.exploded.append((k, messages.UNSTABLE, None))
         return False
 
     def _left(self, k: int, group: list[int], stop: Stop) -> str:
-        """How far a joint is beyond its limits, what was driven, and what pushes it."""
+        """Say how far a joint is beyond its limits, which joint was driven, and what pushes it."""
         joint, q = self.joints[k], float(self.data.qpos[self.place[k]])
         beyond = max(float(self.low[k]) - q, q - float(self.high[k]))
-        far = f" by {value(joint, beyond)}" if math.isfinite(beyond) else ""
-        others = [title(self.obj, self.joints[g].child) for g in group if g != k]
-        driven = " and ".join(others[:2]) + (" and others" if len(others) > 2 else "")
-        text = (
-            f"leaves its limits{far} while {driven or 'it'} {'are' if len(others) > 1 else 'is'} "
-        )
-        text += "driven"
-        other = stop.other
+        by = messages.BY.format(value=value(joint, beyond)) if math.isfinite(beyond) else ""
+        others = [display_name(self.obj, self.joints[g].child) for g in group if g != k]
+        template = (messages.DRIVEN_ITSELF, messages.DRIVEN_ONE, messages.DRIVEN_TWO,
+                    messages.DRIVEN_MANY)[min(len(others), 3)]  # fmt: skip
+        driven = template.format(**dict(zip(("first", "second"), others, strict=False)))
+        cause = ""
         if joint.mimic is not None:
-            return f"{text}, as what it follows takes it there"
-        if other is not None:
-            return f"{text}, pushed by the collision shapes of {title(self.obj, other)}"
-        return text
+            cause = messages.CAUSE_MIMIC
+        elif stop.other is not None:
+            cause = messages.CAUSE_SHAPES.format(other=display_name(self.obj, stop.other))
+        return messages.LEAVES_LIMITS.format(by=by, driven=driven, cause=cause)
 
     def _compare(self, group: list[int], end: FloatArray) -> None:
         q = self.data.qpos[self.place]
         for k in group:
             short = (abs(end[k] - q[k]) - self.slack[k]) / self.span[k]
             if short > MISS:
-                self._seen.missed.append((k, float(short), self._stop(k)))
+                self._result.missed.append((k, float(short), self._stop(k)))
 
     def _stop(self, k: int) -> Stop:
-        """Where a joint stands, and what touches what it moves."""
+        """Where a joint is, and which other link touches its subtree."""
         model, data = self.model, self.data
         moved = np.zeros(model.nbody, bool)
         moved[model.joint(f"j{k}").bodyid[0]] = True
@@ -334,8 +333,8 @@ class _Run:
             moved[body] |= moved[model.body_parentid[body]]
         contact = data.contact
         bodies = model.geom_bodyid[contact.geom]  # (C, 2)
-        crossing = moved[bodies[:, 0]] != moved[bodies[:, 1]]
-        near = np.flatnonzero(crossing & (contact.dist < TOUCHING))
+        across = moved[bodies[:, 0]] != moved[bodies[:, 1]]
+        near = np.flatnonzero(across & (contact.dist < TOUCHING))
         other, where = None, None
         if len(near):
             first = near[contact.dist[near].argmin()]
@@ -348,14 +347,14 @@ class _Run:
 
     def _drift(self, group: list[int], before: FloatArray) -> None:
         q = self.data.qpos[self.place]
-        self._seen.moved = np.maximum(self._seen.moved, np.abs(q - before) - self.slack)
+        self._result.moved = np.maximum(self._result.moved, np.abs(q - before) - self.slack)
         led = {self.joints[k].name for k in group}
         for k, joint in enumerate(self.joints):
             if joint.mimic is not None and joint.mimic.joint in led:
                 continue
             share = (abs(q[k] - before[k]) - self.slack[k]) / self.span[k]
             if share > DRIFT:
-                self._seen.drifted.append((k, float(share)))
+                self._result.drifted.append((k, float(share)))
 
 
 def _limits(joint: Joint) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What the physics run says."""
+"""The result of driving the joints in a simulator."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Stop:
-    """Where a driven joint stopped short, or where one stood that left its limits.
+    """Where a driven joint stopped short, or was when it left its limits.
 
     Attributes:
         q: its joint value there.
         other: the link whose shapes it touches, or None.
-        where: (3,) that contact, object frame; None where nothing is touched.
+        where: (3,) that contact, object frame; None without one.
     """
 
     q: Mapping[str, float]
@@ -29,12 +29,12 @@ class PhysicsReport:
     Attributes:
         ran: whether it ran; False where no simulator is installed, or none could load the object.
         problem: why it didn't run, or "".
-        exploded: joint → what happened (not a number, far outside the limits).
-        drifted: joint → share of its range by which it moved on its own while others were driven.
+        exploded: joint → how (not a number, far outside the limits), for people.
+        drifted: joint → share of its range by which it moved while others were driven.
         missed: joint → share of its range that it fell short of its target.
-        shapes: collision shapes that took part; 0 where masses and joints were driven alone.
+        shapes: number of collision shapes; 0 where masses and joints were driven alone.
         seconds: simulated.
-        stops: joint → where it stopped, of those in ``missed``, or left its limits.
+        stops: joint → where it stopped or left its limits.
     """
 
     ran: bool

@@ -1,50 +1,57 @@
-"""What the gate says: a verdict and one plain sentence a joint, worst first."""
+"""The validation report: findings and fixes of each joint, worst first."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from enum import StrEnum
+from typing import Any, Literal
 
 from model.core.joint import Joint
+from model.validation.messages import MOVES_FREELY
 from model.validation.physics_report import PhysicsReport
 
-Verdict = Literal["fine", "look", "broken"]
+
+class Severity(StrEnum):
+    """How bad a finding is; the values are the words that provenance.json and caches hold."""
+
+    OK = "fine"
+    WARNING = "look"
+    ERROR = "broken"
+
+    @property
+    def rank(self) -> int:
+        """0 for OK, 1 for a warning, 2 for an error."""
+        return _RANKS[self]
+
+
+_RANKS = {severity: k for k, severity in enumerate(Severity)}
+
 Kind = Literal[
-    "collision", "combination", "detached", "jammed", "floating", "limits", "geometry", "physics",
-    "unsure",
-]  # fmt: skip
-MendKind = Literal["flip", "shift", "limits", "shrink"]
-VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-SEVERE: tuple[Kind, ...] = (
     "geometry", "jammed", "floating", "limits", "collision", "detached", "physics", "combination",
     "unsure",
-)  # fmt: skip
-"""What is told first of findings that are equally bad."""
-
-FREE = "Moves freely over its range."
-
-
-def worst_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """The worst verdict; "fine" of none."""
-    return VERDICTS[max((VERDICTS.index(v) for v in verdicts), default=0)]
+]  # fmt: skip
+"""What is checked, in the order of equally bad findings; "unsure" is the written name of a low
+confidence."""
+KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
+FixKind = Literal["flip", "shift", "limits", "shrink"]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was seen.
+    """One result of a check.
 
     Attributes:
-        kind: what was looked at. verdict: how bad it is. sentence: for people.
-        depth: metres: of a collision, or how far a part is off what should hold it.
-        q: joint values at the worst moment; joints that aren't there are at 0.
-        where: (3,) the contact at that moment, object frame; None where there is none.
+        kind: what was checked. severity: how bad it is. message: for people.
+        depth: metres: of a collision, or of the gap between a part and its support.
+        q: joint values at the worst pose; joints that are left out are at 0.
+        where: (3,) the contact at that pose, object frame; None without one.
         other: the other link, or None.
     """
 
     kind: Kind
-    verdict: Verdict
-    sentence: str
+    severity: Severity
+    message: str
     depth: float = 0.0
     q: Mapping[str, float] = field(default_factory=dict)
     where: tuple[float, float, float] | None = None
@@ -52,54 +59,54 @@ class Finding:
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """In the order in which they are told."""
-    return tuple(sorted(findings, key=lambda f: (-VERDICTS.index(f.verdict), SEVERE.index(f.kind))))
+    """Sort by severity, then by kind."""
+    return tuple(sorted(findings, key=lambda f: (-f.severity.rank, KINDS.index(f.kind))))
 
 
 @dataclass(frozen=True)
-class Mend:
-    """A changed joint with which the gate finds nothing wrong any more (of what it mends).
+class Fix:
+    """A changed joint in which validation no longer finds what the fix is for.
 
     Attributes:
         kind: flip the direction, shift the axis, set the limits, or shrink the collision shapes.
         joint: takes the place of its child's joint.
-        sentence: for people.
+        message: for people.
     """
 
-    kind: MendKind
+    kind: FixKind
     joint: Joint
-    sentence: str
+    message: str
 
 
 @dataclass(frozen=True)
-class JointVerdict:
-    """How one joint stands.
+class JointReport:
+    """The findings about one joint.
 
     Attributes:
         joint: its name. child: the link that it moves.
-        findings: worst first; without any it moves freely.
-        mends: best first, each tried out, but for shrinking, which works by construction.
+        findings: worst first; a joint without any moves freely.
+        fixes: best first. Each was tried out, but for shrinking, which works by construction.
     """
 
     joint: str
     child: str
     findings: tuple[Finding, ...] = ()
-    mends: tuple[Mend, ...] = ()
+    fixes: tuple[Fix, ...] = ()
 
     @property
-    def verdict(self) -> Verdict:
+    def severity(self) -> Severity:
         """The worst of the findings."""
-        return worst_of(f.verdict for f in self.findings)
+        return _worst(f.severity for f in self.findings)
 
     @property
     def worst(self) -> Finding | None:
-        """The finding to look at first, or None."""
+        """The first finding, or None."""
         return self.findings[0] if self.findings else None
 
     @property
-    def sentence(self) -> str:
-        """What is the matter, in one plain sentence."""
-        return FREE if self.worst is None else self.worst.sentence
+    def message(self) -> str:
+        """The message of the worst finding."""
+        return MOVES_FREELY if self.worst is None else self.worst.message
 
     @property
     def depth(self) -> float:
@@ -108,58 +115,63 @@ class JointVerdict:
         return max((f.depth for f in self.findings if f.kind in kinds), default=0.0)
 
     @property
-    def place(self) -> tuple[int, float, str]:
+    def sort_key(self) -> tuple[int, float, str]:
         """Sorts the joints of an object, worst first."""
-        return -VERDICTS.index(self.verdict), -self.depth, self.joint
+        return -self.severity.rank, -self.depth, self.joint
 
 
 @dataclass(frozen=True)
-class GateReport:
-    """How an articulated object stands.
+class ValidationReport:
+    """The findings about an articulated object.
 
     Attributes:
         joints: worst first.
         diagonal: of the object in metres; depths are read against it.
-        physics: what the simulator said; None where it wasn't asked.
-        seconds: how long it took.
+        physics: the result of the simulation; None where it was left out.
+        seconds: how long validation took.
     """
 
-    joints: tuple[JointVerdict, ...]
+    joints: tuple[JointReport, ...]
     diagonal: float
     physics: PhysicsReport | None = None
     seconds: float = 0.0
 
     @property
-    def verdict(self) -> Verdict:
+    def severity(self) -> Severity:
         """The worst of the joints."""
-        return worst_of(j.verdict for j in self.joints)
+        return _worst(j.severity for j in self.joints)
 
-    def of(self, joint: str) -> JointVerdict | None:
-        """The verdict of a joint, or None."""
+    def of(self, joint: str) -> JointReport | None:
+        """The report of a joint, or None."""
         return next((j for j in self.joints if j.joint == joint), None)
 
-    def with_verdict(self, verdict: Verdict) -> tuple[JointVerdict, ...]:
-        """The joints that stand so."""
-        return tuple(j for j in self.joints if j.verdict == verdict)
+    def joints_with(self, severity: Severity) -> tuple[JointReport, ...]:
+        """The joints of this severity."""
+        return tuple(j for j in self.joints if j.severity == severity)
 
     def to_json(self) -> dict[str, Any]:
-        """For a provenance record: plain values, no mends."""
+        """Plain values for provenance.json, without fixes."""
         return {
-            "verdict": self.verdict,
+            "verdict": self.severity.value,
             "joints": [_joint_json(j, self.diagonal) for j in self.joints],
             "physics": None if self.physics is None else self.physics.to_json(),
         }
 
 
-def _joint_json(joint: JointVerdict, diagonal: float) -> dict[str, Any]:
+def _worst(severities: Iterable[Severity]) -> Severity:
+    return max(severities, key=lambda s: s.rank, default=Severity.OK)
+
+
+def _joint_json(joint: JointReport, diagonal: float) -> dict[str, Any]:
     return {
         "joint": joint.joint,
         "child": joint.child,
-        "verdict": joint.verdict,
-        "sentence": joint.sentence,
+        "verdict": joint.severity.value,
+        "sentence": joint.message,
         "depth": round(joint.depth, 6),
         "depth_share": round(joint.depth / max(diagonal, 1e-12), 6),
         "findings": [
-            {"kind": f.kind, "verdict": f.verdict, "sentence": f.sentence} for f in joint.findings
+            {"kind": f.kind, "verdict": f.severity.value, "sentence": f.message}
+            for f in joint.findings
         ],
     }

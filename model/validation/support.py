@@ -1,4 +1,4 @@
-"""What holds a part: which parts touch nothing, and where a joint takes its part off its parent."""
+"""Support of parts: which parts touch no other, and where a joint takes its part off its parent."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ FloatArray = npt.NDArray[np.float64]
 POSES = 9
 """Joint values at which the gap to the parent is measured."""
 SAMPLES = 512
-"""Of a part, of which those nearest to the other are followed to where the two come closest."""
+"""Samples of a part; the nearest :data:`CANDIDATES` of them are refined to the closest points."""
 CANDIDATES = 16
-TURNS = 3
+ITERATIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
-    """The gap between a joint's part and what held it at rest.
+class SupportGap:
+    """The gap between a joint's part and its support over the joint's range.
 
     Attributes:
         q: (S,) joint values. gap: (S,) metres. rest: metres at q = 0.
-        where: (S, 3) the point of the part that is nearest to its holder, object frame.
-        holder: the link that holds it.
+        where: (S, 3) the point of the part that is nearest to the support, object frame.
+        link: of the support.
     """
 
     q: FloatArray
     gap: FloatArray
     rest: float
     where: FloatArray
-    holder: str
+    link: str
 
     @property
     def growth(self) -> FloatArray:
@@ -49,10 +49,10 @@ class Hold:
 def loose_parts(
     tree: KinematicTree, surfaces: Mapping[str, Surface], tolerance: float
 ) -> dict[str, tuple[float, str | None]]:
-    """Links whose parts neither touch the main body nor anything that does.
+    """Find parts that are connected to the main body neither directly nor through others.
 
     Args:
-        tolerance: metres of gap that still count as touching.
+        tolerance: largest gap in metres that counts as touching.
 
     Returns:
         link → gap to the nearest other part and its link.
@@ -81,71 +81,73 @@ def loose_parts(
 def _main(
     tree: KinematicTree, surfaces: Mapping[str, Surface], links: Sequence[str], reach: npt.NDArray
 ) -> int:
-    """A part of the main body: the root's, else the one that the most surface hangs together
-    with."""
+    """Index of the root's part, else of one in the largest connected group."""
     if tree.root in surfaces:
         return links.index(tree.root)
     size = np.array([surfaces[k].diagonal ** 2 for k in links])
     return int(np.argmax(reach @ size))
 
 
-def hold(
+def support_gap(
     tree: KinematicTree, joint: Joint, surfaces: Mapping[str, Surface], lower: float, upper: float
-) -> Hold | None:
-    """How far ``joint`` takes its part off its parent over its range; None where either has none.
+) -> SupportGap | None:
+    """Measure the gap between ``joint``'s part and its parent's; None where either has none.
 
-    A child without a part stands for what hangs on it, a parent without one for what it hangs on.
+    A child without a part is replaced by the links below it, a parent without one by the next link
+    above it.
     """
     moving = [joint.child] if joint.child in surfaces else []
     moving = moving or [k for k in tree.descendants(joint.child) if k in surfaces]
-    holder = joint.parent
-    while holder not in surfaces and holder in tree.joint_of:
-        holder = tree.joint_of[holder].parent
-    if not moving or holder not in surfaces:
+    support = joint.parent
+    while support not in surfaces and support in tree.joint_of:
+        support = tree.joint_of[support].parent
+    if not moving or support not in surfaces:
         return None
     q = np.unique(np.append(np.linspace(lower, upper, POSES), 0.0))
     poses = joint_poses(tree, joint, q)
     still = np.broadcast_to(np.eye(4), (len(q), 4, 4))
     gaps, places = [], []
     for link in moving:
-        to_holder = inverse(poses.get(holder, still)) @ poses.get(link, still)
-        gap, at = _gaps(surfaces[link], surfaces[holder], to_holder)
+        support_from_part = inverse(poses.get(support, still)) @ poses.get(link, still)
+        gap, at = _gaps(surfaces[link], surfaces[support], support_from_part)
         gaps.append(gap)
-        places.append(_all(poses.get(holder, still), at[:, None])[:, 0])
+        places.append(_all(poses.get(support, still), at[:, None])[:, 0])
     first = np.argmin(np.stack(gaps), axis=0)
     rows = np.arange(len(q))
     gap, where = np.stack(gaps)[first, rows], np.stack(places)[first, rows]
     rest = float(gap[int(np.argmin(np.abs(q)))])
-    return Hold(q, gap, rest, where, holder)
+    return SupportGap(q, gap, rest, where, support)
 
 
-def _gaps(part: Surface, holder: Surface, to_holder: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(S,) gaps at (S, 4, 4) poses, and (S, 3) the nearest point of the part, holder's frame.
+def _gaps(
+    part: Surface, support: Surface, support_from_part: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(S,) gaps at (S, 4, 4) poses, and (S, 3) the nearest point of the part, support's frame.
 
-    The nearest samples are moved to the nearest points of the two surfaces in turn, which finds
-    where they come closest nearby (alternating projections).
+    Alternating projections: the nearest samples are moved to the closest points of the two
+    surfaces in turn.
     """
-    poses = len(to_holder)
+    poses = len(support_from_part)
     few = part.points[:SAMPLES]
-    at = moved(to_holder, few)
-    distance = np.asarray(holder.tree.query(at.reshape(-1, 3))[0]).reshape(poses, -1)
+    at = moved(support_from_part, few)
+    distance = np.asarray(support.tree.query(at.reshape(-1, 3))[0]).reshape(poses, -1)
     count = min(CANDIDATES, len(few))
     best = np.argpartition(distance, count - 1, axis=1)[:, :count]
     mine = np.take_along_axis(at, best[:, :, None], axis=1)
-    to_part = inverse(to_holder)
-    for _ in range(TURNS):
-        gap, theirs = holder.distance(mine.reshape(-1, 3))
-        back = _all(to_part, theirs.reshape(poses, -1, 3))
+    part_from_support = inverse(support_from_part)
+    for _ in range(ITERATIONS):
+        gap, theirs = support.distance(mine.reshape(-1, 3))
+        back = _all(part_from_support, theirs.reshape(poses, -1, 3))
         closest = part.distance(back.reshape(-1, 3))[1].reshape(poses, -1, 3)
-        mine = _all(to_holder, closest)
-    gap = holder.distance(mine.reshape(-1, 3))[0].reshape(poses, -1)
+        mine = _all(support_from_part, closest)
+    gap = support.distance(mine.reshape(-1, 3))[0].reshape(poses, -1)
     k = gap.argmin(axis=1)
     rows = np.arange(poses)
     return gap[rows, k], mine[rows, k]
 
 
 def _all(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """(S, N, 3): the k-th (N, 3) points moved by the k-th of (S, 4, 4) poses."""
+    """(S, N, 3): the k-th (N, 3) points moved by the k-th (4, 4) pose."""
     return np.einsum("sij,snj->sni", poses[:, :3, :3], points) + poses[:, None, :3, 3]
 
 

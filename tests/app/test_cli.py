@@ -17,9 +17,9 @@ import pytest
 import trimesh
 import yourdfpy
 
-from app.cli import headless, printing
+from app.cli import printing, segment
 from app.cli.batch import Crashed, run_all
-from app.cli.main import main, make_parser
+from app.cli.main import main, make_parser, parse
 from app.server.crash_log import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
@@ -156,7 +156,7 @@ def test_wrong_usage_is_one_line(words, told, capsys):
     ],
 )
 def test_paths_stand_before_between_and_after_options(words, name):
-    paths = getattr(make_parser().parse_args(words), name)
+    paths = getattr(parse(words)[0], name)
     assert [str(path) for path in paths] == ["a", "b"]
 
 
@@ -192,9 +192,9 @@ def test_segment_replaces_its_own_result_and_nothing_else(scan, tmp_path):
         chosen = [{"part": p, "elements": [p, p + 10]} for p in parts]
         return write_prompts(tmp_path / "p.json", {"regions": chosen})
 
-    headless.segment(scan, regions(1, 9), out, segmenter="nearest")
+    segment.segment(scan, regions(1, 9), out, segmenter="nearest")
     assert (out / "link_9.obj").is_file()
-    headless.segment(scan, regions(1), out, segmenter="nearest")
+    segment.segment(scan, regions(1), out, segmenter="nearest")
     assert sorted(p.name for p in out.iterdir()) == [
         "link_0.mtl", "link_0.obj", "link_1.mtl", "link_1.obj", "object.json",
     ]  # fmt: skip
@@ -204,7 +204,7 @@ def test_segment_replaces_its_own_result_and_nothing_else(scan, tmp_path):
         (folder / "thesis.tex").write_text("x")
         before = sorted(folder.iterdir())
         with pytest.raises(ConfigurationError, match="holds other files"):
-            headless.segment(scan, regions(1), folder, segmenter="nearest")
+            segment.segment(scan, regions(1), folder, segmenter="nearest")
         assert sorted(folder.iterdir()) == before
 
 
@@ -213,7 +213,7 @@ def test_segment_asks_about_a_file_in_millimetres(tmp_path):
     mesh.apply_scale(1000)
     mesh.export(tmp_path / "scan.stl")
     prompts = write_prompts(tmp_path / "p.json", {"regions": [{"part": 1, "elements": [0, 1]}]})
-    report = headless.segment(tmp_path / "scan.stl", prompts, tmp_path / "out", segmenter="nearest")
+    report = segment.segment(tmp_path / "scan.stl", prompts, tmp_path / "out", segmenter="nearest")
     assert "is the file in millimetres? If so, give --unit-scale 0.001" in report["problems"][-1]
 
 
@@ -399,7 +399,7 @@ def asset(segmented, tmp_path_factory) -> Path:
 def test_what_export_tells_people_is_not_drowned_in_shapes(capfd):
     shapes = [{"file": f"meshes/collision/link_0_{i}.obj", "bytes": 100} for i in range(24)]
     files = [{"file": "object.urdf", "bytes": 7}, {"file": "meshes/link_0.obj", "bytes": 9}]
-    printing.files_table({"asset": "a", "format": "urdf", "files": files + shapes}, Path("o"))
+    printing.print_files({"asset": "a", "format": "urdf", "files": files + shapes}, Path("o"))
     told = capfd.readouterr().out
     assert "object.urdf" in told and "meshes/link_0.obj" in told
     assert "meshes/collision/ · 24 files" in told and "2,400" in told and "link_0_3" not in told
@@ -524,7 +524,7 @@ def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_pa
 
     assert verdicts() == ["unsure"]
     main(words[:-1])
-    assert "is only 2 % sure that it moves so" in capfd.readouterr().out, "people are told why"
+    assert "Low confidence (2 %)" in capfd.readouterr().out, "people are told why"
     # What somebody changed since is no prediction any more.
     urdf = (out / "object.urdf").read_text()
     upper = re.search(r' upper="[^"]+"', urdf)
@@ -575,7 +575,7 @@ def test_our_fault_is_code_1_with_details_in_a_file(monkeypatch, tmp_path, capsy
     def broken(*_, **__):
         raise ZeroDivisionError("deep inside")
 
-    monkeypatch.setattr("app.cli.headless.predict", broken)
+    monkeypatch.setattr("app.cli.predict.predict", broken)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["artiworld", "serve", "--token", "secret", "--database=pw"])
     assert main(["predict", "x", "--out", "y"]) == 1
@@ -612,7 +612,7 @@ def test_debug_shows_the_traceback(monkeypatch, capsys):
     def broken(*_, **__):
         raise ZeroDivisionError("deep inside")
 
-    monkeypatch.setattr("app.cli.headless.predict", broken)
+    monkeypatch.setattr("app.cli.predict.predict", broken)
     for words in (["--debug", "predict"], ["predict", "--debug"]):
         assert main([*words, "x", "--out", "y"]) == 1
         assert "in broken" in capsys.readouterr().err
@@ -622,7 +622,7 @@ def test_several_problems_are_still_one_line(monkeypatch, capsys):
     def broken(*_, **__):
         raise KinematicsError(["first\nproblem", "second"])
 
-    monkeypatch.setattr("app.cli.headless.predict", broken)
+    monkeypatch.setattr("app.cli.predict.predict", broken)
     assert main(["predict", "x", "--out", "y"]) == 2
     assert capsys.readouterr().err == "artiworld: first problem; second\n"
 
@@ -636,7 +636,7 @@ def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, ca
         def predict(self, segmented, **_):
             return Prediction(None, ("the model said nothing",), backend="silent 1")
 
-    monkeypatch.setattr("model.prediction.registry.load_predictor", lambda name: Silent())
+    monkeypatch.setattr("app.cli.predict.load_predictor", lambda name: Silent())
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     out = tmp_path / "out"
     for _ in range(2):

@@ -17,7 +17,7 @@ from model.core.errors import KinematicsError
 from model.core.joint import Joint, value_text
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.validation.phrases import interval
+from model.validation.messages import interval
 from sessions.document import Document, PartInfo
 
 DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))

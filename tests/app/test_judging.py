@@ -28,6 +28,7 @@ from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.physics.collision import build
 from model.validation import runner as gate
+from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import PendingAcceptance, Store
@@ -106,7 +107,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
         accept(obj, "", "tester", NOW)
         wait(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
     report = judged(obj)
-    assert report.severity == "broken"
+    assert report.severity == Severity.ERROR
     assert report.of("door").worst.other == "link_0"
     with pytest.raises(CommandError, match=r"part 1 is broken: .* say why it is right"):
         accept(obj, "", "tester", NOW)
@@ -117,7 +118,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     mend = obj.judging.mend("door", "flip")
     obj.do(cmd.SetJoint(mend.joint), "tester")
     assert obj.judging.report is not report
-    assert judged(obj).severity == "fine"
+    assert judged(obj).severity == Severity.OK
     with pytest.raises(CommandError, match="judged again"):
         obj.judging.mend("door", "flip")
     obj.do(cmd.Undo(), "tester")
@@ -130,7 +131,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     saved = wait(lambda: obj.document.saved, "it is saved")
     review = obj.document.review
     assert (review.state, review.override) == ("accepted", "the shelf is soft")
-    assert review.problems[0].startswith("door: Runs ") or "Can't move" in review.problems[0]
+    assert review.problems[0].startswith("door: Penetrates ") or "Blocked" in review.problems[0]
     gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
     assert gate["verdict"] == "broken"
     assert gate["override"] == "the shelf is soft"
@@ -187,7 +188,7 @@ def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObje
         wait(lambda: said, "it is told to whoever asked")
         assert isinstance(said[0], LookFirstError)
     report = judged(obj)
-    assert report.severity == "look"
+    assert report.severity == Severity.WARNING
     with pytest.raises(LookFirstError, match="Y again accepts it as it is"):
         accept(obj, "", "tester", NOW)
     assert obj.document.review.state != "accepted"
@@ -246,15 +247,15 @@ def test_what_the_predictor_does_not_believe_is_not_accepted_unseen(cupboard: Op
     tree = KinematicTree(("link_0", "link_1"), (DOOR,))
     obj.do(cmd.RecordPrediction(Prediction(tree, confidence={"link_1": 0.02}), labels), "tester")
     report = judged(obj)
-    assert report.severity == "look"  # though nothing is in its way
+    assert report.severity == Severity.WARNING  # though nothing is in its way
     assert report is obj.judging.report
     with pytest.raises(LookFirstError, match="only 2 % sure"):
         accept(obj, "", "tester", NOW)
     # What a person settled is nobody's guess any more.
     obj.do(cmd.LockJoint("link_1", True), "tester")
-    assert judged(obj).severity == "fine"
+    assert judged(obj).severity == Severity.OK
     obj.do(cmd.LockJoint("link_1", False), "tester")
-    assert judged(obj).severity == "look"
+    assert judged(obj).severity == Severity.WARNING
     accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
     wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
@@ -412,7 +413,7 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> 
     assert notes[-1] == ("Not accepted", "Taken back before the joints were judged", "gray")
     assert not app_state.is_accepting(obj.record.id) and not app_state.store.accepting()
     held.cancel()
-    assert judged(obj).severity == "fine"
+    assert judged(obj).severity == Severity.OK
     wait(lambda: not obj.jobs, "nothing goes on")
     assert obj.document.review.state != "accepted" and not obj.held and not obj.interrupted
     stop()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from model.validation.report import Severity
 from tests.browser.browsing import Tab, wait_until
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
@@ -56,7 +57,7 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
     wait_until(lambda: not tab.app.object.busy, "sweeps are done")
     tab.wait_seen()
     tab.key("y")
-    if wait_until(lambda: tab.app.object.judging.report, "a verdict").verdict == "look":
+    if wait_until(lambda: tab.app.object.judging.report, "a verdict").severity == Severity.WARNING:
         obj = tab.app.object  # it is shown first
         wait_until(lambda: tab.app.review_panel.gate.looked_at(obj), "it was shown")
         tab.wait_seen()

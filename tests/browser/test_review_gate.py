@@ -19,6 +19,7 @@ from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
+from model.validation.report import Severity
 from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
 
@@ -93,7 +94,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     tab.wait_node("/part/1")
     tab.step("Review")
     report = wait_until(lambda: obj.judging.report, "a verdict")
-    assert report.verdict == "broken"
+    assert report.severity == Severity.ERROR
 
     # A click on the joint poses the object at the worst moment and marks the contact.
     joint_button(tab, r"part 1.*: broken").click()
@@ -120,7 +121,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     # One click mends, the gate runs again by itself; undo is the usual one.
     tab.button("Flip").first.click()
     wait_until(lambda: obj.document.tree.by_name["door"] == DOOR, "flipped")
-    assert wait_until(lambda: obj.judging.report, "a new verdict").verdict == "fine"
+    assert wait_until(lambda: obj.judging.report, "a new verdict").severity == Severity.OK
     wait_until(lambda: not tab.app.motion.q, "back at rest")
     tab.button("Undo").click()
     wait_until(lambda: obj.document.tree == TREE, "undone")
@@ -156,7 +157,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     server = start(write_cupboard(tmp_path / "cupboard"), write_cupboard(tmp_path / "other"))
     tab = open_tab(server)
     obj = tab.app.object
-    other = server.bench.object(server.bench.records()[1].id)
+    other = server.app_state.object(server.app_state.queue.records()[1].id)
     hinge = replace(DOOR, origin=(-0.28, -0.003, 0.2))
     tree = KinematicTree(("link_0", "link_1"), (hinge,))
     for each, sure in ((obj, 0.4), (other, 0.5)):
@@ -164,7 +165,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
         each.do(cmd.SetJoint(hinge), "tester")
     tab.step("Joints")
     report = wait_until(lambda: obj.judging.report, "a verdict")
-    assert report.verdict == "look" and obj.document.tree == tree
+    assert report.severity == Severity.WARNING and obj.document.tree == tree
     tab.page.evaluate("document.activeElement?.blur()")
     tab.wait_seen()
     tab.key("y")
@@ -176,10 +177,10 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     # Its asset takes long to write: the person goes on meanwhile, and is told once it is there.
-    held = server.bench.saving.submit(time.sleep, 600.0, priority=9)
+    held = server.app_state.workers.saving.submit(time.sleep, 600.0, priority=9)
     tab.key("y")
     wait_until(lambda: tab.app.object is other, "the next object")
-    assert obj.document.review.state == "predicted" and server.bench.saving_now(obj.record.id)
+    assert obj.document.review.state == "predicted" and server.app_state.is_saving(obj.record.id)
     first = tab.app.queue_panel._buttons[0]
     wait_until(lambda: first.hint.endswith("cupboard: being saved"), "the queue tells it")
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
@@ -225,12 +226,12 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     names = ("grazing", "clean", "third")
     server = start(*(write_cupboard(tmp_path / name) for name in names))
     tab = open_tab(server)
-    bench = server.bench
-    grazing, clean, third = (bench.object(r.id) for r in bench.records())
+    app_state = server.app_state
+    grazing, clean, third = (app_state.object(r.id) for r in app_state.queue.records())
     for obj, sure in ((grazing, 0.6), (clean, 0.7), (third, 0.8)):
         record_prediction(obj, sure)
     wait_until(lambda: all(o.judging.report for o in (grazing, clean, third)), "verdicts")
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "judging is held up")
     grazing.do(cmd.SetJoint(replace(DOOR, origin=(-0.28, -0.003, 0.2))), "tester")
     for obj in (clean, third):
@@ -299,16 +300,16 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     obj.do(cmd.SetJoint(askew), "tester")
     tab.step("Review")
     report = wait_until(lambda: obj.judging.report, "a verdict", 300)
-    assert report.verdict == "broken"
+    assert report.severity == Severity.ERROR
     pressed = 0
-    while report.verdict == "broken" and pressed < 4:
-        worst = next(j for j in report.joints if j.mends)
+    while report.severity == Severity.ERROR and pressed < 4:
+        worst = next(j for j in report.joints if j.fixes)
         before = report
-        tab.button(MENDS[worst.mends[0].kind]).first.click()
+        tab.button(MENDS[worst.fixes[0].kind]).first.click()
         wait_until(lambda: obj.judging.report is not before, "the edit")  # noqa: B023
         report = wait_until(lambda: obj.judging.report, "a new verdict", 300)
         pressed += 1
-    assert report.verdict == "fine"
+    assert report.severity == Severity.OK
     tab.page.get_by_text(re.compile("Gate: ✓ 14 fine")).first.wait_for()
     # No reason is asked for any more.
     assert tab.page.get_by_role("button", name=re.compile("against the gate")).count() == 0
@@ -323,7 +324,7 @@ def test_the_least_sure_prediction_follows_a_decision(
 ) -> None:
     server = start(*(write_cupboard(tmp_path / name) for name in ("a", "b", "c")))
     tab = open_tab(server)
-    objects = [server.bench.object(r.id) for r in server.bench.records()]
+    objects = [server.app_state.object(r.id) for r in server.app_state.queue.records()]
     for obj, sure in zip(objects, (0.5, 0.9, 0.2), strict=True):
         record_prediction(obj, sure)
     assert tab.app.object is objects[0]

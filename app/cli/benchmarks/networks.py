@@ -1,11 +1,11 @@
-"""``artiworld bench networks``: what the paper-size networks cost on this machine.
+"""``artiworld bench networks``: time and memory of the paper-size networks on this machine.
 
-Their weights are random and of the published sizes: nothing is downloaded, and time and memory are
-those of the real ones. Everything goes through the code that real weights go through: the folders
-are written, read, trained on made objects, written again and asked for joints.
+The weights are random and of the published sizes: nothing is downloaded, and time and memory are
+those of the real ones. They take the same path as real weights: the folders are written, read,
+trained on procedural objects, written again and used for prediction.
 
-Each figure stands beside a baseline of the same run: training beside float32 without checkpointing,
-writing with forced spans beside token by token, a click on the encoded cloud beside encoding anew.
+Each figure has a baseline of the same run: float32 without checkpointing for training, token by
+token for writing with forced spans, encoding anew for a click on the encoded cloud.
 """
 
 from __future__ import annotations
@@ -19,20 +19,33 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import torch
+from safetensors.torch import save_file
+from transformers.utils.logging import disable_progress_bar
 
-from app.cli.benchmarks.predict import chest
+from app.cli.benchmarks.predict import chest, joined
+from app.cli.commands import BenchCommand
+from app.cli.printing import Result, print_records
+from model.core.asset import Asset
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
-from model.prediction.arti4urdf.language_model import QWEN3, DecoderConfig
+from model.geometry.sampling import sample_surface
+from model.prediction.arti4urdf.full_model import Example, FullModel, make_full_model
+from model.prediction.arti4urdf.full_predictor import load_full_predictor
+from model.prediction.arti4urdf.language_model import QWEN3, Decoder, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBertConfig
+from model.prediction.arti4urdf.random_weights import write_random_qwen3, write_random_ulip2
+from model.prediction.arti4urdf.text_prompt import make_example
+from model.segmentation.adapters.point_sam import PointSamSegmenter
+from model.segmentation.adapters.point_sam_network import PointSamConfig, PointSamNetwork
+from model.segmentation.prompts import Click, Prompts
 from model.training.arti4urdf.full_config import LORA_RANK, FullConfig
-
-if TYPE_CHECKING:
-    from model.prediction.arti4urdf.full_model import Example, FullModel
-    from model.segmentation.adapters.point_sam_network import PointSamConfig
+from model.training.arti4urdf.full_data import Draws, ObjectSet
+from model.training.arti4urdf.full_loop import load_model
+from model.training.arti4urdf.samples import training_families
 
 TOO_LARGE = "does not fit"
 _GIGABYTE = 1e9
@@ -40,15 +53,17 @@ _GIGABYTE = 1e9
 
 @dataclass(frozen=True)
 class NetworksConfig:
-    """What is measured.
+    """Settings of the benchmark.
 
     Attributes:
-        sizes: name → language model; None takes all of them where there is a GPU, else the least.
-        train: also train. None does where there is a GPU: on a CPU a step takes minutes.
-        encoder: of clouds. point_sam: sizes of Point-SAM; None for the published ones.
-        points: of the cloud that Point-SAM is asked about.
-        steps: that are timed, after one that isn't; clicks: likewise.
-        parts: of the object whose joints are asked for.
+        sizes: name → language model; None takes all of them on a GPU, else the smallest.
+        train: also train; None does on a GPU only, as a step takes minutes on a CPU.
+        encoder: configuration of the point encoder.
+        point_sam: configuration of Point-SAM; None for the published one.
+        points: size of Point-SAM's cloud.
+        steps: training steps that are timed, after one that isn't.
+        clicks: clicks that are timed, after one that isn't.
+        parts: parts of the object that is predicted.
         training: how objects are drawn for training.
     """
 
@@ -63,11 +78,27 @@ class NetworksConfig:
     training: FullConfig = field(default_factory=FullConfig)
 
 
-def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[str, Any]:
-    """Seconds, tokens and gigabytes of each network; ``device`` says where."""
-    import torch
-    from transformers.utils.logging import disable_progress_bar
+def bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command.
 
+    Raises:
+        ConfigurationError: for an unknown size.
+    """
+    for name in options.sizes or ():
+        if name not in QWEN3:
+            raise ConfigurationError(f"no size {name!r}; there are {', '.join(QWEN3)}")
+    sizes = {name: QWEN3[name] for name in options.sizes} if options.sizes else None
+    report = measure(NetworksConfig(sizes=sizes, train=options.train), progress)
+
+    def show() -> None:
+        for title, rows in tables(report):
+            print_records(title, rows)
+
+    return report, show
+
+
+def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[str, Any]:
+    """Seconds, tokens and gigabytes of each network, and the device."""
     disable_progress_bar()
     gpu = torch.cuda.is_available()
     device = "cuda" if gpu else "cpu"
@@ -81,14 +112,16 @@ def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[st
     examples = _examples(config)
     rows: list[dict[str, Any]] = []
     share = 0.85 / len(sizes)
-    for k, (called, size) in enumerate(sizes.items()):
+    for k, (size_name, size) in enumerate(sizes.items()):
 
         def within(fraction: float, message: str, begin: float = 0.05 + k * share) -> None:
             progress(begin + fraction * share, message)
 
         with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
             rows.append(
-                _language_model(called, size, config, examples, Path(folder), device, train, within)
+                _language_model(
+                    size_name, size, config, examples, Path(folder), device, train, within
+                )
             )
     report["Arti4URDF"] = rows
     progress(0.9, "Point-SAM")
@@ -102,9 +135,6 @@ def _examples(config: NetworksConfig) -> list[Example]:
     Raises:
         ConfigurationError: where none can be drawn, with the reason.
     """
-    from model.training.arti4urdf.full_data import Draws, ObjectSet
-    from model.training.arti4urdf.samples import training_families
-
     objects = ObjectSet(config.steps + 1, 1, training_families())
     every = replace(config.training, longest=10**9)
     draws = Draws(objects, every, _Uncounted(), len(objects))  # type: ignore[arg-type]
@@ -117,15 +147,15 @@ def _examples(config: NetworksConfig) -> list[Example]:
 
 
 class _Uncounted:
-    """Stands for a tokenizer that must yet be made from these very texts."""
+    """Replaces the tokenizer, which is made from these texts afterwards."""
 
     def encode(self, text: str, **_: Any) -> Any:
-        """Of no length."""
+        """Return an empty encoding."""
         return type("Encoding", (), {"ids": ()})()
 
 
 def _language_model(
-    called: str,
+    size_name: str,
     size: DecoderConfig,
     config: NetworksConfig,
     examples: list[Example],
@@ -134,28 +164,26 @@ def _language_model(
     train: bool,
     progress: Progress,
 ) -> dict[str, Any]:
-    from model.prediction.arti4urdf.random_weights import write_random_qwen3, write_random_ulip2
-
-    progress(0.0, f"Qwen3-{called}: writing random weights")
+    progress(0.0, f"Qwen3-{size_name}: writing random weights")
     texts = [text for e in examples for text in (e.prompt, e.answer)]
     qwen3 = write_random_qwen3(folder / "qwen3", size, texts, device=device)
     ulip2 = write_random_ulip2(folder / "ulip2.pt", config.encoder)
-    row: dict[str, Any] = {"model": f"Qwen3-{called.upper()}"}
+    row: dict[str, Any] = {"model": f"Qwen3-{size_name.upper()}"}
     if train:
-        ways = {
+        variants = {
             "all weights": config.training,
             "LoRA": replace(config.training, lora_rank=LORA_RANK),
             "float32": replace(config.training, bfloat16=False, checkpointing=False),
         }
-        for k, (way, how) in enumerate(ways.items()):
-            progress(0.1 + 0.2 * k, f"Qwen3-{called}: training, {way}")
-            if not how.lora_rank and _too_large(size):
-                row[f"training, {way}"] = TOO_LARGE  # reading it all only to fail takes minutes
+        for k, (variant, training) in enumerate(variants.items()):
+            progress(0.1 + 0.2 * k, f"Qwen3-{size_name}: training, {variant}")
+            if not training.lora_rank and _too_large(size):
+                row[f"training, {variant}"] = TOO_LARGE  # loading it before it fails takes minutes
                 continue
-            row[f"training, {way}"] = _unless_too_large(
-                lambda how=how: _training(how, ulip2, qwen3, examples, device)
+            row[f"training, {variant}"] = _unless_too_large(
+                lambda training=training: _training(training, ulip2, qwen3, examples, device)
             )
-    progress(0.7, f"Qwen3-{called}: predicting")
+    progress(0.7, f"Qwen3-{size_name}: predicting")
     row["predicting"] = _unless_too_large(
         lambda: _predicting(config, ulip2, qwen3, folder / "model", device)
     )
@@ -163,21 +191,15 @@ def _language_model(
 
 
 def _too_large(size: DecoderConfig) -> bool:
-    """Whether weights, gradients and Adam's two moments alone, in float32, exceed the GPU."""
-    import torch
-
+    """Whether weights, gradients and Adam's two moments in float32 exceed the GPU's memory."""
     if not torch.cuda.is_available():
         return False
-    from model.prediction.arti4urdf.language_model import Decoder
-
     with torch.device("meta"):
         weights = sum(p.numel() for p in Decoder(size).parameters())
     return 16 * weights > torch.cuda.mem_get_info()[1]
 
 
 def _unless_too_large(work: Callable[[], dict[str, Any]]) -> dict[str, Any] | str:
-    import torch
-
     try:
         return work()
     except torch.OutOfMemoryError:
@@ -191,21 +213,17 @@ def _unless_too_large(work: Callable[[], dict[str, Any]]) -> dict[str, Any] | st
 def _training(
     config: FullConfig, ulip2: Path, qwen3: Path, examples: list[Example], device: str
 ) -> dict[str, Any]:
-    """One object a step, as each of the paper's GPUs has it."""
-    import torch
-
-    from model.training.arti4urdf.full_loop import load_model
-
-    began = time.perf_counter()
+    """Train with one object per step, as on each of the paper's GPUs."""
+    start = time.perf_counter()
     model = load_model(config, ulip2, qwen3).to(device).train()
     if config.checkpointing:
         model.use_gradient_checkpointing()
     optimizer = torch.optim.Adam(model.trained_parameters(), lr=config.learning_rate)
-    loading = time.perf_counter() - began
+    loading = time.perf_counter() - start
     times, tokens, losses = [], 0, []
     with _peak_memory() as peak:
         for k, example in enumerate(examples):
-            begun = time.perf_counter()
+            start = time.perf_counter()
             optimizer.zero_grad(set_to_none=True)
             with torch.autocast(device, torch.bfloat16, enabled=config.bfloat16):
                 loss = model([example])
@@ -214,7 +232,7 @@ def _training(
             optimizer.step()
             losses.append(float(loss.detach()))  # waits for the device
             if k:
-                times.append(time.perf_counter() - begun)
+                times.append(time.perf_counter() - start)
                 tokens += _length(model, example)
     return {
         "s an object": _rounded(statistics.mean(times)),
@@ -236,36 +254,30 @@ def _length(model: FullModel, example: Example) -> int:
 def _predicting(
     config: NetworksConfig, ulip2: Path, qwen3: Path, folder: Path, device: str
 ) -> dict[str, Any]:
-    """Joints of a chest of drawers; beside it as many tokens one by one, as plain writing has."""
-    import torch
-
-    from model.prediction.arti4urdf.full_model import make_full_model
-    from model.prediction.arti4urdf.full_predictor import load_full_predictor
-    from model.prediction.arti4urdf.text_prompt import make_example
-
+    """Predict a chest of drawers; the baseline writes as many tokens one by one."""
     dtype = torch.bfloat16 if device == "cuda" else torch.float32
     made = make_full_model(ulip2, qwen3, dtype=dtype)
     made.encoder.config = replace(config.encoder, **_cut(config.training))
     made.save(folder)
     del made
     gc.collect()
-    began = time.perf_counter()
+    start = time.perf_counter()
     predictor = load_full_predictor(folder)
-    loading = time.perf_counter() - began
+    loading = time.perf_counter() - start
     segmented = chest(config.parts - 1)
     reader, engine = predictor._reader, predictor._engine
     example = make_example(segmented, reader.encoder.config.points)
     with _peak_memory() as peak:
-        predictor.predict(segmented)  # kernels are made ready
+        predictor.predict(segmented)  # compiles kernels
         prediction = predictor.predict(segmented)
     _, reading = _timed(lambda: reader.prompt_embeddings(example).sum().item())
     prompt = reader.prompt_embeddings(example)
     tokens = len(reader.tokenizer.encode(prediction.raw_text, add_special_tokens=False).ids)
-    # Random weights seldom say the end; a few hundred tokens tell the time of each.
+    # Random weights seldom end an answer; a few hundred tokens give the time of each.
     some = min(tokens, 200)
-    said, writing = _timed(lambda: engine.generate(prompt, max_tokens=some))
-    count = max(1, len(reader.tokenizer.encode(said.text, add_special_tokens=False).ids))
-    plain = writing / (some if not said.complete else count) * tokens
+    text, writing = _timed(lambda: engine.generate(prompt, max_tokens=some))
+    count = max(1, len(reader.tokenizer.encode(text.text, add_special_tokens=False).ids))
+    plain = writing / (count if text.complete else some) * tokens
     return {
         "s an object": _rounded(prediction.seconds),
         "of which clouds s": _rounded(reading),
@@ -283,14 +295,7 @@ def _cut(training: FullConfig) -> dict[str, int]:
 
 
 def _point_sam(config: NetworksConfig, device: str) -> dict[str, Any]:
-    """A cloud encoded once and clicked; beside it, encoding anew at each click."""
-    import torch
-    from safetensors.torch import save_file
-
-    from model.segmentation.adapters.point_sam import PointSamSegmenter
-    from model.segmentation.adapters.point_sam_network import PointSamConfig, PointSamNetwork
-    from model.segmentation.prompts import Click, Prompts
-
+    """Encode a cloud once and click; the baseline encodes anew at each click."""
     asset = _cloud(config.points)
     places = asset.element_centers
     chosen = np.random.default_rng(0).choice(len(places), config.clicks + 1, replace=False)
@@ -322,24 +327,15 @@ def _point_sam(config: NetworksConfig, device: str) -> dict[str, Any]:
     }
 
 
-def _cloud(points: int) -> Any:
-    from model.core.asset import Asset
-    from model.core.mesh import Mesh
-    from model.geometry.sampling import sample_surface
-
-    parts = [part.mesh for part in chest(6).parts if part.mesh is not None]
-    starts = np.cumsum([0, *(len(m.vertices) for m in parts)])
-    faces = np.concatenate([m.faces + s for m, s in zip(parts, starts, strict=False)])
-    mesh = Mesh(np.concatenate([m.vertices for m in parts]), faces.astype(np.int32))
+def _cloud(points: int) -> Asset:
+    mesh = joined([part.mesh for part in chest(6).parts if part.mesh is not None])
     cloud, _ = sample_surface(mesh, points, np.random.default_rng(0))
     return Asset("chest", cloud=cloud)
 
 
 @contextmanager
 def _peak_memory() -> Iterator[Callable[[], float | None]]:
-    """The GPU's memory at its largest within the block, in GB; None on a CPU."""
-    import torch
-
+    """The GPU's peak memory within the block, in GB; None on a CPU."""
     gpu = torch.cuda.is_available()
     if gpu:
         torch.cuda.reset_peak_memory_stats()
@@ -347,24 +343,22 @@ def _peak_memory() -> Iterator[Callable[[], float | None]]:
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    import torch
-
-    begun = time.perf_counter()
+    start = time.perf_counter()
     answer = work()
     if torch.cuda.is_available():
         torch.cuda.synchronize()
-    return answer, time.perf_counter() - begun
+    return answer, time.perf_counter() - start
 
 
 def _rounded(value: float) -> float:
-    """Three digits that count."""
+    """Round to three significant digits."""
     if not value or not math.isfinite(value):
         return value
     return round(value, max(0, 2 - math.floor(math.log10(abs(value)))))
 
 
 def tables(report: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Title and rows of each table for people."""
+    """Title and rows of each table."""
     where = f"{report['device']}, torch {report['torch']}, random weights"
     out = []
     kinds = dict.fromkeys(k for row in report["Arti4URDF"] for k in row if k != "model")
@@ -374,8 +368,8 @@ def tables(report: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
         names = names or {"": None}
         rows = []
         for model, figures in found.items():
-            said = {next(iter(names)): figures} if isinstance(figures, str) else figures
-            rows.append({"model": model, **{n: _shown(said.get(n, "")) for n in names}})
+            own = {next(iter(names)): figures} if isinstance(figures, str) else figures
+            rows.append({"model": model, **{n: _shown(own.get(n, "")) for n in names}})
         out.append((f"Arti4URDF, {kind} ({where})", rows))
     row = {name: _shown(value) for name, value in report["Point-SAM"].items()}
     return [*out, (f"Point-SAM, ViT-L ({where})", [row])]

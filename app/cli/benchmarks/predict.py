@@ -1,11 +1,10 @@
-"""``artiworld bench predict``: how long an answer takes, and where the time goes.
+"""``artiworld bench predict``: the time of a prediction, and its shares.
 
-The network is timed twice in the same run with the same weights: forced spans appended in one
-pass, and token by token as plain generation does. Passes are compared with both: with as many as
-plain generation of the same compact tokens takes ("fewer than compact"), and with as many as the
-answer's text has tokens, which a language model without the compact vocabulary has to write ("fewer
-than text"). A KD-tree over 100k points stands beside them: ratios to it can be compared between
-machines.
+The network is timed twice in the same run with the same weights: with forced spans appended in one
+pass, and token by token as in plain generation. Its passes are compared with plain generation of
+the same compact tokens ("fewer than compact") and with the tokens of the answer's text, which a
+language model without the compact vocabulary has to write ("fewer than text"). The yardstick is a
+KD-tree over 100k points: ratios to it can be compared between machines.
 """
 
 from __future__ import annotations
@@ -16,25 +15,35 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
+from app.cli.commands import BenchCommand
+from app.cli.printing import Result, print_records
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
+from model.prediction.arti4urdf.decoding import decode
+from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
+from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.protocol import Predictor
 from model.prediction.registry import load_predictor
-
-if TYPE_CHECKING:
-    from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor
 
 PART_COUNTS = (2, 4, 9, 16, 32)
 REPEATS = 3
 
 
+def bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    report = measure(progress)
+    title = "Prediction, a chest of drawers (milliseconds, medians; forward passes)"
+    return report, lambda: print_records(title, transposed(report["rows"]))
+
+
 def measure(progress: Progress = no_progress) -> dict[str, Any]:
-    """Milliseconds and forward passes by number of parts, and the process's memory at its peak."""
+    """Milliseconds and forward passes by number of parts, and the process's peak memory."""
     geometric = load_predictor("geometric")
     network = load_predictor("arti4urdf")
     for predictor in (geometric, network):
@@ -49,8 +58,8 @@ def measure(progress: Progress = no_progress) -> dict[str, Any]:
     return {"rows": rows, "peak memory MiB": round(peak * scale / 2**20)}
 
 
-def upright(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row a figure and one column a size: there are more figures than a console is wide."""
+def transposed(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row per figure and a column per size, as there are more figures than sizes."""
     names = [name for name in rows[0] if name != "parts"]
     return [{"": name, **{f"{row['parts']} parts": row[name] for row in rows}} for name in names]
 
@@ -69,10 +78,6 @@ def _row(segmented: SegmentedObject, geometric: Predictor, network: Predictor) -
 
 def _decoding(segmented: SegmentedObject, network: Predictor) -> dict[str, Any]:
     """The network's own share, with forced spans and without."""
-    from model.prediction.arti4urdf.decoding import decode
-    from model.prediction.arti4urdf.predictor import make_prompt
-    from model.prediction.arti4urdf.structure import read_structure
-
     predictor: Arti4UrdfPredictor = network  # type: ignore[assignment]
     prompt = make_prompt(read_structure(segmented), segmented, 0)
     spans = decode(predictor.model, prompt)
@@ -113,7 +118,7 @@ def chest(drawers: int) -> SegmentedObject:
         _box(low, (-wall, wide_all, 0.0), (deep, wide_all + wall, high_all)),
         _box(low, (-wall, 0.0, 0.0), (0.0, wide_all, high_all)),
     ]
-    parts = [Part("link_0", mesh=_joined(walls))]
+    parts = [Part("link_0", mesh=joined(walls))]
     gap, thin = 0.004, 0.01
     x, y, z = deep - gap, wide - 2 * gap, high - 2 * gap
     for i in range(drawers):
@@ -126,7 +131,7 @@ def chest(drawers: int) -> SegmentedObject:
             _box(at, (x - thin, 0.0, 0.0), (x, y, z)),
             _box(at, (x, y / 2 - 0.06, z / 2 - 0.008), (x + 0.03, y / 2 + 0.06, z / 2 + 0.008)),
         ]
-        parts.append(Part(f"link_{i + 1}", mesh=_joined(boxes), name="drawer"))
+        parts.append(Part(f"link_{i + 1}", mesh=joined(boxes), name="drawer"))
     return SegmentedObject("chest", tuple(parts), "cabinet")
 
 
@@ -138,15 +143,14 @@ def _box(at: np.ndarray, low: tuple[float, ...], high: tuple[float, ...]) -> Mes
     return Mesh(vertices, np.array(faces, np.int32))
 
 
-def _joined(meshes: list[Mesh]) -> Mesh:
+def joined(meshes: list[Mesh]) -> Mesh:
+    """One mesh of several."""
     counts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces + start for m, start in zip(meshes, counts, strict=False)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
 
 
 def _yardstick() -> None:
-    from scipy.spatial import KDTree
-
     points = np.random.default_rng(0).random((100_000, 3))
     KDTree(points).query(points[:10_000], k=8)
 

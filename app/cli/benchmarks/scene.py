@@ -1,8 +1,8 @@
-"""``artiworld bench scene``: how long a large scene takes to appear, on the server.
+"""``artiworld bench scene``: the time until a large scene appears, on the server.
 
-The scene is made up: three in ten objects are cabinets in three parts, the others are bumpy blocks.
-Every object has files and a size of its own, so that nothing is shared, which is the worst case;
-its second opening finds the pictures of the first. Nothing is predicted meanwhile.
+The scene is procedural: three in ten objects are cabinets in three parts, the others are uneven
+blocks. Every object has files and a size of its own, the worst case, as nothing is shared. The
+second opening finds the pictures of the first. Nothing is predicted meanwhile.
 """
 
 from __future__ import annotations
@@ -11,34 +11,40 @@ import json
 import os
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from app.cli.benchmarks.ui import LoopWatch, PretendedBrowser, wait_for
-from app.cli.serve_command import start_server
+from app.cli.benchmarks.ui import LoopWatch, SimulatedBrowser, wait_for
+from app.cli.commands import BenchCommand
+from app.cli.printing import Result, console, table_of
+from app.cli.serve import start_server
 from app.server.config import ServeConfig
+from model.core.mesh import Mesh
+from model.core.progress import Progress
+from model.io.write.meshes import write_mesh
 
 FACES = 2000
 """Triangles of each block, and of each cabinet."""
 PICTURE_BYTES = 200_000
-"""More than panels and backdrop take: what comes beyond is the scene."""
+"""More than panels and backdrop take; further bytes belong to the scene."""
+DEFAULT_OBJECTS = 200
 
 
 @dataclass
 class SceneFigures:
-    """What was measured at one opening; milliseconds from the start of the server's work.
+    """Figures of one opening; milliseconds from the start of the server's work.
 
     Attributes:
-        opening: "first", or "again" with pictures kept.
-        first_ms: until something of the scene was received.
+        opening: "first", or "again" with cached pictures.
+        first_ms: until any part of the scene was received.
         first_cpu_ms: processor time of the server and its workers until then.
         whole_ms: until every object was sent.
         sent_mb: megabytes sent to the browser.
-        memory_mb: most memory that the server and its worker held, MiB together.
-        loop_held_ms: the longest that one callback held the event loop.
+        memory_mb: peak memory of the server and its worker together, MiB.
+        loop_held_ms: longest time that one callback blocked the event loop.
         pick_ms: processor time to find the object under a click, the median of 20.
     """
 
@@ -53,19 +59,18 @@ class SceneFigures:
     pick_ms: float = 0.0
 
 
-def run(objects: int) -> list[SceneFigures]:
-    """Measure a first and a second opening of a scene of that many objects."""
+def bench(options: BenchCommand, _: Progress) -> Result:
+    """Measure a first and a second opening of a scene."""
+    objects = DEFAULT_OBJECTS if options.objects is None else options.objects
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)
         scene = make_scene(root, objects)
-        return [_measure(scene, root, objects, opening) for opening in ("first", "again")]
+        figures = [_measure(scene, root, objects, opening) for opening in ("first", "again")]
+    return [asdict(f) for f in figures], lambda: _print(figures)
 
 
 def make_scene(root: Path, objects: int) -> Path:
-    """Write the scene and its assets into ``root``; returns the scene's file."""
-    from model.core.mesh import Mesh
-    from model.io.write.meshes import write_mesh
-
+    """Write the scene and its assets into ``root``; return the scene's file."""
     rng = np.random.default_rng(0)
     entries: list[dict[str, Any]] = []
     side = int(np.ceil(np.sqrt(objects)))
@@ -121,24 +126,24 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigure
     )
     server = start_server(config)
     try:
-        desk: Any = server.bench.desk
-        desk.paused = True
-        browser = PretendedBrowser(server.url)
+        scene_state: Any = server.app_state.scene
+        scene_state.paused = True
+        browser = SimulatedBrowser(server.url)
         watch = LoopWatch(server.viser.get_event_loop())
         wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
         figures = SceneFigures(opening, objects)
         picture, least = app.in_scene.picture, min(PICTURE_BYTES, 10 * FACES * objects)
-        wait_for(lambda: picture.shown and browser.received > least, "something of the scene")
+        wait_for(lambda: picture.shown and browser.received > least, "the first object")
         figures.first_ms = 1000 * (time.perf_counter() - start)
-        worker = server.bench.geometry.pid
+        worker = server.app_state.workers.geometry.pid
         figures.first_cpu_ms = 1000 * (
             _cpu(os.getpid()) - used + (0.0 if worker is None else _cpu(worker))
         )
         wait_for(lambda: len(picture.shown) == objects, "the whole scene")
         figures.sent_mb = browser.quiet() / 1e6
         figures.whole_ms = 1000 * (browser.last - start)
-        figures.memory_mb = sum(_most_memory(p) for p in (os.getpid(), worker) if p)
+        figures.memory_mb = sum(_peak_memory(p) for p in (os.getpid(), worker) if p)
         figures.loop_held_ms = 1000 * watch.worst
         watch.stop()
         figures.pick_ms = _pick(app, objects)
@@ -154,8 +159,8 @@ def _cpu(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _most_memory(pid: int) -> float:
-    """MiB that a process held at most."""
+def _peak_memory(pid: int) -> float:
+    """Peak memory of a process in MiB."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) / 1024
@@ -174,29 +179,19 @@ def _pick(app: Any, objects: int) -> float:
     return 1000 * float(np.median(taken))
 
 
-def show(figures: list[SceneFigures]) -> None:
-    """Print the table."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title="A scene appears, server side")
-    for name in (
-        "opening",
-        "objects",
-        "first picture",
-        "processor",
-        "whole scene",
-        "sent",
-        "memory",
-        "loop held",
-        "pick",
-    ):
-        table.add_column(name, justify="right" if name != "opening" else "left")
-    for f in figures:
-        table.add_row(
+def _print(figures: list[SceneFigures]) -> None:
+    columns = (
+        "opening", "objects", "first picture", "processor", "whole scene", "sent", "memory",
+        "loop held", "pick",
+    )  # fmt: skip
+    rows = [
+        (
             f.opening, str(f.objects), f"{f.first_ms / 1000:.1f} s",
             f"{f.first_cpu_ms / 1000:.1f} s", f"{f.whole_ms / 1000:.1f} s",
             f"{f.sent_mb:.1f} MB", f"{f.memory_mb:.0f} MiB",
             f"{f.loop_held_ms:.0f} ms", f"{f.pick_ms:.0f} ms",
-        )  # fmt: skip
-    Console(width=140).print(table)
+        )
+        for f in figures
+    ]  # fmt: skip
+    title = "A scene appears, on the server"
+    console(140).print(table_of(title, columns, rows, columns[1:]))

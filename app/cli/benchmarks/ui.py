@@ -1,14 +1,13 @@
-"""``artiworld bench ui``: what a person waits for, measured on the server with a pretended browser.
+"""``artiworld bench ui``: a person's waiting times, measured on the server.
 
-The browser is a websocket client that speaks viser's protocol, takes in every byte and draws
-nothing: the figures are the server's own. Each is printed beside a baseline of the same run: what
-it costs to send the whole object again, which is what a viewer without differences does.
+The browser is simulated by a websocket client that speaks viser's protocol, receives every byte
+and draws nothing. The baseline of the same run is the cost of sending the whole object again, as
+a viewer without differences does.
 """
 
 from __future__ import annotations
 
 import asyncio
-import json
 import tempfile
 import threading
 import time
@@ -16,16 +15,27 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec.msgpack
 import numpy as np
 import numpy.typing as npt
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
-from app.cli.serve_command import start_server
+from app.cli.commands import BenchCommand
+from app.cli.printing import Result, console, table_of
+from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress
 from model.core.tree import KinematicTree
+from model.io.write.meshes import write_cloud, write_mesh
 
 WAIT_SECONDS = 300.0
 HEARTBEAT = 0.002
+"""Seconds between two callbacks of :class:`LoopWatch`."""
 
 
 @dataclass(frozen=True)
@@ -36,20 +46,18 @@ class BenchUiConfig:
         points: sizes of the clouds.
         faces: size of the mesh; 0 leaves it out.
         clicks: clicks on each object.
-        segmenter: who answers them.
-        json: write the figures to this file too.
+        segmenter: turns them into parts.
     """
 
     points: tuple[int, ...] = (100_000, 1_000_000)
     faces: int = 1_000_000
     clicks: int = 40
     segmenter: str = "default"
-    json: Path | None = None
 
 
 @dataclass
 class UiFigures:
-    """What was measured on one object; times in milliseconds."""
+    """Figures of one object; times in milliseconds."""
 
     name: str
     elements: int
@@ -65,14 +73,10 @@ class UiFigures:
     extra: dict[str, float] = field(default_factory=dict)
 
 
-class PretendedBrowser:
-    """A client that takes in everything and draws nothing."""
+class SimulatedBrowser:
+    """A client that receives everything and draws nothing."""
 
     def __init__(self, url: str) -> None:
-        import msgspec.msgpack
-        import viser
-        from websockets.sync.client import connect
-
         self.received = 0
         self.last = 0.0
         self._socket = connect(
@@ -98,8 +102,6 @@ class PretendedBrowser:
         self._thread.start()
 
     def _read(self) -> None:
-        from websockets.exceptions import ConnectionClosed
-
         try:
             for message in self._socket:
                 self.received += len(message)
@@ -108,7 +110,7 @@ class PretendedBrowser:
             return
 
     def quiet(self, seconds: float = 0.25) -> int:
-        """Wait until nothing has come for a while; all the bytes so far."""
+        """Wait until nothing has come for ``seconds``; return the bytes received so far."""
         while time.perf_counter() - self.last < seconds:
             time.sleep(0.01)
         return self.received
@@ -119,7 +121,7 @@ class PretendedBrowser:
 
 
 class LoopWatch:
-    """How long the server's event loop is held by one callback, in seconds."""
+    """Measures the longest time in seconds that one callback blocks the server's event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.worst = 0.0
@@ -139,22 +141,25 @@ class LoopWatch:
         self._on = False
 
 
-def run(config: BenchUiConfig) -> list[UiFigures]:
-    """Measure, print the table, and return the figures."""
-    figures = []
+def bench(options: BenchCommand, _: Progress) -> Result:
+    """Measure with the options of the command."""
+    given = {
+        "points": options.points,
+        "faces": options.faces,
+        "clicks": options.clicks,
+        "segmenter": (options.segmenter or (None,))[0],
+    }
+    config = BenchUiConfig(**{k: v for k, v in given.items() if v is not None})
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)
-        for path in _objects(config, root):
-            figures.append(_measure(path, root / f"workspace-{path.stem}", config))
-    _print(figures)
-    if config.json is not None:
-        config.json.write_text(json.dumps([asdict(f) for f in figures], indent=2))
-    return figures
+        figures = [
+            _measure(path, root / f"workspace-{path.stem}", config)
+            for path in _objects(config, root)
+        ]
+    return [asdict(f) for f in figures], lambda: _print(figures)
 
 
 def _objects(config: BenchUiConfig, root: Path) -> list[Path]:
-    from model.io.write.meshes import write_cloud, write_mesh
-
     rng = np.random.default_rng(0)
     out = []
     for count in config.points:
@@ -175,9 +180,7 @@ def _panels() -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
     return [(np.array(c), np.array(s)) for c, s in boxes]
 
 
-def _cabinet_cloud(count: int, rng: np.random.Generator) -> Any:
-    from model.core.point_cloud import PointCloud
-
+def _cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
     points, shares = [], np.array([0.55, 0.15, 0.15, 0.15])
     for (center, size), share in zip(_panels(), shares, strict=True):
         n = int(count * share)
@@ -190,9 +193,7 @@ def _cabinet_cloud(count: int, rng: np.random.Generator) -> Any:
     return PointCloud(cloud.astype(np.float32), None, shade.astype(np.uint8))
 
 
-def _cabinet_mesh(faces: int) -> Any:
-    from model.core.mesh import Mesh
-
+def _cabinet_mesh(faces: int) -> Mesh:
     vertices, triangles, start = [], [], 0
     cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))
     line = np.linspace(-0.5, 0.5, cells + 1)
@@ -217,12 +218,12 @@ def wait_for(condition: Any, what: str) -> None:
     """Poll until ``condition()`` is true.
 
     Raises:
-        TimeoutError: naming ``what`` never came.
+        TimeoutError: naming ``what`` did not happen.
     """
     end = time.perf_counter() + WAIT_SECONDS
     while not condition():
         if time.perf_counter() > end:
-            raise TimeoutError(f"waited {WAIT_SECONDS:.0f} s in vain for: {what}")
+            raise TimeoutError(f"waited {WAIT_SECONDS:.0f} s for: {what}")
         time.sleep(0.0005)
 
 
@@ -234,8 +235,8 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
     )
     try:
         start = time.perf_counter()
-        server.bench.object(server.bench.records()[0].id)
-        browser = PretendedBrowser(server.url)
+        server.app_state.object(server.app_state.queue.records()[0].id)
+        browser = SimulatedBrowser(server.url)
         wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
         wait_for(lambda: app.object is not None and app.object.asset is not None, "the object")
@@ -258,8 +259,8 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
         server.close()
 
 
-def _click(app: Any, browser: PretendedBrowser, figures: UiFigures, clicks: int) -> None:
-    """Clicks on random visible places of three drawers, each for its own part."""
+def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int) -> None:
+    """Click on random visible points of three drawers, each for its own part."""
     rng = np.random.default_rng(1)
     asset, taken, sent = app.object.asset, [], []
     low = asset.bounds[0]
@@ -285,7 +286,7 @@ def _click(app: Any, browser: PretendedBrowser, figures: UiFigures, clicks: int)
     figures.bytes_a_click = int(np.percentile(sent, 95))
 
 
-def _baseline(app: Any, browser: PretendedBrowser, figures: UiFigures) -> None:
+def _baseline(app: Any, browser: SimulatedBrowser, figures: UiFigures) -> None:
     """Send the whole object again, as a viewer without differences does at each click."""
     asset = app.object.asset
     before, start = browser.quiet(), time.perf_counter()
@@ -296,7 +297,7 @@ def _baseline(app: Any, browser: PretendedBrowser, figures: UiFigures) -> None:
 
 
 def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
-    """Poses sent a second for an object of ``links`` moving parts."""
+    """Poses sent per second for an object of ``links`` moving parts."""
     joints = tuple(
         Joint(f"j{k}", "revolute", f"link_{k}", f"link_{k + 1}", (0, 0, 1), (0, 0, 0), -1.0, 1.0)
         for k in range(links)
@@ -310,40 +311,19 @@ def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
 
 
 def _print(figures: list[UiFigures]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title="The browser's waits, server side (× against sending the whole object)")
-    for name in (
-        "object",
-        "elements",
-        "open to picture",
-        "then encode",
-        "click p50",
-        "click p95",
-        "bytes a click",
-        "whole object",
-        "bytes ratio",
-        "loop held",
-        "40-joint ticks/s",
-    ):
-        table.add_column(name, justify="right" if name != "object" else "left")
-    for f in figures:
-        table.add_row(
-            f.name,
-            f"{f.elements:,}",
-            f"{f.open_ms:.0f} ms",
-            f"{f.encode_ms:.0f} ms",
-            f"{f.click_p50_ms:.0f} ms",
-            f"{f.click_p95_ms:.0f} ms",
-            f"{f.bytes_a_click / 1e6:.3f} MB",
-            f"{f.whole_bytes / 1e6:.1f} MB, {f.whole_ms:.0f} ms",
-            f"1 / {f.whole_bytes / max(f.bytes_a_click, 1):.1f}",
-            f"{f.loop_held_ms:.0f} ms",
+    columns = (
+        "object", "elements", "open to picture", "then encode", "click p50", "click p95",
+        "bytes a click", "whole object", "bytes ratio", "loop held", "40-joint ticks/s",
+    )  # fmt: skip
+    rows = [
+        (
+            f.name, f"{f.elements:,}", f"{f.open_ms:.0f} ms", f"{f.encode_ms:.0f} ms",
+            f"{f.click_p50_ms:.0f} ms", f"{f.click_p95_ms:.0f} ms",
+            f"{f.bytes_a_click / 1e6:.3f} MB", f"{f.whole_bytes / 1e6:.1f} MB, {f.whole_ms:.0f} ms",
+            f"1 / {f.whole_bytes / max(f.bytes_a_click, 1):.1f}", f"{f.loop_held_ms:.0f} ms",
             f"{f.ticks_a_second:.0f}",
         )
-    Console(width=180).print(table)
-
-
-if __name__ == "__main__":
-    run(BenchUiConfig())
+        for f in figures
+    ]  # fmt: skip
+    title = "The browser's waiting times, on the server (× against sending the whole object)"
+    console(180).print(table_of(title, columns, rows, columns[1:]))

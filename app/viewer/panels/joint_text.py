@@ -7,9 +7,9 @@ import math
 from app.server.display_names import in_words, joint_title, moved_part, part_title
 from app.server.validating import JointCheck
 from app.viewer.text import plain
+from model.core.display_names import BASE
 from model.core.joint import Joint, value_text
 from model.core.tree import KinematicTree
-from model.validation.phrases import BASE
 from sessions.document import Document
 
 

@@ -22,6 +22,7 @@ from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.text import plain
 from model.core.errors import CommandError
+from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.describe import describe
 from sessions.document import Document
@@ -160,7 +161,7 @@ class ReviewPanel:
             begun = f"**{INTERRUPTED}.**"
         put(self._summary, "content", (f"{begun}\n\n" if begun else "") + summary(doc))
         decided = doc.review.state in DECIDED
-        broken = report is not None and report.verdict == "broken" and not decided
+        broken = report is not None and report.severity == Severity.ERROR and not decided
         put(self._override, "visible", broken)
         words = "Accept with your edits" if doc.edited_joints else "Accept"
         looked = report is not None and self.gate.looked_at(obj) is report and not decided
@@ -188,7 +189,7 @@ class ReviewPanel:
     def _draw_history(self) -> None:
         app = self._app
         obj = app.need_object()
-        entries = app.bench.store.history(obj.record.id)[-HISTORY_SHOWN:]
+        entries = app.app_state.store.history(obj.record.id)[-HISTORY_SHOWN:]
         lines = [
             f"- {plain(e.at[11:19])} {plain(e.who, 24)}: "
             f"{plain(what_happened(obj.document, e.command), 80)}"

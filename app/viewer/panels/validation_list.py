@@ -11,7 +11,7 @@ from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.text import plain
 from model.core.errors import CommandError
-from model.validation.report import GateReport, JointVerdict, MendKind, Verdict
+from model.validation.report import FixKind, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document
 
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 SHOWN = 8
 """Joints with buttons; the others are counted."""
-SIGNS: dict[Verdict, str] = {"fine": "✓", "look": "▲", "broken": "✖"}
-WORDS: dict[Verdict, str] = {"fine": "fine", "look": "to look at", "broken": "broken"}
-MENDS: dict[MendKind, str] = {
+SIGNS: dict[Severity, str] = {Severity.OK: "✓", Severity.WARNING: "▲", Severity.ERROR: "✖"}
+WORDS: dict[Severity, str] = {
+    Severity.OK: "fine", Severity.WARNING: "to look at", Severity.ERROR: "broken",
+}  # fmt: skip
+MENDS: dict[FixKind, str] = {
     "flip": "Flip", "shift": "Shift axis", "limits": "Fit limits", "shrink": "Shrink colliders",
 }  # fmt: skip
-MEND_KEYS: dict[str, MendKind] = {word: kind for kind, word in MENDS.items()}
+MEND_KEYS: dict[str, FixKind] = {word: kind for kind, word in MENDS.items()}
 
 
 class GateView:
@@ -36,7 +38,7 @@ class GateView:
         self._key: Any = None
         self._rows: list[Any] = []
         self._shown: tuple[Any, str] | None = None
-        self._looked_at: deque[GateReport] = deque(maxlen=64)
+        self._looked_at: deque[ValidationReport] = deque(maxlen=64)
         self._wanted: int | None = None  # an object whose worst moment is shown once it is judged
         self._headline = app.client.gui.add_markdown("")
 
@@ -46,7 +48,7 @@ class GateView:
 
     # --- what a person does
 
-    def looked_at(self, obj: OpenObject) -> GateReport | None:
+    def looked_at(self, obj: OpenObject) -> ValidationReport | None:
         """The gate's answer on the present joints, where this tab has shown what it doubts."""
         report = obj.judging.report
         return next((r for r in self._looked_at if r is report), None)
@@ -56,7 +58,7 @@ class GateView:
         obj = self._app.need_object()
         report = obj.judging.report
         self._wanted = obj.record.id if report is None else None
-        if report is not None and report.verdict != "fine":
+        if report is not None and report.severity != Severity.OK:
             self.show(report.joints[0].joint)
 
     def show_soon(self, obj: OpenObject) -> None:
@@ -68,17 +70,17 @@ class GateView:
         app = self._app
         obj = app.need_object()
         report = obj.judging.report
-        verdict = None if report is None else report.of(joint)
-        if verdict is None or report is None or obj.document.tree is None:
+        joint_report = None if report is None else report.of(joint)
+        if joint_report is None or report is None or obj.document.tree is None:
             raise CommandError("the joints are still being judged")
-        app.choose_joint(verdict.child)
+        app.choose_joint(joint_report.child)
         self._shown = (report, joint)
-        if verdict.verdict != "fine" and self.looked_at(obj) is None:
+        if joint_report.severity != Severity.OK and self.looked_at(obj) is None:
             self._looked_at.append(report)
-        worst = verdict.worst
+        worst = joint_report.worst
         if worst is None:
             app.motion.show_moment(None, "")
-            app.notify("Nothing to see", verdict.sentence, "gray")
+            app.notify("Nothing to see", joint_report.message, "gray")
         else:
             app.motion.show_moment(worst, moment_text(worst.kind, worst.depth))
 
@@ -87,7 +89,7 @@ class GateView:
         report = self._app.need_object().judging.report
         if report is None:
             raise CommandError("the joints are still being judged")
-        doubted = [j.joint for j in report.joints if j.verdict != "fine"]
+        doubted = [j.joint for j in report.joints if j.severity != Severity.OK]
         if not doubted:
             self._app.notify("Every joint is fine", "Accept with Y", "gray")
             return
@@ -101,7 +103,7 @@ class GateView:
         mend = app.need_object().judging.mend(joint, MEND_KEYS[word])
         app.motion.reset()
         app.do(cmd.SetJoint(mend.joint))
-        app.notify("Mended", f"{mend.sentence} Undo with Ctrl+Z.", "green")
+        app.notify("Mended", f"{mend.message} Undo with Ctrl+Z.", "green")
 
     # --- drawing
 
@@ -130,34 +132,34 @@ class GateView:
         doubted = [] if report is None else [j for j in report.joints if j.findings]
         put(self._folder, "visible", bool(doubted))
         with self._folder:
-            for verdict in doubted[:SHOWN]:
-                self._add_row(doc, verdict)
+            for joint_report in doubted[:SHOWN]:
+                self._add_row(doc, joint_report)
             if len(doubted) > SHOWN:
                 more = self._app.client.gui.add_markdown(
                     f"… and {len(doubted) - SHOWN} more (Tab)."
                 )
                 self._rows.append(more)
 
-    def _add_row(self, doc: Document, verdict: JointVerdict) -> None:
-        gui, app, joint = self._app.client.gui, self._app, verdict.joint
-        title = joint_title(doc, verdict.child)
+    def _add_row(self, doc: Document, joint_report: JointReport) -> None:
+        gui, app, joint = self._app.client.gui, self._app, joint_report.joint
+        title = joint_title(doc, joint_report.child)
         button = gui.add_button(
-            f"{SIGNS[verdict.verdict]} {title}: {WORDS[verdict.verdict]}"[:60],
-            color=palette.VERDICT_COLORS[verdict.verdict],
+            f"{SIGNS[joint_report.severity]} {title}: {WORDS[joint_report.severity]}"[:60],
+            color=palette.VERDICT_COLORS[joint_report.severity],
             hint="Show the worst moment (Tab: the next one)",
         )
         button.on_click(lambda _: app.act(lambda: self.show(joint)))
-        lines = [plain(f.sentence, 200) for f in verdict.findings[:3]]
+        lines = [plain(f.message, 200) for f in joint_report.findings[:3]]
         self._rows += [button, gui.add_markdown("  \n".join(lines))]
-        if verdict.mends:
-            words = tuple(MENDS[m.kind] for m in verdict.mends)
-            hint = " ".join(m.sentence for m in verdict.mends)
-            mends = gui.add_button_group("Mend", words, hint=hint)
-            mends.on_click(lambda e: app.act(lambda: self._mend(joint, e.target.value)))
-            self._rows.append(mends)
+        if joint_report.fixes:
+            words = tuple(MENDS[m.kind] for m in joint_report.fixes)
+            hint = " ".join(m.message for m in joint_report.fixes)
+            fixes = gui.add_button_group("Mend", words, hint=hint)
+            fixes.on_click(lambda e: app.act(lambda: self._mend(joint, e.target.value)))
+            self._rows.append(fixes)
 
 
-def headline(obj: OpenObject, doc: Document, report: GateReport | None) -> str:
+def headline(obj: OpenObject, doc: Document, report: ValidationReport | None) -> str:
     """The verdict in one line."""
     if doc.tree is None:
         return ""
@@ -167,8 +169,8 @@ def headline(obj: OpenObject, doc: Document, report: GateReport | None) -> str:
         fraction, message = obj.busy.get("check", (0.0, ""))
         message = plain(in_words(doc, message))
         return f"*Judging the joints… {100 * fraction:.0f} % {message}".rstrip() + "*"
-    counts = {v: len(report.with_verdict(v)) for v in ("broken", "look", "fine")}
-    parts = [f"{SIGNS[v]} {n} {WORDS[v]}" for v, n in counts.items() if n]  # type: ignore[index]
+    counts = {v: len(report.joints_with(v)) for v in reversed(Severity)}
+    parts = [f"{SIGNS[v]} {n} {WORDS[v]}" for v, n in counts.items() if n]
     line = f"**Gate: {' · '.join(parts) or 'no joint moves'}**"
     if report.physics is not None and not report.physics.ran:
         line += f"  \n*Physics: {plain(report.physics.problem, 160)}*"

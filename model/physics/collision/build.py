@@ -21,13 +21,13 @@ from model.core.shapes import Hull, Primitive, Shape, hull_of, hull_of_shape, si
 from model.geometry.topology import same_points
 from model.kinematics.sweep import sweep_joint
 from model.physics.collision.coacd_process import coacd_hulls, coacd_installed
-from model.physics.collision.decomposition import cut_into_pieces
+from model.physics.collision.decomposition import decompose
 from model.physics.collision.dops import Surface
 from model.physics.collision.fitting import primitive_of
 from model.physics.collision.hulls import thick_hull
 from model.physics.collision.merging import merge
 from model.physics.collision.narrow_phase import Bodies
-from model.physics.collision.overlap_resolution import Free, in_the_way, relieve
+from model.physics.collision.overlap_resolution import Free, overlapping_bodies, resolve_overlaps
 from model.physics.collision.store import fingerprint, load_shapes, packed, save_shapes
 from model.physics.collision.voxels import Occupancy, occupancy
 from model.physics.part_mesh import part_mesh
@@ -136,7 +136,7 @@ def collision_of(
     reach = _free_ranges(obj)
     room = slim
     if settings.relief:
-        cut = relieve(slim, obj.tree, diagonal, reach, frozenset(told))
+        cut = resolve_overlaps(slim, obj.tree, diagonal, reach, frozenset(told))
         room = {
             k: v if k in told else [simplified(h, settings.max_vertices) for h in v]
             for k, v in cut.items()
@@ -277,7 +277,7 @@ def hollow_bodies(
     """Few convex bodies that leave free space free, and the voxels that say what is free."""
     space = occupancy(mesh.triangles[mesh.face_areas > 0])
     surface = Surface(mesh, space, np.random.default_rng(settings.seed))
-    pieces = cut_into_pieces(surface, max(2.0, PIECE * space.free_count))
+    pieces = decompose(surface, max(2.0, PIECE * space.free_count))
     groups = merge(surface, pieces, settings.max_hulls)
     hulls = _filled(surface, groups, thickness)
     return [simplified(h, settings.max_vertices) for h in hulls], space
@@ -362,7 +362,7 @@ def _shapes(
         if k not in told
     }
     tried = room | {k: [hull_of_shape(s) for s in held] for k, held in shapes.items()}
-    for link, i in in_the_way(tried, obj.tree, diagonal, reach):
+    for link, i in overlapping_bodies(tried, obj.tree, diagonal, reach):
         if link not in told:
             shapes[link][i] = room[link][i]
     return {k: tuple(held) for k, held in shapes.items()}

@@ -32,7 +32,7 @@ DIRECTION = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class Patch:
     """Some faces of a part.
 
     Attributes:
@@ -46,7 +46,7 @@ class Piece:
     covers: float
 
 
-def cut_into_pieces(surface: Surface, tolerance: float, most: int = MOST_PIECES) -> list[Piece]:
+def decompose(surface: Surface, tolerance: float, most: int = MOST_PIECES) -> list[Patch]:
     """Pieces that cover at most ``tolerance`` free voxels each, as far as ``most`` pieces allow.
 
     Faces without area are left out.
@@ -54,13 +54,13 @@ def cut_into_pieces(surface: Surface, tolerance: float, most: int = MOST_PIECES)
     levels = _Levels(surface.mesh)
     order = count()
 
-    def piece(faces: npt.NDArray[np.int64]) -> Piece:
+    def piece(faces: npt.NDArray[np.int64]) -> Patch:
         extent = surface.extent(faces)
-        return Piece(faces, extent, surface.covers(extent))
+        return Patch(faces, extent, surface.covers(extent))
 
     first = piece(np.flatnonzero(surface.mesh.face_areas > 0))
     queue = [(-first.covers, next(order), 0, first)]
-    done: list[Piece] = []
+    done: list[Patch] = []
     while queue and len(queue) + len(done) < most:
         covers, _, level, worst = heapq.heappop(queue)
         if -covers > tolerance and len(worst.faces) > 1:  # its true hull may be tighter

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.shapes import Hull, coarse
-from model.physics.collision.decomposition import Piece
+from model.physics.collision.decomposition import Patch
 from model.physics.collision.dops import Surface
 from model.physics.collision.hulls import thick_hull
 
@@ -47,7 +47,7 @@ class _Body:
     middle: npt.NDArray[np.float64]
 
 
-def merge(surface: Surface, pieces: list[Piece], most: int) -> list[Faces]:
+def merge(surface: Surface, pieces: list[Patch], most: int) -> list[Faces]:
     """The faces of at most ``most`` pieces.
 
     Beyond the number the merges that cost least free space are made whatever they cost.
@@ -159,7 +159,7 @@ class _Merging:
             self._offer(keys[a], keys[b])
 
 
-def _neighbours(surface: Surface, pieces: list[Piece]) -> list[tuple[int, int]]:
+def _neighbours(surface: Surface, pieces: list[Patch]) -> list[tuple[int, int]]:
     """Pairs of pieces that are in the same voxel or in two that touch."""
     space = surface.space
     owner = np.full(len(surface.mesh.faces), -1)

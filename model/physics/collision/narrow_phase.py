@@ -17,7 +17,7 @@ Bodies = dict[str, list[Hull]]
 
 
 @dataclass(frozen=True, eq=False)
-class Touching:
+class BodyOverlap:
     """Two bodies of two links that overlap in a pose.
 
     Attributes:
@@ -39,7 +39,7 @@ def overlaps(
     pairs: list[tuple[str, str]],
     poses: Mapping[str, FloatArray],
     least: float = 0.0,
-) -> list[Touching]:
+) -> list[BodyOverlap]:
     """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose; a negative
     one finds what a smaller gap parts, too.
 
@@ -52,7 +52,7 @@ def overlaps(
         k: _boxes(hulls, poses.get(k, rest)[None])[0]
         for k, hulls in bodies.items() if hulls and k in asked
     }  # fmt: skip
-    out: list[Touching] = []
+    out: list[BodyOverlap] = []
     for a, b in pairs:
         if a not in boxes or b not in boxes:
             continue
@@ -66,11 +66,11 @@ def overlaps(
                 seen[j] = bodies[b][j].moved(a_from_b)
             found = overlap(bodies[a][i], seen[j], least)
             if found is not None:
-                out.append(Touching(a, b, i, j, found.depth, a_from_b))
+                out.append(BodyOverlap(a, b, i, j, found.depth, a_from_b))
     return out
 
 
-class Way:
+class PosePath:
     """Poses in a row, in which bodies are asked for what overlaps again and again.
 
     What was found of two bodies is kept: they are cut, but few of them each time.
@@ -87,9 +87,9 @@ class Way:
 
     def overlaps(
         self, bodies: Bodies, pairs: list[tuple[str, str]], least: float
-    ) -> list[list[Touching]]:
+    ) -> list[list[BodyOverlap]]:
         """:func:`overlaps` in each pose."""
-        out: list[list[Touching]] = [[] for _ in range(self._count)]
+        out: list[list[BodyOverlap]] = [[] for _ in range(self._count)]
         asked = {link for pair in pairs for link in pair}
         boxes = {
             k: _boxes(hulls, self._of(k)) for k, hulls in bodies.items() if hulls and k in asked
@@ -107,7 +107,7 @@ class Way:
                 at = np.flatnonzero(np.broadcast_to(near, (self._count, *near.shape[1:]))[:, i, j])
                 found = self._depths(bodies[a][i], bodies[b][j], a_from_b, at, least)
                 for k in at[found[at] > least].tolist():
-                    out[k].append(Touching(a, b, i, j, float(found[k]), a_from_b[k]))
+                    out[k].append(BodyOverlap(a, b, i, j, float(found[k]), a_from_b[k]))
         return out
 
     def _of(self, link: str) -> FloatArray:

@@ -24,7 +24,7 @@ from model.core.shapes import Hull
 from model.core.tree import KinematicTree
 from model.kinematics.joint_path import joint_poses
 from model.physics.collision.hulls import clipped
-from model.physics.collision.narrow_phase import Bodies, Touching, Way, overlaps
+from model.physics.collision.narrow_phase import Bodies, BodyOverlap, PosePath, overlaps
 from model.physics.collision.overlap import Overlap, overlap
 
 GAP = 2e-4
@@ -94,7 +94,7 @@ def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:
 
 def _to_cut(
     bodies: Bodies, tree: KinematicTree, pairs: list[tuple[str, str]], diagonal: float, free: Free
-) -> Iterator[tuple[list[Touching], bool, Joint]]:
+) -> Iterator[tuple[list[BodyOverlap], bool, Joint]]:
     """What touches while each leading joint alone goes from rest to either limit, whether it is cut
     however deep it is, and the joint.
 
@@ -123,14 +123,14 @@ def _to_cut(
                 yield touches, False, joint
 
 
-_Ways = dict[float, tuple[FloatArray, Mapping[str, FloatArray], Way]]
+_Ways = dict[float, tuple[FloatArray, Mapping[str, FloatArray], PosePath]]
 """Travel in diagonals → joint values, poses, and what was found there."""
 
 
 def _on_the_way(
     bodies: Bodies, tree: KinematicTree, joint: Joint, end: float,
     pairs: list[tuple[str, str]], diagonal: float, known: _Ways,
-) -> tuple[FloatArray, list[list[Touching]]]:  # fmt: skip
+) -> tuple[FloatArray, list[list[BodyOverlap]]]:  # fmt: skip
     """Joint values from rest to ``end``, and what touches at each."""
     moved = frozenset(tree.descendants(joint.child))
     crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
@@ -140,7 +140,7 @@ def _on_the_way(
     if travel not in known:
         q = end * _steps(travel)
         poses = joint_poses(tree, joint, q)
-        known[travel] = q, poses, Way(poses, len(q))
+        known[travel] = q, poses, PosePath(poses, len(q))
     q, poses, way = known[travel]
     close = CLOSE * GAP * diagonal
     near = _meeting(bodies, crossing, poses, close)
@@ -170,12 +170,12 @@ def _meeting(
     ]  # fmt: skip
 
 
-def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
+def _shallow(found: list[list[BodyOverlap]], most: float) -> list[list[BodyOverlap]]:
     """Without the bodies that go deeper than ``most`` in the run of poses they touch in."""
-    out: list[list[Touching]] = [[] for _ in found]
-    runs: dict[tuple[str, str, int, int], list[tuple[int, Touching]]] = {}
+    out: list[list[BodyOverlap]] = [[] for _ in found]
+    runs: dict[tuple[str, str, int, int], list[tuple[int, BodyOverlap]]] = {}
 
-    def end(run: list[tuple[int, Touching]]) -> None:
+    def end(run: list[tuple[int, BodyOverlap]]) -> None:
         if max(t.depth for _, t in run) <= most:
             for k, touch in run:
                 out[k].append(touch)
@@ -191,7 +191,7 @@ def _shallow(found: list[list[Touching]], most: float) -> list[list[Touching]]:
     return out
 
 
-def relieve(
+def resolve_overlaps(
     bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free,
     kept: frozenset[str] = frozenset(),
 ) -> Bodies:  # fmt: skip
@@ -220,10 +220,10 @@ def relieve(
     return bodies
 
 
-def in_the_way(
+def overlapping_bodies(
     bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free
 ) -> set[tuple[str, int]]:
-    """Bodies (link, number) that touch others where :func:`relieve` lets none touch."""
+    """Bodies (link, number) that touch others where :func:`resolve_overlaps` lets none touch."""
     pairs = moving_pairs(tree)
     found = overlaps(bodies, pairs, tree.pose({}), -CLOSE * GAP * diagonal)
     for touches, _, _ in _to_cut(bodies, tree, pairs, diagonal, free):
@@ -232,7 +232,7 @@ def in_the_way(
 
 
 def _cut_all(
-    bodies: Bodies, found: list[Touching], gap: float, most: float, least: float = LEAST,
+    bodies: Bodies, found: list[BodyOverlap], gap: float, most: float, least: float = LEAST,
     kept: frozenset[str] = frozenset(),
 ) -> bool:  # fmt: skip
     """Whether anything was cut. The deepest come first; bodies change under the later ones.

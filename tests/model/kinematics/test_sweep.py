@@ -16,7 +16,7 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
-from model.kinematics.sweep import free_range, sweep_joint, sweep_way
+from model.kinematics.sweep import free_range, sweep_joint, sweep_path
 
 KINDS = ("mesh", "badly wound", "cloud")
 BOARD = 0.02
@@ -219,12 +219,12 @@ def test_a_way_through_joint_space_meets_what_no_joint_meets_alone():
     assert not sweep_joint(obj, "a").collides.any()
     assert not sweep_joint(obj, "b").collides.any()
     way = [{"a": t, "b": t} for t in np.linspace(0, 0.09, 10)]
-    found = sweep_way(obj, way)
+    found = sweep_path(obj, way)
     assert found.pairs[-1] == ("link_1", "link_2")
     assert found.depth[-1] == pytest.approx(0.08, abs=1e-3)
     assert found.depth[4] == 0
     assert abs(found.where[-1][0]) < 0.05
-    other = sweep_way(obj, way, pairs={frozenset(("base", "link_1"))})
+    other = sweep_path(obj, way, pairs={frozenset(("base", "link_1"))})
     assert other.pairs == (None,) * 10
 
 

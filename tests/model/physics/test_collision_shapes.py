@@ -25,7 +25,7 @@ from model.physics.collision import build
 from model.physics.collision.build import CollisionSettings, collision_of, prepare_bodies
 from model.physics.collision.coacd_process import coacd_hulls
 from model.physics.collision.measure import free_volume, overlaps_of
-from model.physics.collision.narrow_phase import Way, overlaps
+from model.physics.collision.narrow_phase import PosePath, overlaps
 from model.physics.collision.overlap import overlap
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import physics_of
@@ -308,7 +308,7 @@ def test_along_a_way_bodies_overlap_as_they_do_pose_by_pose():
     made = [hull_of(rng.normal(size=(12, 3)) + 1.2 * rng.normal(size=3)) for _ in range(8)]
     bodies = {"a": made[:4], "b": made[4:]}
     turns = [trimesh.transformations.rotation_matrix(q, (1, 2, 3), (2, 0, 0)) for q in range(40)]
-    way = Way({"b": np.stack(turns)}, len(turns))
+    way = PosePath({"b": np.stack(turns)}, len(turns))
     for least in (0.0, -0.2):
         found = way.overlaps(bodies, [("a", "b")], least)
         alone = [overlaps(bodies, [("a", "b")], {"b": pose}, least) for pose in turns]

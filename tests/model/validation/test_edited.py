@@ -17,7 +17,7 @@ from model.kinematics import penetration as crossing
 from model.physics.collision import build
 from model.physics.collision import narrow_phase as touching
 from model.validation import drives, physics
-from model.validation.runner import run_gate
+from model.validation.runner import validate
 from tests.model.demos import demo_object
 
 
@@ -42,7 +42,7 @@ def edits_of(joint: Joint) -> list[Joint]:
 
 
 def said(obj: ArticulatedObject, store: Path) -> Any:
-    report = run_gate(obj, store=store)
+    report = validate(obj, store=store)
     return codec.write(replace(report, seconds=0.0))
 
 

@@ -15,7 +15,8 @@ from model.core.tree import KinematicTree
 from model.physics.simulation_values import Physics, physics_of
 from model.validation import physics
 from model.validation.physics import run_physics
-from model.validation.runner import run_gate
+from model.validation.report import Severity
+from model.validation.runner import validate
 from tests.model.validation.cabinets import DOOR, DRAWER, box, cabinet, part
 
 pytest.importorskip("mujoco")
@@ -70,9 +71,9 @@ def test_a_follower_that_is_sent_beyond_its_limits_is_told():
     assert not good.exploded and not good.missed and not good.drifted
     bad = run_physics(pair(20.0))
     assert bad.missed.keys() | bad.exploded.keys()
-    report = run_gate(pair(20.0))
+    report = validate(pair(20.0))
     found = [f for j in report.joints for f in j.findings if f.kind == "physics"]
-    assert found and found[0].sentence.startswith("In MuJoCo it ")
+    assert found and found[0].message.startswith("MuJoCo: ")
 
 
 def test_what_is_pushed_out_of_its_limits_is_told_with_how_far_and_by_what():
@@ -107,7 +108,7 @@ def test_without_mujoco_the_gate_says_so(monkeypatch):
     said = run_physics(cabinet())
     assert not said.ran
     assert "not installed" in said.problem
-    assert run_gate(cabinet()).verdict == "fine"
+    assert validate(cabinet()).severity == Severity.OK
 
 
 def test_the_shapes_that_are_exported_take_part_and_leave_a_good_cabinet_free():
@@ -141,26 +142,26 @@ def test_what_only_the_shapes_run_into_is_told_with_the_place():
 def test_the_gate_refuses_what_its_shapes_block_and_shrinking_them_is_the_mend(monkeypatch):
     obj, made = blocked()
     monkeypatch.setattr("model.validation.runner.physics_of", lambda *_, **__: made)
-    found = run_gate(obj).of("drawer")
-    assert (found.verdict, found.worst.kind) == ("broken", "physics")
-    assert "where its collision shapes meet those of carcass 0" in found.sentence
-    assert [m.kind for m in found.mends] == ["shrink"]
-    assert found.mends[0].joint == replace(DRAWER, give_way=True)
-    assert run_gate(obj, shapes=False).verdict == "fine"
+    found = validate(obj).of("drawer")
+    assert (found.severity, found.worst.kind) == (Severity.ERROR, "physics")
+    assert "blocked by the collision shapes of carcass 0" in found.message
+    assert [m.kind for m in found.fixes] == ["shrink"]
+    assert found.fixes[0].joint == replace(DRAWER, give_way=True)
+    assert validate(obj, shapes=False).severity == Severity.OK
 
 
 def test_shrunk_shapes_free_a_drawer_that_its_cabinet_blocks_and_the_gate_only_looks():
     stop = box([0.1, -0.14, 0.0], [0.3, -0.1, 0.25])
     foot = box([0.1, -0.14, -0.02], [0.3, 0.1, 0.0])
     obj = cabinet(DOOR, DRAWER, stop, foot)
-    report = run_gate(obj)
+    report = validate(obj)
     found = report.of("drawer")
-    assert (found.verdict, found.worst.other) == ("broken", "link_0")
-    mend = found.mends[-1]
+    assert (found.severity, found.worst.other) == (Severity.ERROR, "link_0")
+    mend = found.fixes[-1]
     assert mend.kind == "shrink"
-    after = run_gate(replace(obj, tree=obj.tree.with_joint(mend.joint)))
-    assert after.verdict == "look"
-    assert "its collision shapes give way to it" in after.of("drawer").sentence
+    after = validate(replace(obj, tree=obj.tree.with_joint(mend.joint)))
+    assert after.severity == Severity.WARNING
+    assert "its collision shapes are shrunk for it" in after.of("drawer").message
     assert after.physics.shapes > 10
     assert not after.physics.missed and not after.physics.exploded
-    assert "shrink" not in [m.kind for m in after.of("drawer").mends]
+    assert "shrink" not in [m.kind for m in after.of("drawer").fixes]

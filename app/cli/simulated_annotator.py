@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.cli.corrections import WHO, Mender
+from app.cli.joint_corrections import WHO, JointCorrector
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
@@ -82,7 +82,7 @@ class AnnotatorConfig:
 
 
 @dataclass(frozen=True)
-class PersonScore:
+class AnnotatorScore:
     """One object with one predictor.
 
     Attributes:
@@ -111,14 +111,14 @@ class PersonScore:
     why: str = ""
 
 
-def annotate(config: AnnotatorConfig, object_id: str) -> list[PersonScore]:
+def annotate(config: AnnotatorConfig, object_id: str) -> list[AnnotatorScore]:
     """One object with each predictor and by hand; never raises but for a lack of memory."""
     try:
         with time_limit(config.timeout), tempfile.TemporaryDirectory() as folder:
             return _Annotator(config, object_id, Path(folder)).run()
     except Exception as error:  # the boundary of a job: the run goes on
         why = f"{type(error).__name__}: {error}"[:300]
-        return [PersonScore(object_id, None, p, why=why) for p in (*config.predictors, BY_HAND)]
+        return [AnnotatorScore(object_id, None, p, why=why) for p in (*config.predictors, BY_HAND)]
 
 
 class _Annotator:
@@ -133,12 +133,12 @@ class _Annotator:
         self.live = LiveSession(self.store, record.id)
         self.given = 0
 
-    def run(self) -> list[PersonScore]:
+    def run(self) -> list[AnnotatorScore]:
         try:
             clicks, labels, iou = self._click()
             named = self._name() if self.config.names else 0
             parts = split(self.asset, labels, self._names())
-            before = PersonScore(
+            before = AnnotatorScore(
                 self.id,
                 self.truth.category,
                 "",
@@ -210,8 +210,8 @@ class _Annotator:
     # --- joints
 
     def _with(
-        self, before: PersonScore, name: str, parts: tuple[Part, ...], commands: int
-    ) -> PersonScore:
+        self, before: AnnotatorScore, name: str, parts: tuple[Part, ...], commands: int
+    ) -> AnnotatorScore:
         # In the app part 0 is the base by definition: the predictor need not guess it.
         told = tuple(
             replace(p, name="base") if p.link == f"link_{BASE}" and p.name is None else p
@@ -231,7 +231,7 @@ class _Annotator:
         segmentation = self.live.document.segmentation
         assert segmentation is not None
         self._do(RecordPrediction(prediction, segmentation.labels))
-        mender = Mender(self.live, self.truth, self.config.limits)
+        mender = JointCorrector(self.live, self.truth, self.config.limits)
         wrong, corrections = mender.mend()
         tree = self.live.document.tree
         score = score_object(self.truth, tree, limits=self.config.limits)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from app.cli.annotator import BY_HAND, AnnotatorConfig, PersonScore, annotate
+from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate
 from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
 
@@ -19,11 +19,11 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class PersonReport:
+class AnnotatorReport:
     """Scores of all objects with each predictor, and by hand."""
 
     config: AnnotatorConfig
-    scores: tuple[PersonScore, ...]
+    scores: tuple[AnnotatorScore, ...]
 
     def rows(self) -> list[tuple[str, ...]]:
         """One for each predictor: means over the objects that were right in the end.
@@ -92,19 +92,19 @@ class PersonReport:
         return "\n".join(lines) + "\n"
 
 
-def run_person(
+def annotate_all(
     config: AnnotatorConfig, ids: Sequence[str], jobs: int, progress: Progress = no_progress
-) -> PersonReport:
+) -> AnnotatorReport:
     """Let the annotator work on all objects, in parallel."""
-    found: dict[str, list[PersonScore]] = {}
+    found: dict[str, list[AnnotatorScore]] = {}
     for object_id, scores in robust_map(partial(annotate, config), ids, jobs):
         died = [
-            PersonScore(object_id, None, name, why="the process died")
+            AnnotatorScore(object_id, None, name, why="the process died")
             for name in (*config.predictors, BY_HAND)
         ]
         found[object_id] = scores or died
         progress(len(found) / len(ids), f"{len(found)} of {len(ids)} objects annotated")
-    return PersonReport(config, tuple(s for i in ids for s in found[i]))
+    return AnnotatorReport(config, tuple(s for i in ids for s in found[i]))
 
 
 def _mean(values: Sequence[float], digits: int = 1) -> str:

@@ -1,4 +1,4 @@
-"""Objects that are known to be good or bad get exactly the verdict that they should."""
+"""Objects that are known to be good or bad get exactly the findings that they should."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
-from model.validation.runner import run_gate
+from model.validation.report import Severity
+from model.validation.runner import validate
 from tests.model.validation.cabinets import DOOR, DRAWER, W, box, cabinet, part, two
 
 
 def judge(obj: ArticulatedObject, **options):
-    return run_gate(obj, physics=False, **options)
+    return validate(obj, physics=False, **options)
 
 
 def mended(obj: ArticulatedObject, report, joint: str, kind: str) -> ArticulatedObject:
     """The object after the mend of that kind."""
-    mend = next(m for m in report.of(joint).mends if m.kind == kind)
+    mend = next(m for m in report.of(joint).fixes if m.kind == kind)
     return replace(obj, tree=obj.tree.with_joint(mend.joint))
 
 
 def test_a_good_cabinet_passes():
     report = judge(cabinet())
-    assert report.verdict == "fine"
-    assert [j.verdict for j in report.joints] == ["fine", "fine"]
-    assert all(not j.mends for j in report.joints)
-    assert report.of("door").sentence == "Moves freely over its range."
+    assert report.severity == Severity.OK
+    assert [j.severity for j in report.joints] == [Severity.OK, Severity.OK]
+    assert all(not j.fixes for j in report.joints)
+    assert report.of("door").message == "Moves freely over its range."
 
 
 def test_a_door_that_opens_inward_is_broken_and_flipping_mends_it():
@@ -43,22 +44,22 @@ def test_a_door_that_opens_inward_is_broken_and_flipping_mends_it():
     bad = cabinet(replace(DOOR, axis=(-x, -y, -z)))
     report = judge(bad)
     found = report.joints[0]
-    assert (found.joint, found.verdict) == ("door", "broken")
-    assert report.of("drawer").verdict == "fine"
-    assert "carcass 0" in found.sentence
+    assert (found.joint, found.severity) == ("door", Severity.ERROR)
+    assert report.of("drawer").severity == Severity.OK
+    assert "carcass 0" in found.message
     assert found.worst.where is not None and found.worst.q.keys() == {"door"}
-    assert found.mends[0].kind == "flip"
-    assert found.mends[0].joint == DOOR
-    assert judge(mended(bad, report, "door", "flip")).verdict == "fine"
+    assert found.fixes[0].kind == "flip"
+    assert found.fixes[0].joint == DOOR
+    assert judge(mended(bad, report, "door", "flip")).severity == Severity.OK
 
 
 def test_a_door_that_turns_both_ways_is_to_be_looked_at():
     """No board in the middle and no corner behind the hinge: it turns inward a little, freely."""
     front = replace(DOOR, origin=(-0.4, -W - 0.002, 0.3), lower=math.radians(-4))
     found = judge(cabinet(front)).of("door")
-    assert found.verdict == "look"
-    assert any("turns both ways from the scanned pose (-4°" in f.sentence for f in found.findings)
-    assert not any("both ways" in f.sentence for f in judge(cabinet()).of("door").findings)
+    assert found.severity == Severity.WARNING
+    assert any("Opens both ways from the scanned pose (-4°" in f.message for f in found.findings)
+    assert not any("both ways" in f.message for f in judge(cabinet()).of("door").findings)
 
 
 def test_a_door_hinged_where_nothing_holds_it_is_broken_and_the_axis_can_be_shifted():
@@ -76,22 +77,22 @@ def test_a_door_hinged_where_nothing_holds_it_is_broken_and_the_axis_can_be_shif
     bad = two(hinge, frame, leaf)
     report = judge(bad)
     found = report.of("door")
-    assert found.verdict == "broken"
+    assert found.severity == Severity.ERROR
     assert found.worst.kind == "detached"
-    assert found.sentence.startswith("Comes off base")
+    assert found.message.startswith("Comes off base")
     after = mended(bad, report, "door", "shift")
     assert abs(after.tree.by_name["door"].origin[0] + 0.4) < 0.03
-    assert judge(after).verdict == "fine"
+    assert judge(after).severity == Severity.OK
 
 
 def test_a_drawer_that_goes_through_the_back_is_broken():
     bad = cabinet(drawer=replace(DRAWER, axis=(0, 1, 0)))
     report = judge(bad)
     found = report.joints[0]
-    assert (found.joint, found.verdict) == ("drawer", "broken")
+    assert (found.joint, found.severity) == ("drawer", Severity.ERROR)
     assert found.depth > 0.1
     assert found.worst.other == "link_0"
-    assert judge(mended(bad, report, "drawer", "flip")).verdict == "fine"
+    assert judge(mended(bad, report, "drawer", "flip")).severity == Severity.OK
 
 
 def test_a_door_that_opens_into_a_wall_has_its_limit_shortened():
@@ -100,31 +101,31 @@ def test_a_door_that_opens_into_a_wall_has_its_limit_shortened():
     bad = cabinet(replace(DOOR, upper=math.pi), DRAWER, wall, shelf)
     report = judge(bad)
     found = report.of("door")
-    assert found.verdict == "broken"
-    free = next(m for m in found.mends if m.kind == "limits").joint
+    assert found.severity == Severity.ERROR
+    free = next(m for m in found.fixes if m.kind == "limits").joint
     assert free.lower == 0
     assert math.radians(75) < free.upper < math.radians(115)
-    assert judge(mended(bad, report, "door", "limits")).verdict == "fine"
+    assert judge(mended(bad, report, "door", "limits")).severity == Severity.OK
 
 
 def test_a_drawer_that_falls_out_has_its_limit_shortened():
     bad = cabinet(drawer=replace(DRAWER, upper=0.7))
     report = judge(bad)
     found = report.of("drawer")
-    assert (found.verdict, found.worst.kind) == ("broken", "detached")
+    assert (found.severity, found.worst.kind) == (Severity.ERROR, "detached")
     assert found.worst.q == {"drawer": pytest.approx(0.7)}
-    assert found.sentence.startswith("Slides out of carcass")
+    assert found.message.startswith("Slides out of carcass")
     after = mended(bad, report, "drawer", "limits")
     assert 0.2 < after.tree.by_name["drawer"].upper < 0.45
-    assert judge(after).verdict == "fine"
+    assert judge(after).severity == Severity.OK
 
 
 def test_a_lid_that_is_lifted_off_is_fine():
     pot = part("link_0", box([0, 0, 0], [0.3, 0.3, 0.2]))
     lid = part("link_1", box([0, 0, 0.2], [0.3, 0.3, 0.22]), name="lid")
     report = judge(two(Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.15), pot, lid))
-    assert report.verdict == "fine"
-    assert report.of("j").sentence.startswith("Lifts off")
+    assert report.severity == Severity.OK
+    assert report.of("j").message.startswith("Lifts off")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +141,7 @@ def test_what_leaves_level_or_downwards_is_not_lifted(front, axis, said):
     sides = [box([0, 0, 0], [0.02, 0.4, 0.3]), box([0.58, 0, 0], [0.6, 0.4, 0.3])]
     panel = part("link_1", box([0.021, front, 0.01], [0.579, front + 0.018, 0.29]))
     slide = Joint("j", "prismatic", "link_0", "link_1", axis, lower=0, upper=0.5)
-    assert judge(two(slide, part("link_0", *sides), panel)).of("j").sentence.startswith(said)
+    assert judge(two(slide, part("link_0", *sides), panel)).of("j").message.startswith(said)
 
 
 def kettle(rim: float) -> ArticulatedObject:
@@ -157,11 +158,11 @@ def kettle(rim: float) -> ArticulatedObject:
     return two(Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.05), pot, lid)
 
 
-@pytest.mark.parametrize(("rim", "verdict"), [(0.001, "fine"), (0.017, "look")])
-def test_a_lid_with_a_rim_is_lifted_off_too(rim, verdict):
+@pytest.mark.parametrize(("rim", "severity"), [(0.001, Severity.OK), (0.017, Severity.WARNING)])
+def test_a_lid_with_a_rim_is_lifted_off_too(rim, severity):
     found = judge(kettle(rim)).of("j")
-    assert found.verdict == verdict
-    assert found.sentence.startswith("Lifts off base")
+    assert found.severity == severity
+    assert found.message.startswith("Lifts off base")
 
 
 def test_a_floating_part_is_broken():
@@ -170,17 +171,17 @@ def test_a_floating_part_is_broken():
     joint = Joint("j", "revolute", "link_0", "link_1", origin=(0.5, 0.5, 0.5), lower=0, upper=1)
     report = judge(two(joint, base, above))
     found = report.of("j")
-    assert (found.verdict, found.worst.kind) == ("broken", "floating")
-    assert "base is 400 mm away" in found.sentence
+    assert (found.severity, found.worst.kind) == (Severity.ERROR, "floating")
+    assert "400 mm gap to base" in found.message
     near = part("link_1", box([0.4, 0.4, 0.13], [0.6, 0.6, 0.2]))
-    assert judge(two(joint, base, near)).of("j").verdict == "look"
+    assert judge(two(joint, base, near)).of("j").severity == Severity.WARNING
 
 
 def test_a_part_of_a_fixed_joint_that_floats_is_told_too():
     base = part("link_0", box([0, 0, 0], [1, 1, 0.1]))
     above = part("link_1", box([0.4, 0.4, 0.5], [0.6, 0.6, 0.6]))
     report = judge(two(Joint("glue", "fixed", "link_0", "link_1"), base, above))
-    assert report.of("glue").verdict == "broken"
+    assert report.of("glue").severity == Severity.ERROR
 
 
 def test_a_part_that_is_wedged_in_is_jammed():
@@ -191,8 +192,8 @@ def test_a_part_that_is_wedged_in_is_jammed():
     plug = part("link_1", box([0.1, 0.1, 0], [0.4, 0.4, 0.3]))
     joint = Joint("j", "prismatic", "link_0", "link_1", (1, 0, 0), lower=-0.2, upper=0.2)
     found = judge(two(joint, walls, plug)).of("j")
-    assert (found.verdict, found.worst.kind) == ("broken", "jammed")
-    assert found.sentence == "Can't move from rest: it runs into base at once."
+    assert (found.severity, found.worst.kind) == (Severity.ERROR, "jammed")
+    assert found.message == "Blocked at rest by base."
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -209,10 +210,10 @@ def test_geometry_that_is_no_number_never_gets_as_far_as_the_gate(value):
 def test_a_part_that_is_a_single_point_is_broken_and_the_others_are_still_judged():
     obj = cabinet()
     door = Part("link_1", cloud=PointCloud(np.zeros((1, 3), np.float32)), name="door")
-    report = run_gate(replace(obj, parts=(obj.parts[0], door, obj.parts[2])))
-    assert report.of("door").verdict == "broken"
-    assert report.of("door").sentence == "The part is a single point."
-    assert report.of("drawer").verdict == "fine"
+    report = validate(replace(obj, parts=(obj.parts[0], door, obj.parts[2])))
+    assert report.of("door").severity == Severity.ERROR
+    assert report.of("door").message == "The part is a single point."
+    assert report.of("drawer").severity == Severity.OK
     assert report.physics is None
 
 
@@ -220,24 +221,24 @@ def test_empty_parts_and_an_object_of_nothing_else_get_a_verdict():
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     obj = cabinet()
     report = judge(replace(obj, parts=(Part("link_0", nothing), *obj.parts[1:])))
-    assert {j.verdict for j in report.joints} == {"broken"}
+    assert {j.severity for j in report.joints} == {Severity.ERROR}
     report = judge(two(Joint("j", "continuous", "link_0", "link_1"), Part("link_0", nothing),
                        Part("link_1", cloud=PointCloud(np.zeros((0, 3), np.float32)))))  # fmt: skip
-    assert report.of("j").verdict == "broken"
+    assert report.of("j").severity == Severity.ERROR
 
 
 @pytest.mark.parametrize(
-    ("change", "verdict", "word"),
+    ("change", "severity", "word"),
     [
-        ({"lower": 0.0, "upper": 0.0}, "broken", "empty"),
-        ({"lower": 0.0, "upper": 5.0}, "broken", "slides"),
-        ({"lower": 0.05, "upper": 0.2}, "look", "outside"),
+        ({"lower": 0.0, "upper": 0.0}, Severity.ERROR, "empty"),
+        ({"lower": 0.0, "upper": 5.0}, Severity.ERROR, "Travels"),
+        ({"lower": 0.05, "upper": 0.2}, Severity.WARNING, "outside"),
     ],
 )
-def test_limits_that_make_no_sense(change, verdict, word):
+def test_limits_that_make_no_sense(change, severity, word):
     found = judge(cabinet(drawer=replace(DRAWER, **change))).of("drawer")
-    assert any(f.kind == "limits" and word in f.sentence for f in found.findings)
-    assert found.verdict == verdict or word == "slides"
+    assert any(f.kind == "limits" and word in f.message for f in found.findings)
+    assert found.severity == severity or word == "Travels"
 
 
 def test_an_empty_range_can_be_set_to_the_free_one():
@@ -253,8 +254,8 @@ def test_a_knob_of_many_turns_is_looked_at():
     knob = part("link_1", box([0.1, 0.1, 0.1], [0.2, 0.2, 0.12]))
     joint = Joint("j", "revolute", "link_0", "link_1", origin=(0.15, 0.15, 0), lower=0, upper=19)
     found = judge(two(joint, base, knob)).of("j")
-    assert found.verdict == "look"
-    assert "3.0 times round" in found.sentence
+    assert found.severity == Severity.WARNING
+    assert "Turns 3.0 times" in found.message
 
 
 def buttons(count: int) -> ArticulatedObject:
@@ -270,9 +271,9 @@ def buttons(count: int) -> ArticulatedObject:
 
 
 def test_sixty_joints_are_all_judged():
-    report = run_gate(buttons(60))
+    report = validate(buttons(60))
     assert len(report.joints) == 60
-    assert report.verdict == "fine"
+    assert report.severity == Severity.OK
     assert report.physics is not None
 
 
@@ -293,7 +294,7 @@ def test_what_meets_only_together_is_told_of_both():
         kinds = [f.kind for f in found.findings]
         assert kinds == ["combination"]
         assert set(found.worst.q) == {"a", "b"}
-        assert "Leaf 1 and leaf 2 meet" in found.sentence
+        assert "Leaf 1 and leaf 2 collide" in found.message
     assert judge(ArticulatedObject("x", (rail, left, right), tree)).joints == report.joints
 
 
@@ -303,8 +304,8 @@ def test_a_drawer_behind_a_door_is_free_once_the_door_is_open():
     inner = replace(obj.parts[2].mesh, vertices=obj.parts[2].mesh.vertices + [0, 0.03, 0])
     parts = (obj.parts[0], wide, Part("link_2", inner, name="drawer"))
     found = judge(replace(obj, parts=parts)).of("drawer")
-    assert found.verdict == "fine"
-    assert found.sentence == "Free once door 1 is moved out of the way."
+    assert found.severity == Severity.OK
+    assert found.message == "Free once door 1 is out of the way."
 
 
 def test_the_report_is_plain_json_and_the_work_can_be_stopped():
@@ -322,5 +323,5 @@ def test_the_report_is_plain_json_and_the_work_can_be_stopped():
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        run_gate(bad, progress=stop)
+        validate(bad, progress=stop)
     assert told == sorted(told)

@@ -24,7 +24,7 @@ from sessions.live import LiveSession
 WHO = "scripted annotator"
 
 
-class Mender:
+class JointCorrector:
     """Corrects joints one thing at a time: parent, type, axis, origin, direction, one limit.
 
     Attributes:

@@ -1,0 +1,99 @@
+"""What ``artiworld backend`` does: from its options to a running backend."""
+
+from __future__ import annotations
+
+import os
+import socket
+
+from app.cli.commands import BackendCommand
+from app.server import backend_tasks
+from app.server.jobs import WorkerProcess
+from app.server.login import Login
+from app.server.network import check_address, is_loopback, url
+from model.core.errors import ConfigurationError
+from model.core.installing import install_command
+from model.prediction.registry import check_predictor
+from model.prediction.remote import TOKEN_VARIABLE, is_backend
+
+
+def serve_backend(options: BackendCommand) -> int:
+    """Check the options, load the predictor, then answer until interrupted.
+
+    Raises:
+        ConfigurationError: where an option can't work or the extra isn't installed.
+    """
+    token = _token(options)
+    _check(options)
+    name = options.predictor
+    try:
+        import uvicorn  # an extra
+
+        from app.server.backend_server import Backend, BackendSettings
+    except ImportError as error:
+        raise ConfigurationError(
+            f"a backend needs {error.name}: {install_command('artiworld[backend]')}"
+        ) from error
+    check_address(options.host, options.port)
+    settings = BackendSettings(name, token, options.max_request_mb * 1_000_000, options.waiting)
+    threads = max(1, (os.cpu_count() or 2) // options.workers)
+    workers = [
+        WorkerProcess(
+            f"backend {i}", initializer=backend_tasks.load, arguments=(name,), threads=threads
+        )
+        for i in range(options.workers)
+    ]
+    try:
+        # Weights that don't load must fail here, not at the first client's request.
+        for job in [worker.submit(backend_tasks.ready) for worker in workers]:
+            job.result()
+        listener = _listen(options.host, options.port)
+        address = url(options.host, listener.getsockname()[1])
+        print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
+        config = uvicorn.Config(
+            Backend(settings, workers).application(),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=3,
+        )
+        uvicorn.Server(config).run(sockets=[listener])
+    finally:
+        for worker in workers:
+            worker.close()
+    return 0
+
+
+def _token(options: BackendCommand) -> str | None:
+    token = options.token or os.environ.get(TOKEN_VARIABLE) or None
+    if token is None and not is_loopback(options.host):
+        raise ConfigurationError(
+            f"--host {options.host} lets other machines in: give --token or set {TOKEN_VARIABLE}"
+        )
+    if token is not None and not (token.isascii() and token.isprintable()):
+        raise ConfigurationError("--token must have ASCII letters, digits and signs only")
+    Login(token)  # refuses one that is too short
+    return token
+
+
+def _check(options: BackendCommand) -> None:
+    for option, value in (
+        ("--workers", options.workers),
+        ("--waiting", options.waiting),
+        ("--max-request-mb", options.max_request_mb),
+    ):
+        if value < 1:
+            raise ConfigurationError(f"{option} {value} must be 1 or more")
+    if is_backend(options.predictor):
+        raise ConfigurationError(
+            f"--predictor {options.predictor}: a backend can't ask another one"
+        )
+    check_predictor(options.predictor)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    listener = socket.socket(family, kind, protocol)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind(address)
+    listener.listen(128)
+    return listener

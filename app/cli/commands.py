@@ -1,0 +1,369 @@
+"""All subcommands of ``artiworld``, with the options of those that work on people's objects.
+
+Each ``run`` imports the module that does the work, which may be heavy; nothing else here does.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from app.cli.command import Command, argument, flag, group, option, repeated, required
+from app.cli.options import (
+    PhysicsOptions,
+    PredictorOptions,
+    ReadingOptions,
+    json_flag,
+    positive_count,
+    seed_option,
+    segmenter_option,
+)
+from app.cli.research_commands import (
+    BenchCommand,
+    EvaluateCommand,
+    GenerateCommand,
+    TrainCommand,
+)
+from app.server.config import TOKEN_VARIABLE
+from model.prediction import DEFAULT as DEFAULT_PREDICTOR
+from model.prediction.remote import TOKEN_VARIABLE as BACKEND_TOKEN_VARIABLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeCommand(Command):
+    """Open scans in the browser and articulate them."""
+
+    log_level: ClassVar[int] = logging.INFO
+    paths: tuple[Path, ...] = argument(
+        "meshes, scans, URDFs, MJCFs or folders to open, or one scene "
+        "(default: the bundled examples)",
+        "PATH", nargs="*", default=(),
+    )  # fmt: skip
+    assets: tuple[Path, ...] = repeated(
+        "open PATH as a scene with the assets in this folder; may be repeated "
+        "(a scene description without it: those beside it)", "DIR",
+    )  # fmt: skip
+    scene: bool = flag(
+        "open PATH as a scene even where it is a mesh or a scan, such as a scanned room "
+        "out of which objects are picked"
+    )
+    finder: str = option(
+        "finder of articulable objects in a scene, as for scene convert", "NAME", "lexicon"
+    )
+    finder_url: str | None = option(
+        "openai finder: address of the server, such as http://localhost:11434/v1", "URL"
+    )
+    workspace: Path = option("folder of sessions and accepted assets", "DIR", Path("workspace"))
+    database: str | None = option(
+        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    host: str = option(
+        "address to listen at; others than this machine need a token", "HOST", "127.0.0.1"
+    )
+    port: int | None = option(
+        "port to listen at; 0 for any (default: 8080 or the next free one)", "PORT"
+    )
+    token: str | None = option(f"token that visitors need; or set {TOKEN_VARIABLE}", "TOKEN")
+    allow_origin: tuple[str, ...] = repeated(
+        "address under which a proxy shows the server; may be repeated", "URL"
+    )
+    user: str | None = option("name written beside decisions (default: your login name)", "USER")
+    reading: ReadingOptions = group(ReadingOptions)
+    max_upload_mb: int = option("largest upload from a browser", "MB", 500)
+    segmenter: str = segmenter_option()
+    prediction: PredictorOptions = group(PredictorOptions)
+    open: bool = flag("open a browser", negatable=True)
+
+    def run(self) -> int:
+        """Serve until interrupted."""
+        from app.cli.serve import serve
+
+        return serve(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentCommand(Command):
+    """Cut a scan into parts by clicks from a file."""
+
+    scan: Path = argument("a mesh, a point cloud or a folder of parts", "SCAN")
+    prompts: Path = required("JSON file of clicks", "FILE")
+    out: Path = required("folder for the parts", "DIR")
+    segmenter: str = segmenter_option()
+    reading: ReadingOptions = group(ReadingOptions)
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Write the parts and list them."""
+        from app.cli import printing, segment
+
+        with printing.session(self.json) as show:
+            report = segment.segment(
+                self.scan, self.prompts, self.out, segmenter=self.segmenter,
+                up_axis=self.reading.up_axis, unit_scale=self.reading.unit_scale,
+                progress=show.progress,
+            )  # fmt: skip
+        show.result(report, lambda: printing.print_parts(report, self.out))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictPredictorOptions(PredictorOptions):
+    """As of ``serve``, which needs ``--token`` for its own visitors."""
+
+    backend_token: str | None = option(
+        f"token of the backend; or set {BACKEND_TOKEN_VARIABLE}", "TOKEN", flag="--token"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictCommand(Command):
+    """Predict the joints of a folder of parts."""
+
+    folder: Path = argument(
+        "folder with link_0, link_1, … or an object.json; or a URDF or MJCF, or a GLB whose "
+        "meshes are named after parts", "DIR",
+    )  # fmt: skip
+    out: Path = required("folder for the URDF and its meshes", "DIR")
+    prediction: PredictPredictorOptions = group(PredictPredictorOptions)
+    category: str | None = option("category of the object, such as cabinet", "NAME")
+    collision: bool = flag("make collision shapes too, which takes seconds to a minute")
+    seed: int = seed_option()
+    reading: ReadingOptions = group(ReadingOptions)
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Write the articulated object and list its joints."""
+        from app.cli import predict, printing
+        from app.cli.backend_client import chosen_predictor
+
+        with printing.session(self.json) as show:
+            report = predict.predict(
+                self.folder, self.out, predictor=chosen_predictor(self.prediction),
+                category=self.category, seed=self.seed, up_axis=self.reading.up_axis,
+                unit_scale=self.reading.unit_scale, collision=self.collision,
+                progress=show.progress,
+            )  # fmt: skip
+        show.result(report, lambda: printing.print_joints(report, self.out))
+        return 0
+
+
+def scene_formats(text: str) -> tuple[str, ...]:
+    """Read the formats of a scene beside MJCF, which is always written."""
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    if not set(names) <= {"mjcf", "sdf", "usd"}:
+        raise ValueError
+    return tuple(n for n in names if n != "mjcf")
+
+
+def object_clicks(text: str) -> tuple[str, Path]:
+    """Read the object and the file of ``ID=FILE``."""
+    id, equals, file = text.rpartition("=")
+    if not (equals and id and file):
+        raise ValueError
+    return id, Path(file)
+
+
+def prices(text: str) -> tuple[float, float]:
+    """Read the prices of a million tokens in and out."""
+    into, out = (float(word) for word in text.split(","))
+    if not (0 <= into < math.inf and 0 <= out < math.inf):
+        raise ValueError
+    return into, out
+
+
+scene_formats.__name__ = "list of sdf and usd"
+object_clicks.__name__ = "ID=FILE"
+prices.__name__ = "pair of prices"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneInspectCommand(Command):
+    """List what is in a scene and what can be articulated."""
+
+    scene: Path = argument("a scene: a description, or GLB, USD or PLY with its geometry", "SCENE")
+    assets: tuple[Path, ...] = repeated(
+        "folder of the scene's 3D assets; may be repeated (default: the scene's folder)", "DIR"
+    )
+    format: str | None = option("format of the scene (default: detected from the file)", "NAME")
+    json: bool = json_flag()
+    finder: str = option(
+        "finder of articulable objects: lexicon, openai:MODEL (any server with OpenAI's "
+        "protocol; key in OPENAI_API_KEY) or qwen3:FOLDER", "NAME", "lexicon",
+    )  # fmt: skip
+    finder_url: str | None = option(
+        "openai: address of the server, such as http://localhost:11434/v1", "URL"
+    )
+    finder_batch: int = option("openai: objects per question", "N", 20, parse=positive_count)
+    finder_timeout: float = option("openai: time for one answer", "SECONDS", 120.0)
+    finder_cache: Path | None = option(
+        "folder of kept answers (default: ~/.cache/artiworld/finder)", "DIR"
+    )
+    price: tuple[float, float] | None = option(
+        "prices of a million tokens, for the cost", "IN,OUT", parse=prices
+    )
+    dry_run: bool = flag("estimate what asking would cost, and do nothing")
+
+    def run(self) -> int:
+        """List the objects, or estimate the cost of asking about them."""
+        from app.cli import scene
+
+        return scene.estimate(self) if self.dry_run else scene.inspect(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConvertCommand(SceneInspectCommand):
+    """Articulate every object that can be, in place."""
+
+    out: Path = required(
+        "folder for the articulated scene; a run that was killed is resumed there", "DIR"
+    )
+    jobs: int = option(
+        "processes (default: as many as processors)", "N", os.cpu_count() or 1,
+        parse=positive_count,
+    )  # fmt: skip
+    predictor: str = option("predictor of the joints", "NAME", DEFAULT_PREDICTOR)
+    seed: int = seed_option()
+    formats: tuple[str, ...] = option(
+        "write the scene as sdf and usd too, besides MJCF", "NAME,NAME", (), parse=scene_formats
+    )
+    clicks: tuple[tuple[str, Path], ...] = repeated(
+        "cut the object ID into parts by the clicks in FILE (as segment's --prompts, but in "
+        "the scene's metres, +z up) and articulate it; may be repeated",
+        "ID=FILE", parse=object_clicks,
+    )  # fmt: skip
+    segmenter: str = option("segmenter that turns clicks into parts", "NAME", "default")
+    ray: str | None = option("let a Ray cluster do the work (host:port, auto, or local)", "ADDRESS")
+    keep_limits: bool = flag("leave joint limits as predicted where the motion hits neighbours")
+    collision: bool = flag("make collision shapes; without them every base is fixed in MJCF")
+    time_limit: float = option("time for one asset", "SECONDS", 1800.0)
+
+    def run(self) -> int:
+        """Convert the scene, or estimate the cost of asking about its objects."""
+        from app.cli import scene
+
+        return scene.estimate(self) if self.dry_run else scene.convert(self)
+
+
+class SceneCommand(Command):
+    """Articulate a whole scene, its objects in place."""
+
+    subcommands: ClassVar[dict[str, type[Command]]] = {
+        "convert": SceneConvertCommand,
+        "inspect": SceneInspectCommand,
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackendCommand(Command):
+    """Predict for other machines over HTTP."""
+
+    predictor: str = option("predictor of the joints", "NAME", DEFAULT_PREDICTOR)
+    host: str = option(
+        "address to listen at; others than this machine need a token", "HOST", "127.0.0.1"
+    )
+    port: int = option("port to listen at; 0 for any", "PORT", 8090)
+    token: str | None = option(f"token that clients need; or set {BACKEND_TOKEN_VARIABLE}", "TOKEN")
+    workers: int = option("objects predicted at the same time", "N", 1)
+    waiting: int = option("requests under way before more are refused", "N", 16)
+    max_request_mb: int = option("largest object that a client may send", "MB", 200)
+
+    def run(self) -> int:
+        """Answer requests until interrupted."""
+        from app.cli.backend import serve_backend
+
+        return serve_backend(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportCommand(Command):
+    """Write articulated objects for simulators."""
+
+    assets: tuple[Path, ...] = argument(
+        "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
+    )
+    format: tuple[str, ...] = required(
+        "urdf, ros, mjcf, usd, sdf, glb, or all; may be repeated", "NAME,NAME", repeat=True
+    )
+    out: Path = required(
+        "folder for the files; each of several assets gets one below it, each of several formats "
+        "one below that", "DIR",
+    )  # fmt: skip
+    physics: PhysicsOptions = group(PhysicsOptions)
+    check: bool = flag("read each file back and compare link poses")
+    jobs: int | None = option("processes for several assets (default: as many as processors)", "N")
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Write the files; 2 where an asset could not be written."""
+        from app.cli.export import export
+
+        return export(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCommand(Command):
+    """Check whether articulated objects work in simulators."""
+
+    assets: tuple[Path, ...] = argument(
+        "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
+    )
+    format: tuple[str, ...] = repeated("formats to write and read back (default: all)", "NAME,NAME")
+    gate: bool = flag("sweep every joint, and drive it in MuJoCo", default=True)
+    allow_broken: bool = flag(
+        "exit with 0 where everything can be read back, whatever the validation finds"
+    )
+    compare_coacd: float = option(
+        "also run coacd with its defaults, this long per asset at most (default: not)",
+        "SECONDS", 0.0,
+    )  # fmt: skip
+    physics: PhysicsOptions = group(PhysicsOptions)
+    jobs: int | None = option("processes (default: as many as processors)", "N")
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Print the findings; 1 where an asset has an error."""
+        from app.cli.check import check
+
+        return check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoctorCommand(Command):
+    """Say what is installed, usable and wrong."""
+
+    workspace: Path = option("folder of sessions and accepted assets", "DIR", Path("workspace"))
+    database: str | None = option(
+        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    port: int = option("port that serve would listen at", "PORT", 8080)
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Examine everything; 1 where something is wrong."""
+        from app.cli import doctor, printing
+
+        with printing.session(self.json) as show:
+            checks = doctor.examine(self.workspace, self.database, self.port)
+        show.result(doctor.to_json(checks), lambda: printing.print_checks(checks))
+        return 1 if any(check.status == "wrong" for check in checks) else 0
+
+
+COMMANDS: dict[str, type[Command]] = {
+    "serve": ServeCommand,
+    "segment": SegmentCommand,
+    "predict": PredictCommand,
+    "scene": SceneCommand,
+    "backend": BackendCommand,
+    "export": ExportCommand,
+    "check": CheckCommand,
+    "evaluate": EvaluateCommand,
+    "generate": GenerateCommand,
+    "train": TrainCommand,
+    "bench": BenchCommand,
+    "doctor": DoctorCommand,
+}
+"""Name → subcommand, in the order of the help page."""

@@ -1,0 +1,191 @@
+"""Prediction from files to files: what ``artiworld predict`` does."""
+
+from __future__ import annotations
+
+import json
+import platform
+from dataclasses import asdict, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from app.cli.output import check_output, other_files_error, write_json
+from model.core.articulated_object import (
+    ArticulatedObject,
+    Prediction,
+    SegmentedObject,
+    remarks_of,
+)
+from model.core.asset import UpAxis
+from model.core.joint import Joint
+from model.core.part_names import category_remark
+from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.tree import KinematicTree
+from model.io.assets.asset_folder import write_asset
+from model.io.open_asset import read_part_files
+from model.physics.collision.store import default_store
+from model.physics.simulation_values import physics_of, plain_physics
+from model.prediction.registry import DEFAULT, load_predictor
+
+FORMAT = 1
+"""Version of ``prediction.json``."""
+PREDICTION_JSON = "prediction.json"
+URDF_PRECISION = 1e-5
+"""Metres or radians: a saved URDF rounds numbers to less than this."""
+
+
+class NothingPredicted(RuntimeError):
+    """The predictor gave no tree; ``prediction.json`` holds the reason."""
+
+
+def predict(
+    folder: Path,
+    out: Path,
+    *,
+    predictor: str = DEFAULT,
+    category: str | None = None,
+    seed: int = 0,
+    up_axis: UpAxis | None = None,
+    unit_scale: float = 1.0,
+    collision: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Predict the joints of a folder of part meshes.
+
+    Writes ``object.urdf``, ``tree.json``, ``meshes/``, ``provenance.json`` and ``prediction.json``.
+    Masses are those that a URDF declares, else those of the table of materials. Collision shapes
+    take long: they are made with ``collision``, or where a URDF declares those of every part.
+
+    Args:
+        up_axis, unit_scale: of the files, as of :func:`model.io.open_asset.read_part_files`.
+
+    Returns:
+        The content of ``prediction.json``.
+
+    Raises:
+        ArtiworldError: where the input can't be used.
+        NothingPredicted: where the predictor found no tree.
+    """
+    check_output(out, folder)
+    _check_replaceable(out)
+    chosen = load_predictor(predictor)
+    progress(0.0, f"reading {folder}")
+    segmented = read_part_files(folder, up_axis=up_axis, unit_scale=unit_scale)
+    if category:
+        segmented = replace(segmented, category=category)
+    answer = chosen.predict(segmented, seed=seed, progress=scaled_progress(progress, 0.1, 0.7))
+    report = prediction_json(segmented, answer)
+    if remark := category_remark(category):
+        report["problems"].insert(0, remark)
+    if answer.tree is None:
+        write_json(out / PREDICTION_JSON, report)
+        why = "; ".join(answer.problems) or "no reason was given"
+        raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
+    inertials = {k: i for k, i in segmented.inertials.items() if k in answer.tree.links}
+    shapes = {k: each for k, each in segmented.shapes.items() if k in answer.tree.links}
+    obj = ArticulatedObject(
+        segmented.name, segmented.parts, answer.tree, segmented.category, inertials, shapes
+    )
+    if collision or all(p.link in shapes for p in obj.parts):
+        physics = physics_of(
+            obj, store=default_store(), progress=scaled_progress(progress, 0.7, 0.8)
+        )
+    else:
+        physics = plain_physics(obj)
+    report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
+    report["collision_shapes"] = sum(map(len, physics.collision.values()))
+    report["collision_from_source"] = list(physics.declared_shapes)
+    progress(0.8, f"writing {out}")
+    provenance = {
+        "source": str(folder), "predictor": report["backend"], "seed": seed, "versions": versions(),
+    }  # fmt: skip
+    (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
+    write_asset(
+        obj, out.absolute(), provenance=provenance, physics=physics,
+        progress=scaled_progress(progress, 0.8, 1.0),
+    )  # fmt: skip
+    write_json(out / PREDICTION_JSON, report)
+    progress(1.0, "done")
+    return report
+
+
+def _check_replaceable(out: Path) -> None:
+    """Refuse to write where anything but an earlier result is: the whole folder is replaced."""
+    found = {path.name for path in out.iterdir()} if out.is_dir() else set[str]()
+    if found and "provenance.json" not in found and found != {PREDICTION_JSON}:
+        raise other_files_error(out)
+
+
+def prediction_json(segmented: SegmentedObject, answer: Prediction) -> dict[str, Any]:
+    """``prediction.json``: lengths in metres, angles in radians, all in the object frame."""
+    tree = answer.tree
+    return {
+        "format": FORMAT,
+        "name": segmented.name,
+        "category": segmented.category,
+        "backend": answer.backend,
+        "seed": answer.seed,
+        "seconds": round(answer.seconds, 6),
+        "problems": [*remarks_of(segmented.parts), *answer.problems],
+        "base": tree.root if tree is not None else None,
+        "links": list(tree.links) if tree is not None else [],
+        "parts": [{"link": part.link, "name": part.name} for part in segmented.parts],
+        "joints": [_joint_json(j, answer) for j in tree.joints] if tree is not None else [],
+        "raw_text": answer.raw_text,
+    }
+
+
+def _joint_json(joint: Joint, answer: Prediction) -> dict[str, Any]:
+    return {
+        "name": joint.name,
+        "type": joint.type,
+        "parent": joint.parent,
+        "child": joint.child,
+        "axis": list(joint.axis),
+        "origin": list(joint.origin),
+        "limits": [joint.lower, joint.upper] if joint.limited else None,
+        "mimic": asdict(joint.mimic) if joint.mimic is not None else None,
+        "confidence": answer.confidence.get(joint.child),
+        "note": answer.notes.get(joint.child),
+    }
+
+
+def predicted_confidence(folder: Path, tree: KinematicTree) -> dict[str, float]:
+    """Child link → confidence, 0..1, of the joints that are still as :func:`predict` wrote them.
+
+    Empty where ``folder`` holds no prediction; a joint that a person changed is left out.
+    """
+    try:
+        joints = json.loads((folder / PREDICTION_JSON).read_text(encoding="utf-8"))["joints"]
+        return {
+            j["child"]: float(j["confidence"])
+            for j in joints
+            if j["confidence"] is not None and _same_joint(j, tree.joint_of.get(j["child"]))
+        }
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _same_joint(predicted: dict[str, Any], joint: Joint | None) -> bool:
+    """Whether a joint agrees with ``prediction.json`` within the precision of a URDF."""
+    if joint is None or (predicted["type"], predicted["parent"]) != (joint.type, joint.parent):
+        return False
+    if not joint.moves:
+        return True
+    numbers = [*predicted["axis"], *predicted["origin"], *(predicted["limits"] or ())]
+    limits = (joint.lower, joint.upper) if joint.limited else ()
+    have = (*joint.axis, *joint.origin, *(v for v in limits if v is not None))
+    return len(numbers) == len(have) and all(
+        abs(a - b) < URDF_PRECISION for a, b in zip(numbers, have, strict=True)
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions that a result depends on."""
+    out = {"python": platform.python_version()}
+    for name in ("artiworld", "numpy", "scipy"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return out

@@ -1,0 +1,192 @@
+"""Subcommands of ``artiworld`` that generate, train and measure, with their options.
+
+Each ``run`` imports the module that does the work, which may be heavy; nothing else here does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from app.cli.command import Command, argument, flag, group, option, repeated, required
+from app.cli.options import count, json_flag, seed_option
+from model.prediction import DEFAULT as DEFAULT_PREDICTOR
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateCommand(Command):
+    """Score a predictor on a data set."""
+
+    data: str = option(
+        "partnet-mobility, physxnet, urdf, mjcf or procedural", "NAME", "partnet-mobility"
+    )
+    root: Path | None = option("folder of the data set", "DIR")
+    split: str = option(
+        "all, held-out (the paper's five categories), known, train[:SHARE], test[:SHARE] or "
+        "category:NAME,NAME", "WHICH", "all",
+    )  # fmt: skip
+    n: int = option("procedural without --root: objects per family", "N", 1)
+    family: tuple[str, ...] = option("procedural without --root: families", "NAME", (), nargs="+")
+    fault: str = option(
+        "procedural without --root: fault of the input: clouds, noise, heavy-noise, outliers, "
+        "one-sided, split, merge, bleed, turned or mixed (default: clean meshes)", "NAME", "",
+    )  # fmt: skip
+    predictor: str | None = option(
+        f"predictors of the joints (default: {DEFAULT_PREDICTOR}); truth gives the ground truth",
+        "NAME,NAME",
+    )
+    predictions: tuple[str, ...] = repeated(
+        "score the URDFs in this folder instead; may be repeated", "[NAME=]DIR"
+    )
+    frame: Literal["auto", "as-is"] = option(
+        "of --predictions: find turn and scale, or take the files as they are", None, "auto"
+    )
+    names: bool = flag("give part names and category to the predictor", default=True)
+    scan: bool = flag("one-sided noisy clouds, turned at random")
+    yaw: bool = flag("turn each object at random")
+    noise: float = option("noise of --scan, in diagonals", "NOISE", 0.003)
+    execute: bool = flag("also drive every joint of the predictions, in MuJoCo too")
+    jobs: int = option("processes", "JOBS", 2)
+    timeout: float = option("an object that takes longer counts as failed", "SECONDS", 120.0)
+    limit: int | None = option("at most this many objects", "LIMIT")
+    seed: int = seed_option("seed of predictors, splits and procedural objects")
+    out: Path | None = option("folder for the reports; a stopped run is resumed there", "DIR")
+    pictures: int = option("worst objects to draw in the page of --out", "N", 10)
+    person: bool = flag("instead, let a simulated annotator click, predict and correct")
+    segmentation: bool = flag(
+        "instead, simulated clicks: IoU@k and NoC on simulated scans, and on --root's: objects "
+        "of partnet-mobility, or rooms as <name>.ply with <name>_labels.npz"
+    )
+    segmenter: str = option("of --person and --segmentation: segmenter", "NAME", "default")
+    points: int | None = option(
+        "of --person and --segmentation: points per cloud (default: 30000 and 100000)", "N"
+    )
+    export: Path | None = option(
+        "write the objects as folders for artiworld predict, and stop", "DIR"
+    )
+    compare: tuple[Path, Path] | None = option(
+        "differences between the --out of two runs, and stop", ("A", "B")
+    )
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Score, or what is asked for instead, and print the table."""
+        from app.cli.evaluate import evaluate
+
+        return evaluate(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerateCommand(Command):
+    """Make articulated objects with ground truth."""
+
+    family: tuple[str, ...] = option(
+        "categories of PartNet-Mobility, Composite, or all", "NAME", ("all",), nargs="+"
+    )
+    n: int = option("objects per family", "N", 1, parse=count)
+    seed: int = option("the same seed gives the same objects", "SEED", 0)
+    out: Path = required("folder that gets one folder per object", "DIR")
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Write the objects."""
+        from app.cli import printing
+        from app.cli.output import check_output
+        from model.data.procedural.generate import GenerateSettings, generate
+
+        check_output(self.out)
+        with printing.session(self.json) as show:
+            settings = GenerateSettings(self.out, self.family, self.n, self.seed)
+            folders = generate(settings, show.progress)
+        show.result(
+            {"folders": [str(f) for f in folders]},
+            lambda: print(f"{len(folders)} objects in {self.out}"),
+        )
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullModelOptions:
+    """Options of the paper-size model."""
+
+    language_model: Path | None = option("folder of Qwen3 as published", "DIR")
+    point_encoder: Path | None = option("ULIP-2 checkpoint with Point-BERT", "FILE")
+    lora: bool = flag("train updates of rank 16 at a rate of 1e-4 instead of all weights")
+    cache: Path | None = option(
+        "keep objects here once they are made or read (default: anew each time)", "DIR"
+    )
+    settings: tuple[str, ...] = repeated(
+        "change a setting, as in --set epochs=5; may be repeated", "NAME=VALUE", flag="--set"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand(Command):
+    """Train Arti4URDF on procedural objects or your own."""
+
+    preset: str = option(
+        "configuration: nano, or of the paper-size model qwen3-0.6b, qwen3-1.7b, qwen3-4b, paper "
+        "(Qwen3-8B), qwen3 (any size); confidence fits the predictors' confidence", "NAME", "nano",
+    )  # fmt: skip
+    out: Path = required("folder of the run; run again to resume", "DIR")
+    samples: int = option("procedural objects to train on, made where missing", "N", 8000)
+    data: tuple[Path, ...] = repeated(
+        "folder of PartNet-Mobility or PhysXNet to train on as well; may be repeated", "DIR"
+    )
+    all_categories: bool = flag("train on the paper's five held-out categories too")
+    test_share: float = option(
+        "leave out what evaluate --split test:S scores of each --data", "S", 0.0
+    )
+    steps: int | None = option("length of the schedule", "N")
+    seed: int = option("seed of weights, samples and their order", "SEED", 0)
+    minutes: float = option(
+        "stop after this long and keep the state (default: no limit)", "M", math.inf
+    )
+    jobs: int = option("processes that make samples (default: all cores)", "N", 0)
+    weights: Path | None = option("write the weights here at the end, ready for use", "DIR")
+    version_name: str = option("recorded with the small model's weights", "TEXT", "")
+    full_model: FullModelOptions = group(FullModelOptions, "paper-size model")
+
+    def run(self) -> int:
+        """Make missing samples, train, and write weights."""
+        from app.cli.train import train
+
+        return train(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCommand(Command):
+    """Measure speed and accuracy."""
+
+    what: Literal["ui", "scene", "segment", "predict", "networks"] = argument(
+        "the screen of one object, of a scene; the segmenter; the predictor; "
+        "the paper-size networks with random weights", None,
+    )  # fmt: skip
+    data: Path | None = option("segment: folder of real data, by default procedural", "DIR")
+    sets: tuple[str, ...] | None = option(
+        "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
+    )
+    segmenter: tuple[str, ...] | None = repeated(
+        "segment: may be repeated; ui: segmenter that turns clicks into parts", "NAME", None
+    )
+    points: tuple[int, ...] | None = option("ui: sizes of the clouds", "N", nargs="+", parse=count)
+    faces: int | None = option("ui: size of the mesh; 0 leaves it out", "N", parse=count)
+    clicks: int | None = option("ui: clicks on each object", "N", parse=count)
+    objects: int | None = option("scene: number of objects (default: 200)", "N", parse=count)
+    limit: int | None = option("segment: objects of each set", "LIMIT")
+    offset: int | None = option("segment: object at which the subset begins", "N")
+    parts: int | None = option("segment: most parts of an object", "N", parse=count)
+    first: Literal["deepest", "random"] | None = option("segment: place of the first click")
+    sizes: tuple[str, ...] | None = option(
+        "networks: language models (0.6b 1.7b 4b 8b)", "NAME", nargs="+"
+    )
+    train: bool | None = flag("networks: train without a GPU, too (minutes a step)", default=None)
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Measure, and print the figures."""
+        from app.cli.bench import bench
+
+        return bench(self)

@@ -1,0 +1,146 @@
+"""Segmentation from files to files: what ``artiworld segment`` does."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from app.cli.output import check_output, other_files_error, write_json
+from app.server.prompt_file import PromptFile, check_prompts, read_prompts
+from model.core.articulated_object import Part
+from model.core.asset import Asset, UpAxis
+from model.core.errors import ArtiworldError, InputFileError
+from model.core.progress import Progress, no_progress, scaled_progress
+from model.geometry.parts import split
+from model.geometry.units import UNITS, odd_size
+from model.io.open_asset import open_asset
+from model.io.write.meshes import write_cloud, write_mesh
+from model.segmentation.registry import load_segmenter
+
+FORMAT = 1
+"""Version of ``object.json``."""
+OBJECT_JSON = "object.json"
+_PART_FILES = re.compile(r"link_\d+\.(obj|mtl|ply)|texture_[0-9a-f]{12}\.(png|jpg)")
+
+
+def segment(
+    scan: Path,
+    prompts: Path,
+    out: Path,
+    *,
+    segmenter: str = "default",
+    up_axis: UpAxis | None = None,
+    unit_scale: float = 1.0,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Cut ``scan`` into parts by the clicks of a prompt file.
+
+    Writes ``link_<id>.obj`` (or ``.ply`` for a cloud) for each part, +z up and in metres, and
+    ``object.json``, which ``artiworld predict`` reads. They replace an earlier result.
+
+    Args:
+        up_axis, unit_scale: of the scan, as of :func:`model.io.open_asset.open_asset`.
+
+    Returns:
+        The content of ``object.json``.
+
+    Raises:
+        ArtiworldError: naming the file and the place of the mistake.
+    """
+    file = read_prompts(prompts)
+    check_output(out, scan, *([] if scan.is_dir() else [scan.parent]))
+    _check_replaceable(out)
+    chosen = load_segmenter(segmenter)
+    progress(0.0, f"reading {scan.name}")
+    asset = open_asset(scan, up_axis=up_axis, unit_scale=unit_scale)
+    check_prompts(file, asset)
+    session = chosen.encode(asset, scaled_progress(progress, 0.1, 0.7))
+    progress(0.7, "segmenting")
+    answer = session.segment(file.prompts)
+    parts = split(asset, answer.labels, file.names)
+    progress(0.9, f"writing {out}")
+    report = {
+        "format": FORMAT,
+        "name": asset.name,
+        "category": file.category or asset.category,
+        "parts": _write_parts(parts, out),
+        "source": _source_json(asset, scan),
+        "segmenter": answer.segmenter or chosen.name,
+        "seconds": round(answer.seconds, 6),
+        "problems": _problems(asset, file, parts),
+    }
+    write_json(out / OBJECT_JSON, report)
+    progress(1.0, "done")
+    return report
+
+
+def _check_replaceable(out: Path) -> None:
+    """Refuse to write where anything but an earlier result is."""
+    if not out.is_dir() or all(path.name.startswith(".") for path in out.iterdir()):
+        return
+    try:
+        found = json.loads((out / OBJECT_JSON).read_text())
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict) or "segmenter" not in found:
+        raise other_files_error(out)
+
+
+def _problems(asset: Asset, file: PromptFile, parts: Sequence[Part]) -> list[str]:
+    found = {part.link for part in parts}
+    missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
+    out = [*asset.warnings, *(f"part {i} got no {asset.element_kind}" for i in missing)]
+    odd = odd_size(asset.bounds, asset.source.unit_scale if asset.source else 1.0)
+    if odd is not None:
+        remedy = "" if odd.unit is None else f" If so, give --unit-scale {UNITS[odd.unit]:g}"
+        out.append(odd.question + remedy)
+    return out
+
+
+def _source_json(asset: Asset, scan: Path) -> dict[str, Any]:
+    return {
+        "file": scan.name,
+        "sha256": asset.source.sha256 if asset.source else None,
+        "elements": asset.element_kind,
+        "count": asset.element_count,
+        "remarks": list(asset.warnings),
+    }
+
+
+def _write_parts(parts: Sequence[Part], out: Path) -> list[dict[str, Any]]:
+    """Replace the part files of an earlier result.
+
+    They are written to a folder aside first: where that fails, the earlier result stays whole.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".parts.", dir=out) as aside:
+            entries = [_write_part(part, Path(aside)) for part in parts]
+            (out / OBJECT_JSON).unlink(missing_ok=True)  # written last: it marks a whole result
+            for path in out.iterdir():
+                if _PART_FILES.fullmatch(path.name):
+                    path.unlink()
+            for path in Path(aside).iterdir():
+                path.rename(out / path.name)
+    except OSError as error:
+        raise InputFileError(
+            out, f"can't be written: {error.strerror or error}", "check space and permissions"
+        ) from error
+    return entries
+
+
+def _write_part(part: Part, out: Path) -> dict[str, Any]:
+    if part.mesh is not None:
+        files = write_mesh(part.mesh, out / f"{part.link}.obj")
+        count = len(part.mesh.faces)
+    elif part.cloud is not None:
+        files = write_cloud(part.cloud, out / f"{part.link}.ply")
+        count = len(part.cloud)
+    else:  # Part's constructor forbids it
+        raise ArtiworldError(f"part {part.link} has no geometry")
+    entry: dict[str, Any] = {"file": files[0].name, "count": count}
+    return entry if part.name is None else {"file": files[0].name, "name": part.name, **entry}

@@ -1,0 +1,117 @@
+"""What ``artiworld serve`` does: from its options to a running server."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli.backend_client import check_backend, chosen_predictor
+from app.cli.commands import ServeCommand
+from app.server.config import TOKEN_VARIABLE, ServeConfig
+from app.server.login import Login, new_token
+from app.server.network import check_address, free_port, is_loopback
+from model.core.errors import ConfigurationError, InputFileError
+from model.io.geometry_files import SUFFIXES
+from model.io.model_files import is_model
+from model.prediction.registry import check_predictor
+from model.prediction.remote import is_backend
+from model.scenes.finder_options import FinderOptions
+from model.scenes.finder_registry import load_finder
+from model.scenes.registry import recognised
+from model.segmentation.registry import check_segmenter
+
+if TYPE_CHECKING:
+    from app.server.server import Server
+
+
+def serve(options: ServeCommand) -> int:
+    """Check the options while nothing is running yet, then serve until interrupted."""
+    config = make_config(options)
+    from app.server.server import run_until_interrupted  # imports viser
+
+    run_until_interrupted(start_server(config), open_browser=options.open)
+    return 0
+
+
+def start_server(config: ServeConfig) -> Server:
+    """Start a server that shows the application in each browser tab; ``close()`` ends it."""
+    from app.server.server import Server  # imports viser
+    from app.viewer.client_app import ClientApp
+
+    return Server(config, ClientApp)
+
+
+def make_config(options: ServeCommand) -> ServeConfig:
+    """Check the options and turn them into the server's settings.
+
+    Raises:
+        ConfigurationError, InputFileError: where an option can't work.
+    """
+    for path in options.paths:
+        if not path.exists():
+            raise InputFileError(path, "no such file or folder", "check the path")
+    if options.max_upload_mb <= 0:
+        raise ConfigurationError(f"--max-upload-mb {options.max_upload_mb} must be above 0")
+    for origin in options.allow_origin:
+        if not origin.startswith(("http://", "https://")):
+            raise ConfigurationError(
+                f"--allow-origin {origin} is no address; give one like https://scans.example.org"
+            )
+    token = options.token or os.environ.get(TOKEN_VARIABLE) or None
+    if token is None and not is_loopback(options.host):
+        token = new_token()
+    Login(token)  # refuses one that is too short
+    check_segmenter(options.segmenter)
+    if options.finder != "lexicon":
+        load_finder(options.finder, FinderOptions(options.finder_url))
+    check_predictor(options.prediction.predictor)
+    predictor = chosen_predictor(options.prediction)
+    if is_backend(predictor):
+        check_backend(predictor)
+    port = options.port
+    if port is None:
+        port = free_port(options.host)
+    else:
+        check_address(options.host, port)
+    scene = scene_to_open(options)
+    settings = {} if options.user is None else {"user": options.user}
+    return ServeConfig(
+        paths=() if scene else options.paths,
+        workspace=options.workspace,
+        database=options.database,
+        host=options.host,
+        port=port,
+        token=token,
+        up_axis=options.reading.up_axis,
+        unit_scale=options.reading.unit_scale,
+        max_upload_mb=options.max_upload_mb,
+        segmenter=options.segmenter,
+        predictor=predictor,
+        allowed_origins=options.allow_origin,
+        scene=scene,
+        assets=options.assets or (() if scene is None else (scene.parent,)),
+        finder=options.finder,
+        finder_url=options.finder_url,
+        **settings,
+    )
+
+
+def scene_to_open(options: ServeCommand) -> Path | None:
+    """The scene among ``options.paths``; None for single objects.
+
+    Raises:
+        ConfigurationError, InputFileError: where ``--assets`` can't belong to the paths.
+    """
+    first = options.paths[0] if options.paths else None
+    if not (options.assets or options.scene) and (
+        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or is_model(first)
+        or not recognised(first)
+    ):  # fmt: skip
+        return None
+    if first is None or len(options.paths) > 1 or first.is_dir():
+        raise ConfigurationError("a scene is opened alone: give one scene file, and its --assets")
+    for folder in options.assets:
+        if not folder.is_dir():
+            raise InputFileError(folder, "no such folder", "give --assets a folder of assets")
+    return first
