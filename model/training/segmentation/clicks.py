@@ -252,7 +252,7 @@ def _session(
             return
         superpoint, positive = int(of_node[click[0]]), click[1]
         if mask[superpoint] == positive:
-            return  # the error is smaller than a cell
+            return  # the error is smaller than a superpoint
         ranked = solver.answer(state, superpoint, positive, None, of_a_part=False)
 
 

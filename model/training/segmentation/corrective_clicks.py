@@ -112,7 +112,7 @@ def _session(
         at = clicks_in(piece, 2, rng)[int(rng.random() < _NEAR_MIDDLE)]
         superpoint, positive = int(of_node[node[at]]), missing[1] >= extra[1]
         if mask[superpoint] == positive:
-            return  # the error is smaller than a cell
+            return  # the error is smaller than a superpoint
         blocked = click.blocked
         if blocked is not None and positive:
             blocked = blocked.copy()

@@ -207,7 +207,7 @@ class FirstClick:
     """A first click and what it meets.
 
     Attributes:
-        state: other parts' clicks. blocked: (C,) cells of other parts.
+        state: other parts' clicks. blocked: (C,) superpoints of other parts.
     """
 
     superpoint: int

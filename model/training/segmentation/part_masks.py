@@ -1,6 +1,6 @@
-"""The scorer of *All parts*: which masks that cells speak of are parts that move?
+"""The scorer of *All parts*: which masks that superpoints speak of are parts that move?
 
-Cells spread over a made object say what a click on them may mean, wherever they lie, on the base as
+Superpoints spread over a made object say what a click on them may mean, wherever they lie, on the base as
 well; each mask of theirs is worth its overlap with the moving part that it fits best.
 """
 
@@ -41,7 +41,7 @@ class PartMaskTraining:
     Attributes:
         seeds: of the objects, as ranges.
         objects: how they are made and met.
-        spread, asked: cells spread over each, and how many of these are asked.
+        spread, asked: superpoints spread over each, and how many of these are asked.
         power: of the overlap that is learned, so that exact masks come before rough ones.
         held_out: every n-th object measures in a fit of its own.
         networks: that are fitted and averaged.
@@ -63,9 +63,9 @@ class MaskRows:
     """The masks that are spoken of on one object.
 
     Attributes:
-        masks: (M, C) packed to bits along the cells. features: (M, F).
+        masks: (M, C) packed to bits along the superpoints. features: (M, F).
         overlap: (M, P) IoU with each part that moves.
-        size: (C,) nodes of each cell.
+        size: (C,) nodes of each superpoint.
     """
 
     masks: npt.NDArray[np.uint8]
@@ -80,7 +80,7 @@ class MaskRows:
 
 
 def play_masks(seed: int, config: PartMaskTraining) -> MaskRows:
-    """What the cells of one made object speak of."""
+    """What the superpoints of one made object speak of."""
     rng = np.random.default_rng([seed, 21])
     seen = seen_object(seed, config.objects, rng)
     encoding = seen.encoding
