@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import model
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
@@ -49,6 +50,18 @@ def test_the_example_of_the_readme_makes_an_oven_that_opens(tmp_path: Path) -> N
     door, drawer = joints["link_1"], joints["link_2"]
     assert door.type == "revolute" and np.abs(np.dot(door.axis, (1, 0, 0))) > 0.99
     assert drawer.type == "prismatic" and np.dot(drawer.axis, (0, -1, 0)) > 0.99
+
+
+def test_the_example_of_the_api_runs(tmp_path: Path) -> None:
+    (code,) = (block for block in blocks("docs/api.md", "python") if "validate(" in block)
+    (tmp_path / "static_assets").symlink_to(ROOT / "static_assets")
+    run(["-c", code], tmp_path)
+    assert len(load_object(tmp_path / "oven").tree.joints) == 2
+
+
+def test_the_api_page_has_every_public_name_once() -> None:
+    listed = re.findall(r"^::: model\.(\w+)$", (ROOT / "docs/api.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(model.__all__)
 
 
 @pytest.fixture(scope="module")
