@@ -109,7 +109,4 @@ def segmenter_option() -> Any:
         "use Point-SAM, with the published weights at PATH", "PATH", "--point-sam",
         "point-sam:{}".format,
     )  # fmt: skip
-    return option(
-        "segmenter that turns clicks into parts", "NAME", "default", synonym=point_sam
-    )
-
+    return option("segmenter that turns clicks into parts", "NAME", "default", synonym=point_sam)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
+from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
 if TYPE_CHECKING:
     from model.core.asset import UpAxis  # which reads numpy, and a help page needs none

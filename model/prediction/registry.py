@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from model.core.registry import Registry
+from model.prediction import DEFAULT
 from model.prediction.protocol import Predictor
 from model.prediction.remote import is_backend
-
-DEFAULT = "hybrid"
-"""Arti4URDF with geometry beside it, on the weights that come with the repository."""
 
 PREDICTORS = Registry[Predictor](
     "predictor",

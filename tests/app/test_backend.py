@@ -25,8 +25,8 @@ pytest.importorskip("uvicorn", reason="needs the extra backend")
 
 from starlette.requests import Request
 
-from app.cli.main import make_parser
-from app.cli.serve_command import make_config
+from app.cli.main import parse
+from app.cli.serve import make_config
 from app.server.backend_server import Backend, BackendSettings
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
@@ -327,7 +327,7 @@ def test_serve_takes_a_backend_and_says_where_it_is_away(capsys, url, monkeypatc
     monkeypatch.delenv(TOKEN_VARIABLE)
 
     def config(*words: str):
-        return make_config(make_parser().parse_args(["serve", "--port", "0", *words]))
+        return make_config(parse(["serve", "--port", "0", *words])[0])
 
     away = "http://127.0.0.1:9"
     assert config("--backend", away).predictor == away
@@ -356,6 +356,6 @@ def test_serve_takes_a_backend_and_says_where_it_is_away(capsys, url, monkeypatc
 )
 def test_options_that_cant_work_are_named(words, told, monkeypatch):
     monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-    args = make_parser().parse_args(["backend", *words])
+    command, _ = parse(["backend", *words])
     with pytest.raises(ConfigurationError, match=re.escape(told)):
-        args.run(args)
+        command.run()

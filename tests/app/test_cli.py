@@ -490,7 +490,7 @@ def test_check_tells_good_from_bad(cupboards, capfd):
     words = ["check", str(cupboards / "good"), "--format", "glb", "--no-cache"]
     assert main(words) == 0
     told = capfd.readouterr().out
-    assert "1 of 1 can be read back; the gate: 1 fine," in told and "note:" not in told
+    assert "1 of 1 can be read back; validation: 1 fine," in told and "note:" not in told
 
 
 def test_what_was_changed_on_reading_a_urdf_is_told(cupboards, tmp_path, capfd):
@@ -547,7 +547,7 @@ def test_what_the_gate_calls_broken_is_not_fine(cupboards, capfd):
     assert report["summary"]["readable"] == 1 and report["summary"]["fine"] == 0
     assert main([*words, "--allow-broken"]) == 0
     out = capfd.readouterr().out
-    assert "1 of 1 can be read back; the gate: 0 fine, 0 to look at, 1 broken" in out
+    assert "validation: 0 fine, 0 with warnings, 1 with errors" in out
     assert "joint_" in out
 
 

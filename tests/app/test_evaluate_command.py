@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.annotator import BY_HAND, AnnotatorConfig, annotate
+from app.cli.annotator_report import annotate_all
 from app.cli.main import main
-from app.cli.person_report import run_person
+from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, annotate
 from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
 
@@ -108,7 +108,7 @@ def test_the_annotator_ends_with_the_right_object() -> None:
     """Clicks, names, prediction and corrections go through a session; by hand takes more."""
     data = DatasetOptions("procedural", families=("Safe",))
     config = AnnotatorConfig(data, ("geometric",), points=6000)
-    report = run_person(config, ["Safe_0_0"], 1)
+    report = annotate_all(config, ["Safe_0_0"], 1)
     predicted, by_hand = report.scores
     assert (predicted.predictor, by_hand.predictor) == ("geometric", BY_HAND)
     assert predicted.right and by_hand.right, (predicted.why, by_hand.why)

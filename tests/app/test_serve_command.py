@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.main import make_parser
-from app.cli.serve_command import make_config
+from app.cli.main import parse
+from app.cli.serve import make_config
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.network import url
@@ -33,7 +33,7 @@ from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, box
 
 
 def config_of(*words: str):
-    return make_config(make_parser().parse_args(["serve", *words]))
+    return make_config(parse(["serve", *words])[0])
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Start servers in this process: ``start(paths, **ServeConfig fields)``."""
-    from app.cli.serve_command import start_server
+    from app.cli.serve import start_server
     from app.server.config import ServeConfig
 
     running: list[Any] = []

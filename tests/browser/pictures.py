@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from app.cli.serve_command import start_server
+from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from app.server.prompt_file import read_prompts
 from model.core.resources import static_assets
