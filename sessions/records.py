@@ -68,7 +68,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Begun:
+class PendingAcceptance:
     """An acceptance that was begun and not ended.
 
     Attributes:

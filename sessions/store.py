@@ -23,13 +23,21 @@ from model.core.errors import CommandError, StoreError
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
-from sessions.records import Begun, Entry, ObjectRecord, now
+from sessions.records import Entry, ObjectRecord, PendingAcceptance, now
 from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, replay
 from sessions.text import clean_text
 
-__all__ = ["Begun", "ConflictError", "Entry", "ObjectRecord", "Store", "clean_who", "now"]
+__all__ = [
+    "ConflictError",
+    "Entry",
+    "ObjectRecord",
+    "PendingAcceptance",
+    "Store",
+    "clean_who",
+    "now",
+]
 
 SNAPSHOT_EVERY = 50
 SNAPSHOTS_KEPT = 2
@@ -211,15 +219,15 @@ class Store:
         """Have objects in the queue again; those that are there already stay."""
         self._unmark(_OFF, object_ids)
 
-    def accepting(self) -> dict[int, Begun]:
+    def accepting(self) -> dict[int, PendingAcceptance]:
         """Objects whose acceptance was begun and not ended, and what was said for it."""
         found = {}
         for object_id, value in self._marks(_ACCEPTING).items():
             seq, _, said = value.partition(" ")  # before the words were kept it was the number
-            found[object_id] = Begun(int(seq), **(json.loads(said) if said else {}))
+            found[object_id] = PendingAcceptance(int(seq), **(json.loads(said) if said else {}))
         return found
 
-    def accepting_begins(self, object_id: int, begun: Begun) -> None:
+    def accepting_begins(self, object_id: int, begun: PendingAcceptance) -> None:
         """Keep that an object is being accepted; a server that dies now leaves that behind."""
         said = {"comment": begun.comment, "override": begun.override}
         if begun.held:

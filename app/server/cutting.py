@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from app.server import room_tasks
 from app.server.jobs import CLICKS
+from app.server.open_object import OpenObject
 from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.document import Document
-
-if TYPE_CHECKING:
-    from app.server.open_object import OpenObject
 
 
 def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
@@ -27,10 +25,10 @@ def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
         function: Callable[..., room_tasks.Removal] = room_tasks.leave_out_part
     else:
         function, arguments = room_tasks.floor_and_walls, (left_out,)
-    job = obj.bench.geometry.submit(
+    job = obj.services.workers.geometry.submit(
         function,
         asset.folder,
-        obj.bench.workspace,
+        obj.services.workspace,
         *arguments,
         on_progress=obj.jobs.progress("room"),
         priority=6,
@@ -51,9 +49,9 @@ def cut_out(obj: OpenObject, part: int, who: str, done: Callable[[int], None]) -
     name = f"{asset.name}_{doc.part_names.get(part) or f'part_{part}'}"
 
     def keep(crop: room_tasks.Crop) -> None:
-        new = obj.bench.add_paths([crop.path])[0]
+        new = obj.services.queue.add([crop.path])[0]
         placed = cmd.Placed(str(asset.path), asset.sha256, crop.elements, crop.position)
-        obj.bench.hub.session(new).do(placed, who)
+        obj.services.hub.session(new).do(placed, who)
         out = cmd.CropOut(crop.name, str(crop.path), crop.elements, crop.count, crop.position)
         obj.do(out, who)
         done(new)
@@ -84,11 +82,11 @@ def _cut(
     _need_whole_faces(doc)
     if not doc.segmentation_current:
         raise CommandError("the parts are still being computed; try again in a moment")
-    job = obj.bench.geometry.submit(
+    job = obj.services.workers.geometry.submit(
         function,
         *first,
         asset.folder,
-        obj.bench.workspace,
+        obj.services.workspace,
         obj.source(doc).labels,
         part,
         None if doc.left_out is None else doc.left_out.elements,

@@ -8,7 +8,7 @@ Listener = Callable[[], None]
 Notice = Callable[[str, str, str], None]
 
 
-class Watched:
+class Observable:
     """Tabs that redraw on a change and show notes."""
 
     def __init__(self) -> None:

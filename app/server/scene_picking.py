@@ -11,13 +11,14 @@ import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.server import room_tasks, scene_tasks
 from app.server.cutting import pick_out
 from app.server.jobs import CLICKS
+from app.server.open_object import OpenObject
+from app.server.scene_state import SceneState
 from app.server.scene_tasks import SceneItem
 from model.core.errors import CommandError
 from model.scenes.finders import LexiconFinder
@@ -29,16 +30,12 @@ from sessions import commands as cmd
 from sessions.scene_commands import PickOut, Position, Quaternion
 from sessions.text import clean_text
 
-if TYPE_CHECKING:
-    from app.server.open_object import OpenObject
-    from app.server.scene_workspace import SceneDesk
-
 
 class Picking:
-    """What was picked out of the objects of a desk's scene."""
+    """What was picked out of the objects of a scene."""
 
-    def __init__(self, desk: SceneDesk) -> None:
-        self._desk = desk
+    def __init__(self, scene: SceneState) -> None:
+        self._scene = scene
         self._finder = LexiconFinder()
 
     def open(self, id: str, done: Callable[[int], None]) -> None:
@@ -49,13 +46,13 @@ class Picking:
         Raises:
             CommandError: where it has no geometry.
         """
-        desk, item = self._desk, self._desk.items[id]
+        scene, item = self._scene, self._scene.items[id]
         copy = item.copy
-        if copy is None or desk.world_from_copy(item) is None:
-            raise CommandError(desk.missing_reason(item) or "there is nothing to pick out of it")
+        if copy is None or scene.world_from_copy(item) is None:
+            raise CommandError(scene.missing_reason(item) or "there is nothing to pick out of it")
 
-        (record,) = desk.bench.store.open_objects([(copy, None, id)])
-        live = desk.bench.hub.session(record.id)
+        (record,) = scene.services.store.open_objects([(copy, None, id)])
+        live = scene.services.hub.session(record.id)
         if live.state.seq:
             done(record.id)
             return
@@ -65,12 +62,12 @@ class Picking:
                 live.do(cmd.LeaveOut(border.elements, border.count, "floor and walls"), "scene")
             done(record.id)
 
-        job = desk.bench.geometry.submit(
-            scene_tasks.for_picking, item, desk.bench.workspace,
-            on_progress=desk.jobs.progress("copy"), priority=8, gives_way=CLICKS,
+        job = scene.services.workers.geometry.submit(
+            scene_tasks.for_picking, item, scene.services.workspace,
+            on_progress=scene.jobs.progress("copy"), priority=8, gives_way=CLICKS,
         )  # fmt: skip
-        desk.start("copy", job, keep)
-        desk.changed()
+        scene.start("copy", job, keep)
+        scene.changed()
 
     def take_out(
         self, obj: OpenObject, id: str, part: int, name: str, who: str, done: Callable[[str], None]
@@ -82,8 +79,8 @@ class Picking:
         Raises:
             CommandError: where the part isn't there yet, or the object was read in another frame.
         """
-        desk, item, doc = self._desk, self._desk.items[id], obj.document
-        world = desk.world_from_copy(item)
+        scene, item, doc = self._scene, self._scene.items[id], obj.document
+        world = scene.world_from_copy(item)
         if item.copy is None or world is None:
             raise CommandError(f"{id} isn't in the scene any more")
         if not part:
@@ -99,19 +96,19 @@ class Picking:
                 id, fresh, words, str(found.crop.path), str(found.rest), found.crop.count,
                 *_told(stands), *_told(world),
             )  # fmt: skip
-            desk.do(command, who)
+            scene.live.do(command, who)
             done(fresh)
 
         pick_out(obj, item.copy, part, words, keep)
 
     def _free(self, name: str) -> str:
-        taken = {*self._desk.items, *(p.object for p in self._desk.document.picked)}
+        taken = {*self._scene.items, *(p.object for p in self._scene.document.picked)}
         return next(i for n in range(1, len(taken) + 2) if (i := f"{name} {n}") not in taken)
 
     def arranged(self, items: Iterable[SceneItem]) -> dict[str, SceneItem]:
         """The objects of the scene by id, with those that were picked out of them."""
         out = {item.obj.id: item for item in items}
-        for pick in self._desk.document.picked:
+        for pick in self._scene.document.picked:
             old = out.get(pick.object)
             if old is None or pick.id in out:
                 continue  # the scene's file isn't the one that it was picked out of
@@ -124,7 +121,7 @@ class Picking:
             out[pick.id] = SceneItem(
                 SceneObject(
                     pick.id, pick.name, _pose(pick.position, pick.wxyz), np.ones(3),
-                    asset=f"{self._desk.record.path.name}#{pick.id}", room=old.obj.room,
+                    asset=f"{self._scene.record.path.name}#{pick.id}", room=old.obj.room,
                     base=old.obj.base,
                 ),
                 self._decision(pick.name), Path(pick.path), self._copy(pick.path),
@@ -137,7 +134,7 @@ class Picking:
 
     def _copy(self, path: str) -> Path:
         key = hashlib.sha256(path.encode()).hexdigest()[:12]
-        return self._desk.bench.workspace / "scenes" / f"{Path(path).stem}-{key}"
+        return self._scene.services.workspace / "scenes" / f"{Path(path).stem}-{key}"
 
 
 def _told(world: FloatArray) -> tuple[Position, Quaternion]:

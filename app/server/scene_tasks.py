@@ -114,7 +114,8 @@ def read(
     from model.scenes.assets import index_assets
     from model.scenes.convert import decide
     from model.scenes.embedded import unpack
-    from model.scenes.finder_registry import FinderOptions, default_cache, load_finder
+    from model.scenes.finder_options import FinderOptions
+    from model.scenes.finder_registry import default_cache, load_finder
     from model.scenes.jobs import FAILED
     from model.scenes.registry import read_scene
 

@@ -1,41 +1,39 @@
 """A whole scene that is open: what its objects are, where each one stands, the jobs they need.
 
-One :class:`SceneDesk` a server. Decisions live in sessions: the scene's own (what is articulated,
-decisions for several objects) and one for each working copy (:mod:`app.server.scene_tasks`), which
-is an
-object like any other and may be opened, annotated and accepted as such.
+One :class:`SceneWorkspace` a server. Decisions live in sessions: the scene's own (what is
+articulated, decisions for several objects) and one for each working copy
+(:mod:`app.server.scene_tasks`), which is an object like any other and may be opened, annotated and
+accepted as such.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from app.server import scene_shapes, scene_tasks
 from app.server.jobs import CLICKS
-from app.server.observable import Notice, Watched
+from app.server.observable import Notice
 from app.server.review_order import confidence
-from app.server.running_jobs import RunningJobs
 from app.server.scene_accepting import Accepting
+from app.server.scene_member import SceneMember
 from app.server.scene_picking import Picking
 from app.server.scene_rows import SHOWN, Row, Status, Work, drawn_by, names_for
 from app.server.scene_saving import Saving
 from app.server.scene_shapes import DrawnParts, Shape
+from app.server.scene_state import SceneState
 from app.server.scene_tasks import OpenedScene, Prepared, SceneItem
+from app.server.services import Services
 from app.server.tasks import ReadOptions
 from model.core.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.state import SessionState
-
-if TYPE_CHECKING:
-    from app.server.app_state import Workbench
 
 WHO = "scene"
 """Who is written beside what was found out without a person."""
@@ -45,37 +43,37 @@ MOST_FACES = 60_000
 """Of one asset."""
 
 
-class SceneDesk(Watched):
-    """The scene of a server, shared by all its tabs."""
+class SceneWorkspace(SceneState):
+    """The scene of a server, shared by all its tabs.
+
+    Args:
+        is_accepting: whether an object is being accepted as an open object, by session id.
+    """
 
     def __init__(
-        self, bench: Workbench, path: Path, folders: tuple[Path, ...], format: str | None = None
+        self,
+        services: Services,
+        path: Path,
+        folders: tuple[Path, ...],
+        format: str | None,
+        is_accepting: Callable[[int], bool],
     ) -> None:
-        self.bench = bench
-        self.path = path
-        self.record = bench.store.open_object(path, None, path.stem)
-        self.live = bench.hub.session(self.record.id)
-        self.scene: OpenedScene | None = None
+        super().__init__(services, path)
         self.problem: str | None = None
-        self.read: tuple[SceneItem, ...] = ()
-        self.items: dict[str, SceneItem] = {}
-        self.shapes: dict[Path, Shape | str] = {}
-        self.works: dict[int, Work] = {}
         self.paused = False
         self._preferred: int | None = None
         self._closed = False
-        self._work_of: dict[Path, Work] = {}
         self._max_faces = FACES
         self._lock = threading.RLock()
-        self.jobs = RunningJobs("the scene", self.changed)
-        super().__init__()
-        self.accepting = Accepting(self)
-        self.saving = Saving(self)
+        self.accepting = Accepting(self, is_accepting)
+        self.saving = Saving(self, self.row, self.accepting.why_refused)
         self.picking = Picking(self)
         self.live.subscribe(self._decided)
-        job = bench.geometry.submit(
-            scene_tasks.read, path, folders, format, bench.config.finder, bench.config.finder_url,
-            bench.workspace, on_progress=self.jobs.progress("read"), priority=8, gives_way=CLICKS,
+        config = services.config
+        job = services.workers.geometry.submit(
+            scene_tasks.read, path, folders, format, config.finder, config.finder_url,
+            services.workspace, on_progress=self.jobs.progress("read"), priority=8,
+            gives_way=CLICKS,
         )  # fmt: skip
         self.start("read", job, self._opened)
 
@@ -85,23 +83,6 @@ class SceneDesk(Watched):
     def busy(self) -> dict[str, tuple[float, str]]:
         """The jobs under way: how far each one is, 0..1, and what it says."""
         return self.jobs.busy
-
-    @property
-    def document(self) -> Document:
-        """What is decided about the scene."""
-        return self.live.state.present
-
-    def articulable(self, item: SceneItem) -> bool:
-        """Whether the object is to be articulated: as a person says, else as the finder does."""
-        said = self.document.articulable.get(item.obj.id)
-        return item.decision.articulable if said is None else said
-
-    def work(self, id: str) -> Work | None:
-        """The working copy of an object; None where it isn't articulated."""
-        item = self.items.get(id)
-        if item is None or item.copy is None or not self.articulable(item):
-            return None
-        return self._work_of.get(item.copy)
 
     def status(self, item: SceneItem) -> Status:
         """Where an object stands."""
@@ -126,31 +107,16 @@ class SceneDesk(Watched):
         rows = [self.row(item) for item in self.items.values()]
         return sorted(rows, key=lambda r: (SHOWN.index(r.shown), r.confidence))
 
-    def missing_reason(self, item: SceneItem) -> str:
-        """Why an object isn't shown, or ""."""
-        if item.obj.box is not None:
-            return ""
-        if item.problem:
-            return item.problem
-        if item.path is None:
-            named = item.obj.asset
-            return f"asset {named!r} is in none of the folders" if named else "it names no asset"
-        shape = self.shapes.get(item.path)
-        return shape if isinstance(shape, str) else ""
-
-    def world_from_copy(self, item: SceneItem) -> npt.NDArray[np.float64] | None:
-        """(4, 4) where the working copy, at its size, stands; None where nobody knows yet."""
-        shape = None if item.path is None else self.shapes.get(item.path)
-        if not isinstance(shape, Shape):
-            return None
-        return item.obj.placed(shape.bounds).world_from_asset
-
-    def twins(self, id: str) -> list[str]:
-        """The objects that one decision is for: same asset, same size, ``id`` among them."""
-        work = self.work(id)
+    def member(self, object_id: int) -> SceneMember | None:
+        """Return the place in the scene of a session's object; None where it has none."""
+        work = self.works.get(object_id)
         if work is None:
-            return [id]
-        return [i for i in work.ids if self.articulable(self.items[i])]
+            return None
+        return SceneMember(
+            work.item.obj.id,
+            lambda: work.source(self.path, self.services.workspace),
+            lambda why, report: self.accepting.hold(work, why, report),
+        )
 
     # --- what a person does
 
@@ -201,7 +167,7 @@ class SceneDesk(Watched):
         if work.item.copy is not None and (work.item.copy / "object.json").is_file():
             done(work)
             return
-        job = self.bench.geometry.submit(scene_tasks.lay_down, work.item, priority=8)
+        job = self.services.workers.geometry.submit(scene_tasks.lay_down, work.item, priority=8)
         self.start("copy", job, lambda _: done(work))
         self.changed()
 
@@ -238,13 +204,13 @@ class SceneDesk(Watched):
                     wanted.setdefault(item.copy, item)
             fresh = [item for copy, item in wanted.items() if copy not in self._work_of]
             names = names_for(fresh, self.works.values())
-            records = self.bench.store.open_objects(
+            records = self.services.store.open_objects(
                 (item.copy, None, name)
                 for item, name in zip(fresh, names, strict=True) if item.copy
             )  # fmt: skip
             for item, record in zip(fresh, records, strict=True):
                 assert item.copy is not None
-                live = self.bench.hub.session(record.id)
+                live = self.services.hub.session(record.id)
                 work = Work(record.id, item, live, record.name)
                 work.ids = [i.obj.id for i in self.items.values() if i.copy == item.copy]
                 self.works[work.id] = self._work_of[item.copy] = work
@@ -274,10 +240,6 @@ class SceneDesk(Watched):
                 self.accepting.go_on()
         self.changed()
 
-    def wanted(self) -> Iterable[Work]:
-        """The working copies of objects that are articulated now, in the scene's order."""
-        return [w for w in self.works.values() if any(self.work(i) is w for i in w.ids)]
-
     def _draw_shapes(self) -> None:
         if "shapes" in self.jobs:
             return
@@ -285,10 +247,10 @@ class SceneDesk(Watched):
         paths = list(dict.fromkeys(paths))
         if not paths:
             return
-        job = self.bench.geometry.submit(
+        job = self.services.workers.geometry.submit(
             scene_shapes.shapes,
             paths,
-            self.bench.workspace,
+            self.services.workspace,
             self._max_faces,
             priority=7,
             gives_way=CLICKS,
@@ -309,8 +271,8 @@ class SceneDesk(Watched):
             if doc.tree is None or ref in (None, work.undrawn, drawn_by(work)):
                 continue
             assert work.item.copy is not None
-            job = self.bench.geometry.submit(
-                scene_shapes.drawn_parts, work.item.copy, self.bench.workspace, ref,
+            job = self.services.workers.geometry.submit(
+                scene_shapes.drawn_parts, work.item.copy, self.services.workspace, ref,
                 self._max_faces, _options(doc), priority=4,
             )  # fmt: skip
 
@@ -328,9 +290,9 @@ class SceneDesk(Watched):
         if not waiting:
             return
         work = next((w for w in waiting if w.id == self._preferred), waiting[0])
-        job = self.bench.prediction.submit(
-            scene_tasks.prepare, work.item, self.bench.workspace, self.bench.config.segmenter,
-            self.bench.config.predictor, priority=-5, gives_way=0,
+        job = self.services.workers.prediction.submit(
+            scene_tasks.prepare, work.item, self.services.workspace, self.services.config.segmenter,
+            self.services.config.predictor, priority=-5, gives_way=0,
         )  # fmt: skip
 
         def keep(prepared: Prepared) -> None:
@@ -375,17 +337,6 @@ class SceneDesk(Watched):
         if paused:
             self.jobs.cancel("prepare")
         self.go_on()
-
-    def start(
-        self,
-        what: str,
-        job: Any,
-        keep: Callable[[Any], None],
-        told: tuple[float, str] = (0.0, ""),
-        work: Work | None = None,
-    ) -> None:
-        """Follow a job; ``keep`` gets its answer. What fails is told, and written into ``work``."""
-        self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep, work), told)
 
     def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
         with self._lock:  # nothing is taken back while an answer is taken in

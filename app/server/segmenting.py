@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,16 +14,15 @@ import numpy.typing as npt
 from app.server import segmenting_tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset
 from app.server.jobs import CLICKS, PREVIEWS, Job
+from app.server.object_context import ObjectContext
 from app.server.segmenting_tasks import StoredRegion
+from model.core.asset import MAX_PARTS
 from model.core.errors import CommandError
-from model.segmentation.prompts import BASE, MAX_PARTS, Click
+from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
 from sessions.state import needed_jobs
 from sessions.tool_commands import ToolRegion
-
-if TYPE_CHECKING:
-    from app.server.open_object import OpenObject
 
 T = TypeVar("T")
 
@@ -66,7 +65,7 @@ class Segmenting:
         in_vain: how many clicks in a row have hardly changed the part that they were for.
     """
 
-    def __init__(self, obj: OpenObject) -> None:
+    def __init__(self, obj: ObjectContext) -> None:
         self.labels: npt.NDArray[np.int16] | None = None
         self.shares: dict[int, float] = {}
         self.in_vain = 0
@@ -91,10 +90,10 @@ class Segmenting:
         obj.start("encode", self._encode(obj.asset), lambda _: None)
 
     def _encode(self, asset: OpenedAsset) -> Job[float]:
-        return self._obj.bench.segmentation.submit(
+        return self._obj.services.workers.segmentation.submit(
             segmenting_tasks.encode,
             asset.folder,
-            self._obj.bench.config.segmenter,
+            self._obj.services.config.segmenter,
             on_progress=self._obj.jobs.progress("encode"),
             gives_way=CLICKS,
             works_on=asset.folder,
@@ -142,11 +141,11 @@ class Segmenting:
         if self._told:
             return
         if needed_jobs(obj.state):
-            job = obj.bench.segmentation.submit(
+            job = obj.services.workers.segmentation.submit(
                 segmenting_tasks.segment,
                 asset.folder,
-                obj.bench.workspace,
-                obj.bench.config.segmenter,
+                obj.services.workspace,
+                obj.services.config.segmenter,
                 stored_prompts(doc),
                 key,
                 asset.element,
@@ -165,8 +164,8 @@ class Segmenting:
             if ref is None:
                 self.labels, self._labels_ref, self.shares = None, None, {}
                 return
-        job = obj.bench.segmentation.submit(
-            segmenting_tasks.display_labels, obj.bench.workspace, ref, asset.element, priority=9
+        job = obj.services.workers.segmentation.submit(
+            segmenting_tasks.display_labels, obj.services.workspace, ref, asset.element, priority=9
         )
         obj.start("labels", job, self._of(asset, lambda labels: self._show(ref, labels)))
 
@@ -236,11 +235,11 @@ class Segmenting:
         long = request.tool == tool_tasks.PROPOSE
         if long:  # clicks come between its steps, also those on what it works on: encode that first
             self._encode(asset)
-        job = obj.bench.segmentation.submit(
+        job = obj.services.workers.segmentation.submit(
             tool_tasks.use_tool,
             asset.folder,
-            obj.bench.workspace,
-            obj.bench.config.segmenter,
+            obj.services.workspace,
+            obj.services.config.segmenter,
             kept,
             request,
             on_progress=obj.jobs.progress("tool"),

@@ -13,11 +13,10 @@ from urllib.parse import quote
 
 import viser
 
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.guard import guarded_server
 from app.server.network import url
-from app.server.scene_workspace import SceneDesk
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
 from sessions.store import Store
@@ -41,14 +40,14 @@ class Server:
     """
 
     def __init__(
-        self, config: ServeConfig, open_tab: Callable[[viser.ClientHandle, Workbench], Tab]
+        self, config: ServeConfig, open_tab: Callable[[viser.ClientHandle, AppState], Tab]
     ) -> None:
         self.config = config
         self._open_tab = open_tab
         paths = paths_to_open(config)
-        self.bench = Workbench(config, Store(Path(config.workspace), config.database), paths)
+        self.app_state = AppState(config, Store(Path(config.workspace), config.database), paths)
         if config.scene is not None:
-            self.bench.desk = SceneDesk(self.bench, config.scene, config.assets)
+            self.app_state.open_scene(config.scene, config.assets)
         self.viser: viser.ViserServer = guarded_server(
             config.host,
             config.port,
@@ -62,7 +61,7 @@ class Server:
         self.viser.on_client_disconnect(self._disconnected)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        self.apps[client.client_id] = self._open_tab(client, self.bench)
+        self.apps[client.client_id] = self._open_tab(client, self.app_state)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         app = self.apps.pop(client.client_id, None)
@@ -85,7 +84,7 @@ class Server:
         for app in list(self.apps.values()):
             app.close()
         self.viser.stop()
-        self.bench.close()
+        self.app_state.close()
 
 
 def paths_to_open(config: ServeConfig) -> list[Path]:

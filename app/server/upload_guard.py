@@ -6,13 +6,13 @@ memory. Here the announced size is checked, and then every byte that comes.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
 from typing import Any
 
 from viser import _messages, infra
+
+from app.server.uploads import plain_name
 
 UPDATE_DELAY = 0.4
 """Seconds until the browser has drawn its own "uploaded" note, which ours then replaces."""
@@ -146,16 +146,6 @@ class UploadGuard:
         loop.call_later(
             UPDATE_DELAY, connection.queue_message, _messages.NotificationUpdateMessage(note, props)
         )
-
-
-def plain_name(name: str) -> str:
-    """A file name without folders and odd characters, at most 120 characters."""
-    last = PurePosixPath(name.replace("\\", "/")).name
-    clean = re.sub(r"[^\w .()+-]", "_", last).strip(" .")
-    suffix = PurePosixPath(clean).suffix[:10]
-    if len(clean) > 120:
-        clean = clean[: 120 - len(suffix)] + suffix
-    return clean or "upload"
 
 
 def _readable(count: int) -> str:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import viser
 
-from app.server.app_state import Workbench
+from app.server.app_state import AppState
 from app.server.display_names import in_words
 from app.server.open_object import OpenObject
 from app.viewer.in_scene import InScene
@@ -45,10 +45,10 @@ Stage = Literal["Annotate", "Joints", "Review"]
 class ClientApp:
     """The whole application as one tab sees it."""
 
-    def __init__(self, client: viser.ClientHandle, bench: Workbench) -> None:
+    def __init__(self, client: viser.ClientHandle, app_state: AppState) -> None:
         self.client = client
-        self.bench = bench
-        self.who = bench.config.user
+        self.app_state = app_state
+        self.who = app_state.config.user
         self.object: OpenObject | None = None
         self.part = 1
         self.child: str | None = None
@@ -58,7 +58,7 @@ class ClientApp:
         self.skipped: set[int] = set()
         self._unwatch: Callable[[], None] = lambda: None
         self._heard: set[OpenObject] = set()
-        self.scene = SceneView(client, in_scene=bench.desk is not None)
+        self.scene = SceneView(client, in_scene=app_state.scene is not None)
         self._in_scene: InScene | None = None
         self.commands = Commands(self)
         self.motion = Motion(self)
@@ -69,7 +69,7 @@ class ClientApp:
         name = f"tab-{client.client_id}"
         self._threads = TabThreads(name, self.redraw.draw, self.notify)
         self._build()
-        self._unqueue = bench.on_queue(self.invalidate)
+        self._unqueue = app_state.queue.subscribe(self.invalidate)
         self._threads.start()
         self.act(self._start)
 
@@ -79,10 +79,10 @@ class ClientApp:
         gui = self.client.gui
         gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
         gui.set_panel_label("ArtiWorld")
-        if self.bench.desk is None:
+        if self.app_state.scene is None:
             self.queue_panel: QueuePanel | SceneList = QueuePanel(self)
         else:
-            self._in_scene = InScene(self, self.bench.desk)
+            self._in_scene = InScene(self, self.app_state.scene)
             self.queue_panel = self._in_scene.list
             self._in_scene.build_card()
         self.object_folder = gui.add_folder(None, visible=self._in_scene is None)
@@ -162,7 +162,7 @@ class ClientApp:
             if inside or chosen:
                 self._in_scene.come_back(inside, chosen)
             return
-        records = self.bench.records()
+        records = self.app_state.queue.records()
         if not records:
             self.notify("The queue is empty", "Start with: artiworld serve PATH", "yellow")
             return
@@ -227,7 +227,7 @@ class ClientApp:
         self._unwatch()
         self.motion.begin()
         self.pointing.begin()
-        self.object = self.bench.object(object_id)
+        self.object = self.app_state.object(object_id)
         self._unwatch = self.object.watch(self.invalidate, self.notify)
         self.part, self.child = 1, None
         self.hidden, self.redraw.asset = frozenset(), None
@@ -242,7 +242,7 @@ class ClientApp:
 
     def _hear_out(self, obj: OpenObject | None) -> None:
         """What comes of an acceptance is told here, too, once another object is looked at."""
-        if obj is None or obj in self._heard or not self.bench.under_way(obj.record.id):
+        if obj is None or obj in self._heard or not self.app_state.is_accepting(obj.record.id):
             return
 
         def over() -> bool:
@@ -257,7 +257,7 @@ class ClientApp:
                 end()
             if self.object is obj:  # come back to, it tells so by itself
                 return
-            name = self.bench.called(obj.record)
+            name = self.app_state.display_name(obj.record)
             said = in_words(obj.document, body).removeprefix(f"{name}: ")
             self.notify(title, f"{name}: {said}", color)
 
@@ -315,7 +315,7 @@ class ClientApp:
         if self._in_scene is not None:
             self._in_scene.step(by)
             return
-        ids = [r.id for r in self.bench.records()]
+        ids = [r.id for r in self.app_state.queue.records()]
         if self.object is not None and ids:
             current = self.object.record.id
             if by > 0:
@@ -327,8 +327,8 @@ class ClientApp:
 
     def take_off(self) -> None:
         """Take what can't be read off the list, and go on with the next object."""
-        ids, current = [r.id for r in self.bench.records()], self.need_object().record.id
-        self.bench.take_off(current)
+        ids, current = [r.id for r in self.app_state.queue.records()], self.need_object().record.id
+        self.app_state.queue.remove(current)
         left = [i for i in ids if i != current]
         if left:
             self.open(left[ids.index(current) % len(left)] if current in ids else left[0])

@@ -51,7 +51,7 @@ class Redraw:
 
     def _draw(self) -> None:
         app = self._app
-        if app.bench.desk is None:
+        if app.app_state.scene is None:
             app.queue_panel.draw()
         else:
             app.in_scene.draw()
@@ -81,7 +81,7 @@ class Redraw:
             stays = before is not None and np.array_equal(before.bounds, obj.asset.bounds)
             app.scene.show_asset(obj.asset, keep_view=stays)
             self._shown = obj.record.id
-            if app.bench.desk is not None:
+            if app.app_state.scene is not None:
                 app.in_scene.look_as_before()
             self.asset = obj.asset
             app.motion.forget_scene()
@@ -117,7 +117,7 @@ class Redraw:
 
     def _draw_status(self, obj: OpenObject) -> None:
         doc, asset = obj.document, obj.asset
-        desk = self._app.bench.desk
+        desk = self._app.app_state.scene
         name = (None if desk is None else self._app.in_scene.inside) or obj.record.name
         stands = "can't be read" if obj.problem else palette.STATE_WORDS[doc.review.state]
         lines = [f"**{plain(name)}** · {stands}"]

@@ -194,7 +194,7 @@ class SceneTab(Tab):
 
     @property
     def desk(self) -> Any:
-        return self.server.bench.desk
+        return self.server.app_state.scene
 
     def ready(self) -> SceneTab:
         page = self.page

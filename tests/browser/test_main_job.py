@@ -136,7 +136,7 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     server = start(path)
     tab = open_tab(server)
     annotate(tab, points)
-    labels = tab.app.object.bench.store.get_array(tab.document.segmentation.labels)
+    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
     assert len(labels) == tab.app.object.asset.element_count
     predict(tab)
     tree = tab.document.tree
@@ -226,7 +226,7 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     clicks = tab.document.prompts
     assert [c.positive for c in clicks] == [True, False]
     asset = tab.app.object.asset
-    labels = tab.app.object.bench.store.get_array(tab.document.segmentation.labels)
+    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
     assert labels[clicks[0].element] == 1
     assert labels[clicks[1].element] != 1
     np.testing.assert_allclose(clicks[0].position, points["door"], atol=0.01 * asset.diagonal)
@@ -242,8 +242,8 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     wait_until(lambda: len(tab.document.prompts) == 3, "the box is a prompt")
     tab.settled()
     region = tab.document.prompts[2]
-    chosen = tab.app.object.bench.store.get_array(region.elements)
-    labels = tab.app.object.bench.store.get_array(tab.document.segmentation.labels)
+    chosen = tab.app.object.services.store.get_array(region.elements)
+    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
     assert region.count == len(chosen) > 0
     assert (labels[chosen] == 1).all()
 
@@ -427,7 +427,7 @@ def test_a_file_that_cannot_be_opened_says_so(
     again.wait_for(timeout=20_000)
     page.get_by_role("button", name="Take it off the list").click()
     wait_until(lambda: app.object.asset is not None, "the next object is open")
-    assert len(app.bench.records()) == 1
+    assert len(app.app_state.queue.records()) == 1
     page.get_by_role("button", name="Put a_bad back").click()
     again.wait_for(timeout=20_000)
     bad.write_bytes(cabinet[0].read_bytes())
@@ -451,7 +451,7 @@ def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.page.touchscreen.tap(x, y)
     wait_until(lambda: len(tab.document.prompts) == 1, "a tap is a prompt")
     tab.settled()
-    labels = tab.app.object.bench.store.get_array(tab.document.segmentation.labels)
+    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
     assert labels[tab.document.prompts[0].element] == 1
 
 
@@ -465,7 +465,7 @@ def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_
     chooser = tab.page.locator('input[type="file"]').first
     chooser.set_input_files(str(folder / "notes.docx"))
     tab.page.get_by_text("can't be opened", exact=False).first.wait_for(timeout=20_000)
-    assert len(tab.app.bench.records()) == 1
+    assert len(tab.app.app_state.queue.records()) == 1
     chooser.set_input_files(str(folder / "chest.ply"))
     wait_until(lambda: tab.app.object.record.name == "chest", "the upload is open")
     wait_until(lambda: tab.app.object.asset is not None, "it is read")
@@ -513,7 +513,7 @@ def below_the_picture(tab: Tab) -> bool:
 def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
-    store = tab.app.bench.store
+    store = tab.app.app_state.store
     tab.prompt(points["door"])
     first = store.get_array(tab.document.segmentation.labels)
     tab.page.keyboard.press("Tab")

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from sessions.store import Begun, Store
+from sessions.store import PendingAcceptance, Store
 from tests.browser.objects import write_cabinet
 
 # A loaded machine without a GPU may draw a picture too late; twice more is fair.
@@ -82,7 +82,7 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
     (record,) = before.objects()
     kept = before.load(record.id).present
     # As a server leaves it that dies while it saves an asset.
-    before.accepting_begins(record.id, Begun(record.seq, "the hinge is bent"))
+    before.accepting_begins(record.id, PendingAcceptance(record.seq, "the hinge is bent"))
     before.close()
     assert len(kept.prompts) == 2
 

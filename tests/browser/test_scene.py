@@ -142,9 +142,9 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     tab.key("Enter")
     wait_until(lambda: tab.app.object is not None and tab.app.drawn, "it is open")
     tab.wait_node("/part/1")
-    obj, bench = tab.app.object, server.bench
+    obj, app_state = tab.app.object, server.app_state
     wait_until(lambda: obj.judging.report, "a verdict")
-    held = bench.prediction.submit(time.sleep, 600.0, priority=99)
+    held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "judging is held up")
     # The drawer goes backwards, through the back.
     joint = next(j for j in obj.document.tree.joints if j.type == "prismatic")

@@ -210,7 +210,7 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     asset = wait_until(lambda: tab.app.object.asset, "it is open with more faces")
     assert asset.element_count > 12
     mesh = asset_of(asset.folder).mesh
-    store = tab.app.bench.store
+    store = tab.app.app_state.store
     labels = store.get_array(tab.document.segmentation.labels)
     door = mesh.triangles[labels == 1].reshape(-1, 3)
     # As exact as a click on the picture: two pixels.

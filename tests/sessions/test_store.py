@@ -22,7 +22,7 @@ from sessions.commands import (
     Undo,
 )
 from sessions.state import SessionState, prompts_key
-from sessions.store import Begun, ConflictError, Store, now
+from sessions.store import ConflictError, PendingAcceptance, Store, now
 
 
 def click(i: int) -> AddClick:
@@ -364,13 +364,13 @@ def test_a_workspace_in_an_awkward_folder(tmp_path):
 
 def test_what_was_said_for_an_acceptance_that_was_begun_is_kept(store):
     known = opened(store)
-    said = Begun(0, "two\nlines, 門", "it gives way")
+    said = PendingAcceptance(0, "two\nlines, 門", "it gives way")
     store.accepting_begins(known, said)
     assert store.accepting() == {known: said}
     # Older versions kept the number of the command alone.
     old = f"UPDATE meta SET value = '{now()} 7' WHERE key LIKE 'accepting %'"
     again = changed(store, old)
-    assert again.accepting() == {known: Begun(7)}
+    assert again.accepting() == {known: PendingAcceptance(7)}
     again.accepting_ends(known)
     assert not again.accepting()
     again.close()

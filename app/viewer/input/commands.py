@@ -104,7 +104,7 @@ class Commands:
 
     def _refused(self, obj: OpenObject, error: CommandError) -> None:
         """Say why, and show what the gate wants to be looked at."""
-        app, name = self._app, self._app.bench.called(obj.record)
+        app, name = self._app, self._app.app_state.display_name(obj.record)
         app.review_panel.refused(obj)
         if isinstance(error, LookFirstError) and app.object is obj:
             app.set_stage("Review")
@@ -155,7 +155,7 @@ class Commands:
         if app.overview is not None:
             app.overview.reject(reason)
             return
-        panel, name = app.review_panel, app.bench.called(app.need_object().record)
+        panel, name = app.review_panel, app.app_state.display_name(app.need_object().record)
         with panel.deciding():
             app.do(cmd.Reject(reason, panel.comment_text))
         panel.clear()
@@ -167,14 +167,18 @@ class Commands:
     def go_on(self) -> None:
         """To the object that wants a decision most, after one was made."""
         app = self._app
-        if app.bench.desk is not None:
+        if app.app_state.scene is not None:
             app.in_scene.leave()
             app.in_scene.step(1)
             return
-        bench, current = app.bench, app.need_object().record
-        waiting = [r for r in bench.records() if r.id == current.id or not bench.under_way(r.id)]
-        again = {r.id for r in waiting if bench.held(r) or bench.was_interrupted(r)}
-        following = bench.review_order.next(waiting, current.id, app.skipped, again)
+        app_state, current = app.app_state, app.need_object().record
+        waiting = [
+            r
+            for r in app_state.queue.records()
+            if r.id == current.id or not app_state.is_accepting(r.id)
+        ]
+        again = {r.id for r in waiting if app_state.on_hold(r) or app_state.was_interrupted(r)}
+        following = app_state.review_order.next(waiting, current.id, app.skipped, again)
         if following is None:
             return
         app.open(following)

@@ -92,7 +92,7 @@ class Hover:
             self._clear()
             return not (self.on and place is not None and obj is not None and obj.busy)
         origin, direction = app.pointing.camera().ray(place)
-        hit = app.bench.geometry.submit(
+        hit = app.app_state.workers.geometry.submit(
             picking_tasks.pick,
             obj.asset.folder,
             tuple(origin),
@@ -109,11 +109,11 @@ class Hover:
         if wanted == self._shown:
             return True
         x, y, z = (float(v) for v in hit.position)
-        answer = app.bench.segmentation.submit(
+        answer = app.app_state.workers.segmentation.submit(
             tool_tasks.hover,
             obj.asset.folder,
-            app.bench.workspace,
-            app.bench.config.segmenter,
+            app.app_state.workspace,
+            app.app_state.config.segmenter,
             stored_prompts(doc),
             Click((x, y, z), part, True, element),
             key=("hover", app.client.client_id),

@@ -109,7 +109,7 @@ def add_keys(app: ClientApp) -> None:
     add("Next object", "N", lambda: app.step(1))
     add("Previous object", "B", lambda: app.step(-1))
     add("Frame the object", "C", app.commands.frame)
-    if app.bench.desk is not None:
+    if app.app_state.scene is not None:
         add("Work on the chosen object", "enter", app.in_scene.enter)
         add("Back to the scene", "backspace", app.in_scene.leave)
     for stage in ("Annotate", "Joints", "Review"):

@@ -243,7 +243,7 @@ class Pointing:
             part = app.scene.parts.pick(origin, direction, app.hidden)
             app.commands.choose_joint_of(part)
             return
-        hit = app.bench.geometry.submit(
+        hit = app.app_state.workers.geometry.submit(
             picking_tasks.pick,
             obj.asset.folder,
             origin,
@@ -311,9 +311,9 @@ class Pointing:
         """What the page needs to draw the rectangle that the pointer spans."""
         if self.armed != "rectangle":
             return None
-        bench, asset = self._app.bench, self._app.need_object().need_asset()
+        app_state, asset = self._app.app_state, self._app.need_object().need_asset()
         try:
-            out, across = bench.segmentation.submit(
+            out, across = app_state.workers.segmentation.submit(
                 tool_tasks.frame_at, asset.folder, corner, view, priority=15, works_on=asset.folder
             ).result(FRAME_SECONDS)
         except TimeoutError:
@@ -349,8 +349,8 @@ class Pointing:
         obj = app.need_object()
         if obj.asset is None or app.stage != "Annotate":
             return
-        ref, count = app.bench.geometry.submit(
-            picking_tasks.select_box, obj.asset.folder, app.bench.workspace, camera, low, high,
+        ref, count = app.app_state.workers.geometry.submit(
+            picking_tasks.select_box, obj.asset.folder, app.app_state.workspace, camera, low, high,
             one_piece=positive and app.picking_out, hidden=self.hidden_now(), priority=20,
         ).result(PICK_SECONDS)  # fmt: skip
         self._add_region(ref, count, positive, "box")
@@ -370,10 +370,10 @@ class Pointing:
         if obj.asset is None or app.stage != "Annotate":
             return
         stroke = Stroke(message.tool, message.path, message.radius)  # type: ignore[arg-type]
-        ref, count = app.bench.geometry.submit(
+        ref, count = app.app_state.workers.geometry.submit(
             picking_tasks.select_stroke,
             obj.asset.folder,
-            app.bench.workspace,
+            app.app_state.workspace,
             camera,
             stroke,
             self.hidden_now(),
@@ -395,7 +395,9 @@ class Pointing:
         labelled = app.need_object().document.segmentation
         if labelled is None or not app.hidden:
             return None
-        return picking_tasks.Hidden(app.bench.workspace, labelled.labels, tuple(sorted(app.hidden)))
+        return picking_tasks.Hidden(
+            app.app_state.workspace, labelled.labels, tuple(sorted(app.hidden))
+        )
 
     def camera(self) -> Camera:
         """The camera of this tab now."""

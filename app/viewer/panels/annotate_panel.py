@@ -357,7 +357,7 @@ class AnnotatePanel:
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
-        room = wide and self._app.bench.desk is None and doc.placement is None
+        room = wide and self._app.app_state.scene is None and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
         odd = self._unit.draw(obj)
         mine = [p for p in doc.prompts if p.part == self._app.part]

@@ -95,7 +95,7 @@ def _kinds() -> dict[str, str]:
 
 def guesses_of(app: ClientApp) -> tuple[str, ...]:
     """For the object that a tab shows: :func:`category_guesses`."""
-    return category_guesses(app.need_object().record, app.bench.records(), app.who)
+    return category_guesses(app.need_object().record, app.app_state.queue.records(), app.who)
 
 
 class CategoryGuess:

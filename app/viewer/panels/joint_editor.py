@@ -135,7 +135,7 @@ class JointEditor:
             self._app.set_joint(replace(predicted, name=joint.name))
             return
         assert doc.tree is not None
-        job = self._app.bench.prediction.submit(
+        job = self._app.app_state.workers.prediction.submit(
             snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._app.set_joint(job.result(SNAP_SECONDS))
@@ -161,7 +161,7 @@ class JointEditor:
         obj = self._app.need_object()
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
-        job = self._app.bench.prediction.submit(
+        job = self._app.app_state.workers.prediction.submit(
             snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)

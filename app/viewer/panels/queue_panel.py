@@ -79,7 +79,7 @@ class QueuePanel:
             lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
         )
         self._again.on_click(lambda _: app.act(lambda: app.open(self._held)))
-        self._back.on_click(lambda _: app.act(lambda: app.open(app.bench.put_back())))
+        self._back.on_click(lambda _: app.act(lambda: app.open(app.app_state.queue.restore())))
         app.on_update(self._name, self._renamed)
         self._upload.on_upload(lambda e: self._uploaded(e.target.value))
 
@@ -96,7 +96,7 @@ class QueuePanel:
 
     def _uploaded(self, file: Any) -> None:
         app = self._app
-        app.act(lambda: app.open(app.bench.add_upload(file.name, file.content)))
+        app.act(lambda: app.open(app.app_state.add_upload(file.name, file.content)))
 
     def _open(self, k: int) -> None:
         if k < len(self._ids):
@@ -109,7 +109,7 @@ class QueuePanel:
     def draw(self) -> None:
         """Bring the page up to date; nothing is sent where nothing changed."""
         app = self._app
-        records = app.bench.records()
+        records = app.app_state.queue.records()
         current = None if app.object is None else app.object.record.id
         words = palette.STATE_WORDS
         names = queue_names(records)
@@ -127,16 +127,18 @@ class QueuePanel:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
 
-        at_it = {r.id: "being judged, then accepted" for r in page if app.bench.judging_now(r.id)}
-        at_it |= {r.id: "being saved" for r in page if app.bench.saving_now(r.id)}
-        held = [r.id for r in records if app.bench.held(r)]
+        at_it = {
+            r.id: "being judged, then accepted" for r in page if app.app_state.is_validating(r.id)
+        }
+        at_it |= {r.id: "being saved" for r in page if app.app_state.is_saving(r.id)}
+        held = [r.id for r in records if app.app_state.on_hold(r)]
         now = (
             tuple((r.id, names[r.id], r.state, self._alarm(r)) for r in page),
             current,
             len(chosen),
             self._first,
             tuple(r.state for r in records),
-            app.bench.taken_off,
+            app.app_state.queue.removed,
             at_it,
             held,
         )
@@ -151,10 +153,10 @@ class QueuePanel:
         self._summary.content = f"**{done} of {len(records)}** accepted"
         self._bar.value = round(100 * done / max(len(records), 1), 1)
         self._ids = [r.id for r in page]
-        off = app.bench.taken_off
+        off = app.app_state.queue.removed
         put(self._back, "visible", bool(off))
         if off:
-            name = app.bench.store.object(off[-1]).name
+            name = app.app_state.store.object(off[-1]).name
             put(self._back, "label", f"Put {clipped(name, NAME_LENGTH - 6)} back")
         self._draw_held([i for i in held if i != current], names)
         put(self._pages, "visible", len(chosen) > PAGE)
@@ -185,12 +187,12 @@ class QueuePanel:
 
     def _alarm(self, record: ObjectRecord) -> str:
         """What a person has to know of an object before all else, or ""."""
-        bench = self._app.bench
-        if record.id in bench.broken:
+        app_state = self._app.app_state
+        if record.id in app_state.queue.unreadable:
             return "can't be read"
-        if why := bench.held(record):
+        if why := app_state.on_hold(record):
             return f"look again: {why}"
-        return "was being accepted" if bench.was_interrupted(record) else ""
+        return "was being accepted" if app_state.was_interrupted(record) else ""
 
     def _draw_held(self, held: list[int], names: Mapping[int, str]) -> None:
         """The way back to what the gate held back after a person went on."""

@@ -35,7 +35,7 @@ class SourcePanel:
                 "Cut this part out as an object",
                 color="gray",
                 hint="It becomes an entry of the queue and keeps its place in this scan",
-                visible=app.bench.desk is None,
+                visible=app.app_state.scene is None,
             )
         with gui.add_folder("Source", expand_by_default=False):
             self._source = gui.add_markdown("")
@@ -65,7 +65,7 @@ class SourcePanel:
     def cut_out(self) -> None:
         """Make the chosen part an object of its own and open it."""
         app = self._app
-        if app.bench.desk is not None:
+        if app.app_state.scene is not None:
             raise CommandError("in a scene, go back and press “Pick an object out of it”")
         if not app.part:
             raise CommandError("choose the part to cut out; part 0 is the rest of the scan")
@@ -90,7 +90,7 @@ class SourcePanel:
         if now == self._drawn:
             return
         before, self._drawn = self._drawn, now
-        put(self._room_note, "content", _room_note(obj))
+        put(self._room_note, "content", _room_note(obj, in_scene=self._app.app_state.scene is not None))
         put(self._back, "visible", doc.left_out is not None)
         if before is not None and before[:2] == now[:2]:
             return
@@ -105,7 +105,7 @@ class SourcePanel:
         self._source.content = "\n\n".join(lines)
 
 
-def _room_note(obj: OpenObject) -> str:
+def _room_note(obj: OpenObject, *, in_scene: bool) -> str:
     doc = obj.document
     if doc.placement is not None:
         x, y, z = doc.placement.position
@@ -116,7 +116,7 @@ def _room_note(obj: OpenObject) -> str:
         lines.append(f"Left out: {plain(doc.left_out.what)}, {doc.left_out.count:,} elements.")
     if doc.crops:
         lines.append("Cut out: " + ", ".join(plain(c.name) for c in doc.crops) + ".")
-    if obj.bench.desk is not None:
+    if in_scene:
         return "\n\n".join(lines)
     return "\n\n".join(lines) or (
         "For a scan of several things: leave out the floor and the walls, click or box one thing, "

@@ -1,0 +1,110 @@
+"""What an open object shares with its segmentation and its validation."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.server.display_tasks import OpenedAsset
+from app.server.job import Job
+from app.server.observable import Observable
+from app.server.part_tasks import PartSource
+from app.server.running_jobs import RunningJobs
+from app.server.services import Services
+from model.core.errors import CommandError
+from model.segmentation.prompts import BASE
+from sessions import commands as cmd
+from sessions.document import Document
+from sessions.live import LiveSession
+from sessions.state import SessionState
+from sessions.store import ObjectRecord
+
+
+class ObjectContext(Observable):
+    """An object's session, its asset once it is read, and the jobs under way.
+
+    Attributes:
+        live: the session with all commands.
+        asset: what was read; None until then.
+        jobs: the jobs under way, by their kind.
+    """
+
+    def __init__(self, record: ObjectRecord, services: Services) -> None:
+        super().__init__()
+        self.services = services
+        self.record = record
+        self.live: LiveSession = services.hub.session(record.id)
+        self.asset: OpenedAsset | None = None
+        self.jobs = RunningJobs(f"object {record.id}", self.changed)
+        self._lock = threading.RLock()
+        self._stored: tuple[str, npt.NDArray[np.integer]] | None = None
+
+    @property
+    def state(self) -> SessionState:
+        """The session's state."""
+        return self.live.state
+
+    @property
+    def document(self) -> Document:
+        """The present decisions."""
+        return self.live.state.present
+
+    def do(self, command: cmd.Command, who: str) -> SessionState:
+        """Carry out one user decision; it is on disk when this returns."""
+        return self.live.do(command, who)
+
+    @property
+    def predicting(self) -> bool:
+        """Whether a prediction is under way."""
+        return "predict" in self.jobs
+
+    def need_asset(self) -> OpenedAsset:
+        """Return the asset.
+
+        Raises:
+            CommandError: where it is still being read.
+        """
+        if self.asset is None:
+            raise CommandError("the object is still being read")
+        return self.asset
+
+    def source(self, document: Document | None = None) -> PartSource:
+        """Return the parts of the document as the workers cut them.
+
+        Raises:
+            CommandError: where nothing is segmented yet.
+        """
+        doc = document or self.document
+        if self.asset is None or doc.segmentation is None:
+            raise CommandError("no part is there yet: click on a part that moves")
+        names = {p.id: p.name for p in doc.parts if p.name}
+        return PartSource(
+            self.asset.folder,
+            self.services.workspace,
+            doc.segmentation.labels,
+            names,
+            doc.category,
+            self.record.name,  # a working copy's folder is named after its content, too
+        )
+
+    def part_of(self, element: int) -> int | None:
+        """Return the part of a source element, displayed or not; None before segmentation."""
+        record = self.document.segmentation
+        if record is None:
+            return None
+        stored = self._stored
+        if stored is None or stored[0] != record.labels:
+            # Reading those of millions of points takes a tenth of a second.
+            stored = self._stored = record.labels, self.services.store.get_array(record.labels)
+        return max(int(stored[1][element]), BASE)
+
+    def start(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+        """Follow a job; ``keep`` gets its result. Failures are shown in all tabs."""
+        self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep))
+
+    def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+        raise NotImplementedError

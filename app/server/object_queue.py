@@ -1,0 +1,165 @@
+"""The objects of a run, in the order they were given."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from app.server.observable import Listener
+from app.server.tasks import stamp_if_there
+from app.server.uploads import keep_upload
+from model.core.errors import CommandError
+from model.io.find_assets import asset_name, find_assets, refusal
+from sessions.store import ObjectRecord, Store
+
+
+class ObjectQueue:
+    """The queue, shared by all tabs.
+
+    Args:
+        pending: whether an object has a pending acceptance, by id.
+
+    Attributes:
+        unreadable: objects whose file can't be opened whatever is in it, or couldn't be read when
+            somebody last opened them.
+        removed: objects of this run that were removed from the queue, the last one last.
+    """
+
+    def __init__(self, store: Store, paths: list[Path], pending: Callable[[int], bool]) -> None:
+        self._store, self._pending = store, pending
+        self._lock = threading.RLock()
+        self._listeners: list[Listener] = []
+        self._ids: list[int] = []
+        self._records: dict[int, ObjectRecord] = {}
+        self.unreadable: frozenset[int] = frozenset()
+        self.removed: tuple[int, ...] = ()
+        self._enter(paths)
+        self._leave_out_removed()
+
+    def records(self) -> list[ObjectRecord]:
+        """Return the objects of this run, in the order they were given."""
+        with self._lock:
+            return [self._records[i] for i in self._ids]
+
+    def add(self, paths: list[Path]) -> list[int]:
+        """Add files or folders; returns their object ids."""
+        ids = self._enter(paths)
+        with self._lock:
+            back = [i for i in self.removed if i in ids]
+            self.removed = tuple(i for i in self.removed if i not in ids)
+        if back:
+            self._store.put_back(back)
+        self.notify()
+        return ids
+
+    def add_upload(self, folder: Path, name: str, content: bytes, max_bytes: int) -> int:
+        """Add an uploaded file, or the content of a zip; returns the first object's id.
+
+        Raises:
+            InputFileError: where nothing in it can be opened, or a zip is hostile.
+        """
+        return self.add(find_assets([keep_upload(folder, name, content, max_bytes)]))[0]
+
+    def _enter(self, paths: list[Path]) -> list[int]:
+        records = self._store.open_objects((p, None, asset_name(p)) for p in paths)
+        ids = [r.id for r in records]
+        refused = {r.id for r, p in zip(records, paths, strict=True) if refusal(p) is not None}
+        with self._lock:
+            self.unreadable |= refused
+            self._ids = list(dict.fromkeys([*self._ids, *ids]))
+            self._records.update({r.id: r for r in records})
+        return ids
+
+    def _leave_out_removed(self) -> None:
+        """Leave out what was removed in an earlier run, unless the file changed since.
+
+        Where that is all there is, it stays: an empty queue would explain nothing.
+        """
+        removed = tuple(
+            i for i, stamp in self._store.taken_off().items()
+            if i in self._ids and stamp == _stamp(self._records[i].path)
+        )  # fmt: skip
+        if len(removed) < len(self._ids):
+            self._ids = [i for i in self._ids if i not in removed]
+            self.removed = removed
+
+    def remove(self, object_id: int) -> None:
+        """Remove an unreadable object, for later runs, too, until its file changes.
+
+        The file and all decisions stay.
+
+        Raises:
+            CommandError: where the object can be read.
+        """
+        with self._lock:
+            if object_id not in self.unreadable:
+                raise CommandError("only unreadable objects can be removed from the queue")
+            self._ids = [i for i in self._ids if i != object_id]
+            self.removed = (*(i for i in self.removed if i != object_id), object_id)
+        self._store.take_off(object_id, _stamp(self._records[object_id].path))
+        self.notify()
+
+    def restore(self) -> int:
+        """Put the object that was removed last at the end of the queue; returns its id.
+
+        Raises:
+            CommandError: where nothing was removed.
+        """
+        with self._lock:
+            if not self.removed:
+                raise CommandError("nothing was removed from the queue")
+            *left, object_id = self.removed
+            self.removed = tuple(left)
+            self._ids = [*self._ids, object_id]
+        self._store.put_back([object_id])
+        self.notify()
+        return object_id
+
+    def set_unreadable(self, object_id: int, unreadable: bool) -> None:
+        """Note whether an object's file can be read."""
+        with self._lock:
+            before = self.unreadable
+            self.unreadable = before | {object_id} if unreadable else before - {object_id}
+        if self.unreadable != before:
+            self.notify()
+
+    def refresh(self, object_id: int) -> None:
+        """Read an object's record again, and notify the tabs where its state changed."""
+        record = self._store.object(object_id)
+        with self._lock:
+            before, self._records[object_id] = self._records.get(object_id), record
+        if before is None or before.state != record.state or self._pending(object_id):
+            self.notify()
+
+    def sync(self, last: dict[int, int]) -> None:
+        """Take in what other servers did.
+
+        Args:
+            last: object id → number of its last command.
+        """
+        with self._lock:
+            stale = [i for i in self._ids if last.get(i, 0) > self._records[i].seq]
+        for object_id in stale:
+            self.refresh(object_id)
+
+    def subscribe(self, listener: Listener) -> Callable[[], None]:
+        """Call ``listener`` when a state in the queue changes. Returns its removal."""
+        self._listeners.append(listener)
+
+        def stop() -> None:
+            if listener in self._listeners:
+                self._listeners.remove(listener)
+
+        return stop
+
+    def notify(self) -> None:
+        """Tell all tabs that the queue changed."""
+        for listener in list(self._listeners):
+            listener()
+
+
+def _stamp(path: Path) -> str:
+    """Return a key that changes with a file or folder."""
+    return hashlib.sha256(repr(stamp_if_there(path)).encode()).hexdigest()[:16]

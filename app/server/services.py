@@ -1,0 +1,32 @@
+"""What the open objects and the scene of one server share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.server.config import ServeConfig
+from app.server.drafts import AssetDrafts
+from app.server.object_queue import ObjectQueue
+from app.server.pending_acceptances import PendingAcceptances
+from app.server.workers import Workers
+from sessions.live import SessionHub
+from sessions.store import Store
+
+
+@dataclass(frozen=True, eq=False)
+class Services:
+    """Settings, store, workers and queue of one server."""
+
+    config: ServeConfig
+    store: Store
+    hub: SessionHub
+    workers: Workers
+    drafts: AssetDrafts
+    queue: ObjectQueue
+    acceptances: PendingAcceptances
+
+    @property
+    def workspace(self) -> Path:
+        """Folder of sessions, working copies and accepted assets."""
+        return Path(self.config.workspace)

@@ -1,0 +1,30 @@
+"""The worker processes of a server, one a kind of work."""
+
+from __future__ import annotations
+
+from app.server.jobs import WorkerProcess
+
+
+class Workers:
+    """The four worker processes.
+
+    Attributes:
+        geometry: reads files, cuts parts, picks points.
+        segmentation: encodes assets and answers clicks.
+        prediction: predicts joints and validates them.
+        saving: writes accepted assets.
+        closing: whether the server ends: what is under way is cut off.
+    """
+
+    def __init__(self) -> None:
+        self.geometry = WorkerProcess("geometry")
+        self.segmentation = WorkerProcess("segmentation")
+        self.prediction = WorkerProcess("prediction")
+        self.saving = WorkerProcess("saving")
+        self.closing = False
+
+    def close(self) -> None:
+        """End the processes."""
+        self.closing = True
+        for worker in (self.geometry, self.segmentation, self.prediction, self.saving):
+            worker.close()
