@@ -42,9 +42,10 @@ HEAVY = {
         "model.training",
         "model.segmentation.adapters",
         "model.core.checkpoints",
+        "app.cli",
     ),
-    "viser": ("app.viewer", "app.server"),
-    "sqlalchemy": ("sessions",),
+    "viser": ("app.viewer", "app.server", "app.cli"),
+    "sqlalchemy": ("sessions", "app.cli"),
 }
 """Third-party package → where alone it may be imported."""
 

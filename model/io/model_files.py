@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
+from model.io.mjcf.reader import read_mjcf_model
 from model.io.mjcf.source import MJCF_SUFFIXES, is_mjcf, named_files
 from model.io.urdf.files import URDF_SUFFIX, is_urdf, named_meshes
 from model.io.urdf.model import UrdfModel
+from model.io.urdf.reader import read_urdf_model
 
 MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES)
 
@@ -29,11 +31,7 @@ def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
         ConfigurationError: for an MJCF, where MuJoCo isn't installed.
     """
     if path.suffix.lower() in MJCF_SUFFIXES:
-        from model.io.mjcf.reader import read_mjcf_model
-
         return read_mjcf_model(path, max_bytes=max_bytes)
-    from model.io.urdf.reader import read_urdf_model
-
     return read_urdf_model(path)
 
 

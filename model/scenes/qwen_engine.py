@@ -71,7 +71,7 @@ class QwenEngine:
 
 def _decide(folder: Path, system: str, user: str) -> tuple[str, str | None]:
     """Runs in the model's process; the second value says what is wrong with the folder."""
-    from model.prediction.arti4urdf.json_writer import load_json_writer
+    from model.prediction.arti4urdf.json_writer import load_json_writer  # torch
 
     try:
         return load_json_writer(folder).decide(system, user), None

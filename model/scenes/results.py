@@ -23,7 +23,10 @@ from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING, write_json
 from model.scenes.native_format import quaternion_wxyz, scene_to_json
 from model.scenes.outcome import Outcome
 from model.scenes.overlaps import at_rest
+from model.scenes.readers.gltf_scene import with_articulation
 from model.scenes.readers.lisdf import parse_xml
+from model.scenes.readers.optiscene import find_design
+from model.scenes.readers.usd_stage import articulation_layer
 from model.scenes.scene import Scene
 from model.scenes.scene_mjcf import Stand, write_scene_mjcf
 from model.scenes.scene_sdf import pose_text, write_scene_sdf
@@ -204,14 +207,10 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
         for o in scene.objects if o.id in urdf_of and o.place
     }  # fmt: skip
     if scene.reader == "gltf":
-        from model.scenes.readers.gltf_scene import with_articulation
-
         nodes = {int(place[1]): entry for place, entry in entries.items()}
         _write_bytes(out / name, with_articulation(scene.path, nodes))
         return name
     if scene.reader == "usd":
-        from model.scenes.readers.usd_stage import articulation_layer
-
         name = f"{scene.path.stem}_articulated.usda"
         prims = {str(place[0]): entry for place, entry in entries.items()}
         articulation_layer(scene.path, out / name, prims)
@@ -241,8 +240,6 @@ def _write_optiscene(
     scene: Scene, entries: Mapping[tuple[str | int, ...], Any], path: Path
 ) -> str | None:
     """The text as it came, with the design's JSON written anew."""
-    from model.scenes.readers.optiscene import find_design
-
     whole = read_text(scene.path)
     found = find_design(whole)
     if found is None:

@@ -32,6 +32,7 @@ from model.io.export.part_files import file_stems
 from model.io.formats.srgb import to_linear
 from model.io.mjcf.source import PART_NAME
 from model.io.urdf.writer import link_origins, number, vector, xml_name
+from model.io.write.meshes import write_mesh
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
@@ -136,8 +137,6 @@ class _Writer:
         )  # fmt: skip
 
     def _geoms(self, body: ET.Element, mesh: Mesh, link: str, stem: str) -> None:
-        from model.io.write.meshes import write_mesh
-
         for count, index in enumerate(np.unique(mesh.face_material)):
             piece = mesh.take_faces(mesh.face_material == index)
             if piece.face_areas.sum() < LEAST_AREA:

@@ -13,6 +13,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import MESHES
+from model.io.write.meshes import write_cloud, write_mesh
 from model.physics.part_mesh import part_mesh
 
 
@@ -59,8 +60,6 @@ def write_parts(
     Raises:
         GeometryError: for a part without geometry.
     """
-    from model.io.write.meshes import write_cloud, write_mesh
-
     (folder / MESHES).mkdir(exist_ok=True)
     stems = file_stems([p.link for p in obj.parts])
     out: list[PartFile] = []

@@ -9,6 +9,7 @@ from model.core.errors import InputFileError
 from model.core.progress import Progress, no_progress
 from model.core.registry import Registry
 from model.io.assets.reader import load_object
+from model.io.export import mjcf, part_files, urdf
 from model.io.export.protocol import Exporter
 from model.physics.simulation_values import Physics
 
@@ -31,8 +32,6 @@ EXPORTERS = Registry[Exporter](
 
 def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
     """What readers of a built-in format won't show, in words; empty where nothing is known."""
-    from model.io.export import mjcf, part_files, urdf
-
     told: list[str] = []
     if name in ("urdf", "ros", "sdf"):
         told += part_files.losses_of(obj)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.geometry.topology import same_points
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, numbers, read_bytes
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -18,8 +19,6 @@ def read_stl(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     Raises:
         InputFileError: where it is no STL, or cut off.
     """
-    from model.geometry.topology import same_points
-
     data = read_bytes(path, max_bytes)
     promised = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
     room = (len(data) - 84) // _RECORD.itemsize

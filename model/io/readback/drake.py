@@ -8,6 +8,7 @@ from typing import Any
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import object_from_links
+from model.io.export.sdf import sdf_joint_names
 from model.io.readback.poses import pose_problems
 
 
@@ -15,8 +16,6 @@ def drake_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
     """What is wrong when Drake parses the file and its joints are set."""
-    from model.io.export.sdf import sdf_joint_names
-
     plant_module: Any = import_module("pydrake.multibody.plant")
     parsing: Any = import_module("pydrake.multibody.parsing")
     plant = plant_module.MultibodyPlant(0.0)
