@@ -14,6 +14,7 @@ from typing import ClassVar
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import (
+    SEGMENTER_HELP,
     PhysicsOptions,
     PredictorOptions,
     ReadingOptions,
@@ -235,7 +236,7 @@ class SceneConvertCommand(SceneInspectCommand):
         "the scene's metres, +z up) and articulate it; may be repeated",
         "ID=FILE", parse=object_clicks,
     )  # fmt: skip
-    segmenter: str = option("segmenter that turns clicks into parts", "NAME", "default")
+    segmenter: str = option(SEGMENTER_HELP, "NAME", "default")
     ray: str | None = option("let a Ray cluster do the work (host:port, auto, or local)", "ADDRESS")
     keep_limits: bool = flag("leave joint limits as predicted where the motion hits neighbours")
     collision: bool = flag("make collision shapes; without them every base is fixed in MJCF")

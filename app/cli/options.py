@@ -12,6 +12,8 @@ from model.prediction.remote import TOKEN_VARIABLE
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 
+SEGMENTER_HELP = "segmenter that turns clicks into parts (default: ArtiWorld's own)"
+
 
 def positive_number(text: str) -> float:
     """Read a finite number above 0."""
@@ -109,4 +111,4 @@ def segmenter_option() -> Any:
         "use Point-SAM, with the published weights at PATH", "PATH", "--point-sam",
         "point-sam:{}".format,
     )  # fmt: skip
-    return option("segmenter that turns clicks into parts", "NAME", "default", synonym=point_sam)
+    return option(SEGMENTER_HELP, "NAME", "default", synonym=point_sam)

@@ -59,7 +59,9 @@ class EvaluateCommand(Command):
         "instead, simulated clicks: IoU@k and NoC on simulated scans, and on --root's: objects "
         "of partnet-mobility, or rooms as <name>.ply with <name>_labels.npz"
     )
-    segmenter: str = option("of --person and --segmentation: segmenter", "NAME", "default")
+    segmenter: str = option(
+        "of --person and --segmentation: segmenter (default: ArtiWorld's own)", "NAME", "default"
+    )
     points: int | None = option(
         "of --person and --segmentation: points per cloud (default: 30000 and 100000)", "N"
     )
