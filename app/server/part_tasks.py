@@ -13,7 +13,7 @@ from app.server.tasks import arrays_of, asset_of
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.inertial import Inertial
 from model.core.joint import Joint
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
@@ -32,7 +32,7 @@ class PartSource:
     title: str = "object"
 
 
-_cut: Recent[Any, tuple[Part, ...]] = Recent(2)
+_cut: LruCache[Any, tuple[Part, ...]] = LruCache(2)
 
 
 def parts_of(source: PartSource) -> tuple[Part, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.server.tasks import arrays_of, asset_of
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.geometry.strokes import Stroke
 
 
@@ -29,8 +29,8 @@ class Hidden:
     parts: tuple[int, ...]
 
 
-_pickers: Recent[Path, Any] = Recent(8)
-_hidden: Recent[Hidden, npt.NDArray[np.bool_]] = Recent(4)
+_pickers: LruCache[Path, Any] = LruCache(8)
+_hidden: LruCache[Hidden, npt.NDArray[np.bool_]] = LruCache(4)
 
 
 def picker_of(folder: Path) -> Any:

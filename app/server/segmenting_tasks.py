@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from app.server.tasks import arrays_of, asset_of
 from model.core.asset import Asset
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import Click, Prompts, Region
 
@@ -44,8 +44,8 @@ class SegmentationAnswer:
     seconds: float
 
 
-_encodings: Recent[tuple[Path, str], Any] = Recent(ENCODINGS_KEPT, MOST_KEPT)
-_regions: Recent[tuple[Path, str], npt.NDArray[np.int64]] = Recent(100)
+_encodings: LruCache[tuple[Path, str], Any] = LruCache(ENCODINGS_KEPT, MOST_KEPT)
+_regions: LruCache[tuple[Path, str], npt.NDArray[np.int64]] = LruCache(100)
 
 
 def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> float:

@@ -15,7 +15,7 @@ from app.server.segmenting_tasks import StoredRegion, prompts_of, session_of
 from app.server.tasks import arrays_of, asset_of
 from model.core.asset import Asset
 from model.core.errors import CommandError
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
@@ -414,7 +414,7 @@ class _Now:
     labels: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))
 
 
-_samples: Recent[Path, _Sample] = Recent(8)
+_samples: LruCache[Path, _Sample] = LruCache(8)
 _now = _Now()
 
 

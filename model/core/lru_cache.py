@@ -1,4 +1,4 @@
-"""What was worked out last, kept by what it was asked."""
+"""A least-recently-used cache with a limit of entries and one of weight."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 
-def content_of(*arrays: npt.NDArray) -> bytes:
-    """Tells arrays apart by what is in them."""
+def array_digest(*arrays: npt.NDArray) -> bytes:
+    """Hash the content, types and shapes of arrays."""
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(f"{array.dtype}{array.shape}".encode())
@@ -23,17 +23,20 @@ def content_of(*arrays: npt.NDArray) -> bytes:
     return digest.digest()
 
 
-class Recent(Generic[K, V]):
-    """The last few values of an expensive function; for one process.
+class LruCache(Generic[K, V]):
+    """Values of an expensive function, for one process.
+
+    Unlike ``cachetools.LRUCache`` it limits both number and weight, makes room before a heavy value
+    is computed, and keeps the last value even if that alone is too heavy.
 
     Args:
-        size: how many at most.
-        weight: how heavy they may be together; the last one is kept whatever it weighs.
+        size: largest number of values.
+        weight: largest weight of all values together, in any unit.
     """
 
     def __init__(self, size: int, weight: float = float("inf")) -> None:
         self._size, self._most = size, weight
-        self._kept: OrderedDict[K, tuple[V, float]] = OrderedDict()
+        self._values: OrderedDict[K, tuple[V, float]] = OrderedDict()
         self._total = 0.0
 
     def get(
@@ -43,29 +46,31 @@ class Recent(Generic[K, V]):
         weight: float = 0.0,
         weigh: Callable[[V], float] | None = None,
     ) -> V:
-        """The value of ``key``; made where it isn't kept, after room for its ``weight`` is.
+        """Return the value of ``key``; make it if needed, after making room for its ``weight``.
 
         Args:
-            weigh: how heavy it turned out to be, where only that tells.
+            weigh: weight of the value, where only the value tells it.
         """
-        held = self._kept.get(key)
-        if held is not None:
-            self._kept.move_to_end(key)
-            return held[0]
+        found = self._values.get(key)
+        if found is not None:
+            self._values.move_to_end(key)
+            return found[0]
         self._make_room(weight)
         value = make()
         weight = weight if weigh is None else weigh(value)
-        self._drop(key)  # other jobs may have come between its steps
+        self._drop(key)  # another job may have made it meanwhile
         self._make_room(weight)
-        self._kept[key] = value, weight
+        self._values[key] = value, weight
         self._total += weight
         return value
 
     def _make_room(self, weight: float) -> None:
-        while self._kept and (len(self._kept) >= self._size or weight + self._total > self._most):
-            self._drop(next(iter(self._kept)))
+        while self._values and (
+            len(self._values) >= self._size or weight + self._total > self._most
+        ):
+            self._drop(next(iter(self._values)))
 
     def _drop(self, key: K) -> None:
-        held = self._kept.pop(key, None)
-        if held is not None:
-            self._total -= held[1]
+        found = self._values.pop(key, None)
+        if found is not None:
+            self._total -= found[1]

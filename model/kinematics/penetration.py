@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.core.lru_cache import content_of
+from model.core.lru_cache import array_digest
 from model.kinematics.surface import Surface
 
 GRAZING = 0.34
@@ -132,7 +132,7 @@ def crossings(part: Surface, target: Surface, path: RelativePath, tolerance: flo
     """
     if path.straight and len(path.q) > 2:
         path = RelativePath(path.q[[0, -1]], path.target_from_part[[0, -1]], True)
-    way = content_of(
+    way = array_digest(
         path.q, path.target_from_part, np.array([tolerance, path.straight], np.float64)
     )
 

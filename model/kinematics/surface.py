@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 
@@ -141,10 +141,10 @@ class Surface:
         return self.points[:COARSE]
 
     @cached_property
-    def met(self) -> Recent[tuple[int, bytes], Any]:
+    def met(self) -> LruCache[tuple[int, bytes], Any]:
         """What its samples met lately of other surfaces, see
         :mod:`model.kinematics.penetration`."""
-        return Recent(MET, MET_ROWS)
+        return LruCache(MET, MET_ROWS)
 
     @property
     def _scene(self) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.validation.physics_report import Stop
 
 OUTSIDE = 0.2
@@ -148,7 +148,7 @@ def drive_cache(text: str, obj: ArticulatedObject) -> DriveCache:
     return DriveCache(hashlib.sha256(key.encode()).hexdigest())
 
 
-_DRIVES: Recent[
+_DRIVES: LruCache[
     tuple[str, float, tuple[int, ...], tuple[tuple[float, float], ...]],
     list[tuple[Bounds, DriveResult]],
-] = Recent(256)
+] = LruCache(256)

@@ -15,7 +15,7 @@ from app.server.config import ServeConfig
 from app.server.segmenting import Segmenting
 from app.server.tasks import arrays_of
 from app.server.tool_tasks import PROPOSE, ToolRequest
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.core.resources import static_assets
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
@@ -68,7 +68,7 @@ def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(
 
 
 def test_what_comes_between_the_steps_of_what_is_made_is_counted_as_well() -> None:
-    kept: Recent[str, str] = Recent(9, 10)
+    kept: LruCache[str, str] = LruCache(9, 10)
     made: list[str] = []
 
     def make(name: str, size: float) -> str:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
 from model.core.joint import Joint
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Hull, Primitive, Shape, hull_of, hull_of_shape, simplified
@@ -240,7 +240,7 @@ def _made_of(part: Part, diagonal: float, settings: CollisionSettings, store: Pa
     return _made.get((part.link, fingerprint(settings, round(diagonal, 6), part)), make)
 
 
-_made: Recent[tuple[str, str], _Made] = Recent(128)
+_made: LruCache[tuple[str, str], _Made] = LruCache(128)
 
 
 def _diagonal_of(parts: Sequence[Part]) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.core.lru_cache import Recent, content_of
+from model.core.lru_cache import LruCache, array_digest
 from model.core.shapes import Hull
 from model.physics.collision.overlap import depths, overlap
 
@@ -126,13 +126,13 @@ class PosePath:
         return self._known[key][2]
 
 
-_depths: Recent[bytes, FloatArray] = Recent(4096, 1e6)
+_depths: LruCache[bytes, FloatArray] = LruCache(4096, 1e6)
 """Where one joint is edited, most bodies pass each other as they did; a million depths at most."""
 
 
 def _depths_of(a: Hull, b: Hull, a_from_b: FloatArray, least: float) -> FloatArray:
     """:func:`depths`; what was found lately is kept."""
-    asked = content_of(*a.measured, *b.measured, a_from_b, np.array([least]))
+    asked = array_digest(*a.measured, *b.measured, a_from_b, np.array([least]))
     return _depths.get(asked, lambda: depths(a, b, a_from_b, least), len(a_from_b))
 
 

@@ -12,7 +12,7 @@ import pytest
 from model.core import codec
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
-from model.core.lru_cache import Recent
+from model.core.lru_cache import LruCache
 from model.kinematics import penetration as crossing
 from model.physics.collision import build
 from model.physics.collision import narrow_phase as touching
@@ -50,7 +50,7 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a process that has judged nothing yet; what is known of parts goes with them."""
     monkeypatch.setattr(build, "_recent", type(build._recent)())
     for module, name in ((build, "_made"), (touching, "_depths"), (drives, "_DRIVES")):
-        monkeypatch.setattr(module, name, Recent(1000))
+        monkeypatch.setattr(module, name, LruCache(1000))
 
 
 @pytest.mark.parametrize("name", ["cabinet", "laptop"])
