@@ -1,0 +1,29 @@
+"""Rotations as URDF and SDF write them: roll, pitch, yaw about fixed axes, radians."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+
+def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """(3, 3) from URDF's roll, pitch, yaw: fixed axes x, then y, then z, radians."""
+    roll, pitch, yaw = (float(v) for v in np.asarray(rpy))
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def rpy_from_rotation(rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(3,) roll, pitch, yaw of (3, 3); the inverse of :func:`rotation_from_rpy`."""
+    r = rotation
+    flat = float(np.hypot(r[0, 0], r[1, 0]))
+    pitch = np.arctan2(-r[2, 0], flat)
+    if flat < 1e-9:  # roll and yaw turn about the same line
+        return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
