@@ -1,4 +1,4 @@
-"""What the scripted annotator found, predictor by predictor."""
+"""Report of the simulated annotator, by predictor."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate
 from model.core.progress import Progress, no_progress
+from model.evaluation.markdown import escaped, table
 from model.evaluation.pool import robust_map
 
 COLUMNS = (
@@ -26,10 +27,10 @@ class AnnotatorReport:
     scores: tuple[AnnotatorScore, ...]
 
     def rows(self) -> list[tuple[str, ...]]:
-        """One for each predictor: means over the objects that were right in the end.
+        """A row for each predictor: means over the objects that were correct in the end.
 
-        ``saved`` is the share of the corrections by hand that the predictor made needless, over
-        objects that are right both ways.
+        ``saved`` is the share of the corrections by hand that the predictor saved, over objects
+        that are correct in both.
         """
         return [self._row(name) for name in (*self.config.predictors, BY_HAND)]
 
@@ -56,7 +57,7 @@ class AnnotatorReport:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """For a program."""
+        """Settings, rows and all scores."""
         rows = [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()]
         settings = {
             k: getattr(self.config, k)
@@ -69,19 +70,17 @@ class AnnotatorReport:
         }
 
     def to_markdown(self) -> str:
-        """For people."""
-        from model.evaluation.markdown import escaped, table
-
-        lines = ["# The person in the loop", ""]
+        """The table, and the objects that were not correct in the end."""
+        lines = ["# The simulated annotator", ""]
         lines += table(COLUMNS, self.rows())
         lines += [
             "",
-            "Means over objects that were right in the end. Clicks until every part's IoU is "
-            f"{self.config.target} or {self.config.clicks} clicks a part are spent; corrections "
-            "are commands on joints; commands are all that the person did; saved is the share of "
-            "the corrections by hand that the predictor made needless.",
+            "Means over objects that were correct in the end. Clicks until every part's IoU is "
+            f"{self.config.target} or {self.config.clicks} clicks per part are spent; corrections "
+            "are commands on joints; commands are all of the annotator's; saved is the share of "
+            "the corrections by hand that the predictor saved.",
             "",
-            "## Not right in the end",
+            "## Not correct in the end",
             "",
         ]
         lines += [
@@ -95,7 +94,7 @@ class AnnotatorReport:
 def annotate_all(
     config: AnnotatorConfig, ids: Sequence[str], jobs: int, progress: Progress = no_progress
 ) -> AnnotatorReport:
-    """Let the annotator work on all objects, in parallel."""
+    """Annotate all objects, in parallel."""
     found: dict[str, list[AnnotatorScore]] = {}
     for object_id, scores in robust_map(partial(annotate, config), ids, jobs):
         died = [

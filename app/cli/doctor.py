@@ -1,4 +1,4 @@
-"""What is installed, what can be used, and what is wrong."""
+"""What ``artiworld doctor`` finds: packages, plug-ins, files and machine, with remedies."""
 
 from __future__ import annotations
 
@@ -14,10 +14,18 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
+from sqlalchemy import create_engine, exc, inspect, text
+from sqlalchemy.engine import make_url
+
 from app.server.network import check_address
 from model.core.errors import ArtiworldError
 from model.core.installing import install_command
 from model.core.resources import static_assets
+from model.io.find_assets import find_assets
+from model.prediction.registry import load_predictor, predictor_names
+from model.scenes.registry import load_reader, reader_names
+from model.segmentation.registry import load_segmenter, segmenter_names
+from sessions.database import FORMAT, known_formats
 
 Status = Literal["fine", "note", "wrong"]
 MIN_MEMORY_GB = 4.0
@@ -32,7 +40,7 @@ OPTIONAL = (
     ("ray", "converts scenes on a cluster", "cluster"),
     ("playwright", "drives browser tests", "test"),
 )
-"""Packages of the extras: name, what for, which extra."""
+"""Packages of the extras: name, use, extra."""
 WEIGHT_SUFFIXES = (".npz", ".safetensors", ".pt")
 
 
@@ -41,11 +49,11 @@ class Check:
     """One finding.
 
     Attributes:
-        name: what was looked at.
+        name: the thing examined.
         status: "fine"; "note" where something optional is missing; "wrong" where ArtiWorld can't
-            work as it is.
-        found: what is there.
-        remedy: what to do, "" where nothing needs doing.
+            work.
+        found: its version, size or fault.
+        remedy: an instruction, or "".
     """
 
     name: str
@@ -57,7 +65,7 @@ class Check:
 def examine(workspace: Path, database: str | None = None, port: int = 8080) -> list[Check]:
     """All findings, in the order of the table. Changes nothing on the machine."""
     return [
-        _python(),
+        Check("python", "fine", f"{platform.python_version()} ({sys.executable})"),
         *_packages(),
         *_optional(),
         *_plugins(),
@@ -72,16 +80,11 @@ def examine(workspace: Path, database: str | None = None, port: int = 8080) -> l
 
 
 def to_json(checks: list[Check]) -> dict[str, Any]:
-    """The findings, and whether any is wrong."""
+    """The findings, and whether all are well."""
     return {
         "ok": all(check.status != "wrong" for check in checks),
         "checks": [asdict(check) for check in checks],
     }
-
-
-def _python() -> Check:
-    found = f"{platform.python_version()} ({sys.executable})"
-    return Check("python", "fine", found)
 
 
 def _packages() -> Iterator[Check]:
@@ -89,12 +92,8 @@ def _packages() -> Iterator[Check]:
         needed = requires("artiworld") or []
         yield Check("artiworld", "fine", version("artiworld"))
     except PackageNotFoundError:
-        yield Check(
-            "artiworld",
-            "wrong",
-            "not installed",
-            f"run: {install_command('-e', '.')} (or: make run)",
-        )
+        remedy = f"run: {install_command('-e', '.')} (or: make run)"
+        yield Check("artiworld", "wrong", "not installed", remedy)
         return
     for line in needed:
         if "extra ==" in line.replace('"', "").replace("'", ""):
@@ -104,9 +103,8 @@ def _packages() -> Iterator[Check]:
         try:
             found = version(name)
         except PackageNotFoundError:
-            yield Check(name, "wrong", "not installed", f"run: {install_command(line)}")
-            continue
-        if pinned is not None and found != pinned.group(1):
+            found = "not installed"
+        if found == "not installed" or (pinned is not None and found != pinned.group(1)):
             yield Check(name, "wrong", found, f"run: {install_command(line)}")
         else:
             yield Check(name, "fine", found)
@@ -126,10 +124,8 @@ def _optional() -> Iterator[Check]:
     if browser:
         yield Check("chromium", "fine", browser)
     else:
-        yield Check(
-            "chromium", "note", "not found (browser tests are skipped)",
-            "run: apt-get install chromium",
-        )  # fmt: skip
+        found = "not found (browser tests are skipped)"
+        yield Check("chromium", "note", found, "run: apt-get install chromium")
 
 
 def _torch() -> Check:
@@ -139,21 +135,16 @@ def _torch() -> Check:
     try:
         import torch  # pyright: ignore[reportMissingImports]
 
+        gpu = "no GPU: networks run on the CPU"
         if torch.cuda.is_available():
-            return Check(
-                "gpu", "fine", f"torch {torch.__version__}, {torch.cuda.get_device_name()}"
-            )
-        return Check("gpu", "fine", f"torch {torch.__version__}, no GPU: networks run on the CPU")
+            gpu = torch.cuda.get_device_name()
+        return Check("gpu", "fine", f"torch {torch.__version__}, {gpu}")
     except (ImportError, OSError, RuntimeError) as error:
         remedy = "install torch again, see constraints.txt for the version"
         return Check("gpu", "note", f"torch can't be used: {_line(error)}", remedy)
 
 
 def _plugins() -> Iterator[Check]:
-    from model.prediction.registry import load_predictor, predictor_names
-    from model.scenes.registry import load_reader, reader_names
-    from model.segmentation.registry import load_segmenter, segmenter_names
-
     for kind, names, load in (
         ("predictor", predictor_names(), load_predictor),
         ("segmenter", segmenter_names(), load_segmenter),
@@ -164,9 +155,9 @@ def _plugins() -> Iterator[Check]:
                 load(name)
             except ArtiworldError as error:
                 yield Check(f"{kind} {name}", "note", "can't be used", _line(error))
-            except Exception as error:  # somebody else's plug-in may fail in any way
+            except Exception as error:  # a plug-in may fail in any way
                 found = f"can't be loaded: {type(error).__name__}: {_line(error)}"
-                yield Check(f"{kind} {name}", "note", found, "mend or remove the plug-in")
+                yield Check(f"{kind} {name}", "note", found, "fix or remove the plug-in")
             else:
                 yield Check(f"{kind} {name}", "fine", "usable")
 
@@ -186,8 +177,6 @@ def _weights() -> Iterator[Check]:
 
 
 def _examples() -> Check:
-    from model.io.find_assets import find_assets
-
     folder = static_assets() / "examples"
     try:
         return Check("examples", "fine", f"{len(find_assets([folder]))} objects")
@@ -198,12 +187,11 @@ def _examples() -> Check:
 def _workspace(workspace: Path) -> Check:
     folder = workspace.absolute()
     existing = next(p for p in (folder, *folder.parents) if p.exists())
+    remedy = "choose another folder with --workspace"
     if not existing.is_dir():
-        found = f"{existing} is a file"
-        return Check("workspace", "wrong", found, "choose another folder with --workspace")
+        return Check("workspace", "wrong", f"{existing} is a file", remedy)
     if not os.access(existing, os.W_OK | os.X_OK):
-        found = f"{folder} can't be written"
-        return Check("workspace", "wrong", found, "choose another folder with --workspace")
+        return Check("workspace", "wrong", f"{folder} can't be written", remedy)
     free = shutil.disk_usage(existing).free / 1e9
     found = f"{folder}{'' if folder.exists() else ' (will be made)'}, {free:.0f} GB free"
     if free < MIN_DISK_GB:
@@ -212,20 +200,16 @@ def _workspace(workspace: Path) -> Check:
 
 
 def _database(workspace: Path, url: str | None) -> Check:
-    from sqlalchemy import create_engine, exc, inspect, text
-    from sqlalchemy.engine import make_url
-
-    from sessions.database import FORMAT, known_formats
-
     file = workspace / "artiworld.db"
+    none_yet = Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
     if url is None and not file.exists():
-        return Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
+        return none_yet
     try:
-        # Read-only, so that looking makes no file and takes no lock.
+        # Read-only: makes no file and takes no lock.
         at = make_url(url or f"sqlite:///file:{file.absolute()}?mode=ro&uri=true")
         missing = url is not None and at.get_backend_name() == "sqlite"
         if missing and not (at.database and Path(at.database).exists()):
-            return Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
+            return none_yet
         with create_engine(at).connect() as connection:
             if "alembic_version" not in inspect(connection).get_table_names():
                 raise LookupError("no table of versions")
@@ -234,11 +218,9 @@ def _database(workspace: Path, url: str | None) -> Check:
         reason = _line(getattr(error, "orig", None) or error)
         return Check("database", "wrong", reason, "check --database, or move the file away")
     if found not in known_formats():
-        return Check(
-            "database", "wrong", f"format {found}, but this version knows up to {FORMAT}",
-            "use the newer ArtiWorld that wrote it",
-        )  # fmt: skip
-    older = "" if found == FORMAT else f", is brought to {FORMAT} at the next start"
+        newer = f"format {found}, but this version knows up to {FORMAT}"
+        return Check("database", "wrong", newer, "use the newer ArtiWorld that wrote it")
+    older = "" if found == FORMAT else f", is migrated to {FORMAT} at the next start"
     return Check("database", "fine", f"format {found}{older}")
 
 
@@ -246,7 +228,7 @@ def _port(port: int) -> Check:
     try:
         check_address("127.0.0.1", port)
     except ArtiworldError as error:
-        return Check("port", "note", _line(error), "serve takes the next free one by itself")
+        return Check("port", "note", _line(error), "serve takes the next free one")
     return Check("port", "fine", f"{port} is free")
 
 
@@ -256,7 +238,7 @@ def _processors() -> Check:
     else:
         count = os.cpu_count() or 1
     if count < 2:
-        return Check("processors", "note", str(count), "the browser will wait for long work")
+        return Check("processors", "note", str(count), "long work will delay the browser")
     return Check("processors", "fine", str(count))
 
 
@@ -268,7 +250,7 @@ def _memory() -> Check:
         total = min(total, int(text) / 1e9)
     found = f"{total:.1f} GB"
     if total < MIN_MEMORY_GB:
-        return Check("memory", "note", found, f"large scans want {MIN_MEMORY_GB:.0f} GB and more")
+        return Check("memory", "note", found, f"large scans need {MIN_MEMORY_GB:.0f} GB or more")
     return Check("memory", "fine", found)
 
 

@@ -1,4 +1,4 @@
-"""Bringing a session's joints to the truth with the commands that a person has on the screen."""
+"""Corrections that turn a session's joints into the ground truth, by the app's commands."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class JointCorrector:
     """Corrects joints one thing at a time: parent, type, axis, origin, direction, one limit.
 
     Attributes:
-        commands: how many it took so far.
-        unreachable: what no command can bring about, in words.
+        commands: number of corrections so far.
+        unreachable: differences that no command can correct, in words.
     """
 
     def __init__(self, live: LiveSession, truth: ArticulatedObject, limits: UsableLimits) -> None:
@@ -40,8 +40,8 @@ class JointCorrector:
         self.commands = 0
         self.unreachable: list[str] = []
 
-    def mend(self) -> tuple[int, int]:
-        """Correct every joint; how many were wrong, and the commands it took."""
+    def correct(self) -> tuple[int, int]:
+        """Correct every joint; return how many were wrong, and the number of commands."""
         wrong = 0
         root = self.truth.tree.root
         if root in self.parts and root in self.tree.links and self.tree.root != root:
@@ -51,13 +51,13 @@ class JointCorrector:
             if part not in self.tree.links:
                 self.unreachable.append(f"{part} got no points from the clicks")
                 continue
-            self._mend_part(part)
+            self._correct_part(part)
             wrong += self.commands > before
         return wrong, self.commands
 
     @property
     def tree(self) -> KinematicTree:
-        """As it stands now."""
+        """The session's current tree."""
         tree = self.live.document.tree
         assert tree is not None
         return tree
@@ -70,7 +70,7 @@ class JointCorrector:
     def _change(self, child: str, **values: Any) -> None:
         self._do(SetJoint(replace(self.tree.joint_of[child], **values)))
 
-    def _mend_part(self, part: str) -> None:
+    def _correct_part(self, part: str) -> None:
         above, true_chain = chain(self.truth.tree, part, self.parts)
         parent, found = path(self.tree, part, self.parts)
         if above and found and parent != above and above in self.tree.links:
@@ -87,11 +87,11 @@ class JointCorrector:
             )
             return
         for true, joint in zip(true_chain, found, strict=True):
-            self._mend_joint(true, joint.child)
+            self._correct_joint(true, joint.child)
 
-    def _mend_joint(self, true: Joint, child: str) -> None:
+    def _correct_joint(self, true: Joint, child: str) -> None:
         if self.tree.joint_of[child].type != true.type:
-            # As on the screen the geometry says where a joint of that type is.
+            # As on the screen, geometry proposes the joint of that type.
             parts = SegmentedObject(self.truth.name, self.truth.parts, self.truth.category)
             self._do(SetJoint(retyped(parts, self.tree, child, true.type)))
         if axis_angle(true.axis, self.tree.joint_of[child].axis) > self.limits.axis:
@@ -101,9 +101,9 @@ class JointCorrector:
         if true.rotates and off > self.limits.origin:
             self._change(child, origin=true.origin)
         if true.limited:
-            self._mend_range(true, child)
+            self._correct_range(true, child)
 
-    def _mend_range(self, true: Joint, child: str) -> None:
+    def _correct_range(self, true: Joint, child: str) -> None:
         def right(joint: Joint) -> bool:
             return compare_ranges(true, joint, self.limits, self.diagonal)[2]
 
@@ -117,7 +117,7 @@ class JointCorrector:
             self._do(SetJoint(turned))
             joint, wanted = turned, other
         assert wanted.lower is not None and wanted.upper is not None
-        # One end at a time, as on the screen; never one beyond the other.
+        # One limit at a time, as on the screen; the lower one never exceeds the upper one.
         order = ("upper", "lower") if wanted.upper >= (joint.lower or 0.0) else ("lower", "upper")
         for side in order:
             if not right(self.tree.joint_of[child]):
@@ -125,7 +125,7 @@ class JointCorrector:
 
 
 def _nearer(a: Joint, turned: Joint, b: Joint, joint: Joint) -> bool:
-    """Whether fewer limits differ once the joint is turned."""
+    """Whether turning the joint corrects more limits than it costs commands."""
 
     def differing(true: Joint, found: Joint) -> int:
         ends = ((true.lower, found.lower), (true.upper, found.upper))

@@ -1,10 +1,10 @@
-"""A scripted annotator: what the software saves a person.
+"""A simulated annotator: how much work the software saves a person.
 
-It clicks where a person would (the middle of the largest error), lets a predictor propose the
-joints, and corrects what is wrong with the commands of the app, one for each thing that a person
-changes on the screen: parent, type, axis, origin, direction, one limit. All of it goes through a
-:class:`~sessions.live.LiveSession` into a real store. Beside each predictor stands the work by
-hand: the same corrections from joints that are all fixed to the base.
+It clicks at the centre of the largest error, lets a predictor propose the joints, and corrects
+errors with the app's commands, one for each thing that a person changes on the screen: parent,
+type, axis, origin, direction, one limit. Everything passes through a
+:class:`~sessions.live.LiveSession` into a real store. The baseline is work by hand: the same
+corrections from joints that are all fixed to the base.
 """
 
 from __future__ import annotations
@@ -46,27 +46,28 @@ from sessions.store import Store
 
 BY_HAND = "by hand"
 LEAST_POINTS = 60
-"""Points of the smallest part: a person zooms in on it."""
+"""Fewest points of a part: a person zooms in on small ones."""
 MAX_PARTS = 64
+"""More than a person would click."""
 
 Labels = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)
 class AnnotatorConfig:
-    """How the annotator works.
+    """Settings of the annotator.
 
     Attributes:
         data: the objects.
         predictors: names; each starts from the same parts.
-        segmenter: who answers the clicks.
-        names: whether the person also says what the parts and the object are.
-        points: of the cloud that is annotated.
+        segmenter: turns the clicks into parts.
+        names: whether the annotator also names the parts and the object's category.
+        points: size of the cloud that is annotated.
         target: IoU at which a part is good enough.
-        clicks: at most this many a part, over the object.
+        clicks: most clicks per part, on average over the object.
         seed: of sampling and predictors.
-        timeout: seconds an object.
-        limits: what counts as right.
+        timeout: seconds per object.
+        limits: tolerances of a correct joint.
     """
 
     data: DatasetOptions
@@ -87,14 +88,14 @@ class AnnotatorScore:
 
     Attributes:
         predictor: its name, or :data:`BY_HAND`.
-        parts, joints: of the truth; joints are those that move.
+        parts, joints: of the ground truth; joints are those that move.
         clicks: until every part was good enough, or no more were allowed.
-        part_iou: mean over the parts at the end of the clicking.
-        wrong: moving joints that needed a correction (or shouldn't move).
-        corrections: commands on joints until the object was right.
-        commands: all that the person did: clicks, names, the request to predict, corrections.
-        right: whether the object is right at the end.
-        why: why not, or what failed.
+        part_iou: mean over the parts after the last click.
+        wrong: moving joints that needed a correction, or that shouldn't move.
+        corrections: commands on joints until the object was correct.
+        commands: all commands: clicks, names, the request to predict, corrections.
+        right: whether the object is correct at the end.
+        why: the reason where it isn't.
     """
 
     object_id: str
@@ -112,7 +113,7 @@ class AnnotatorScore:
 
 
 def annotate(config: AnnotatorConfig, object_id: str) -> list[AnnotatorScore]:
-    """One object with each predictor and by hand; never raises but for a lack of memory."""
+    """Annotate one object with each predictor and by hand; failures become a score's ``why``."""
     try:
         with time_limit(config.timeout), tempfile.TemporaryDirectory() as folder:
             return _Annotator(config, object_id, Path(folder)).run()
@@ -131,7 +132,6 @@ class _Annotator:
         self.store = Store(folder)
         record = self.store.open_object(folder / f"{object_id}.ply", None, object_id)
         self.live = LiveSession(self.store, record.id)
-        self.given = 0
 
     def run(self) -> list[AnnotatorScore]:
         try:
@@ -148,7 +148,7 @@ class _Annotator:
                 part_iou=iou,
             )
             return [
-                self._with(before, name, parts, clicks + named)
+                self._score(before, name, parts, clicks + named)
                 for name in (*self.config.predictors, BY_HAND)
             ]
         finally:
@@ -160,7 +160,7 @@ class _Annotator:
     # --- parts
 
     def _click(self) -> tuple[int, Labels, float]:
-        """Click until the parts are right; the number of clicks, the labels, and their IoU."""
+        """Click until the parts are good enough; return number of clicks, labels and mean IoU."""
         session = load_segmenter(self.config.segmenter).encode(self.asset)
         points = self.asset.element_centers
         clicks: list[Click] = []
@@ -183,10 +183,10 @@ class _Annotator:
 
     def _record(self, labels: Labels, segmenter: str, seconds: float) -> None:
         ids, counts = np.unique(labels, return_counts=True)
-        said = {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
+        elements = {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
         ref = self.store.put_array(labels)
         key = self.live.document.key
-        self._do(RecordSegmentation(key, ref, segmenter or "segmenter", seconds, said))
+        self._do(RecordSegmentation(key, ref, segmenter or "segmenter", seconds, elements))
 
     def _ious(self, labels: Labels) -> npt.NDArray[np.float64]:
         parts = np.array(sorted(self.part_of.values()))[:, None]
@@ -194,7 +194,7 @@ class _Annotator:
         return (own & given).sum(1) / np.maximum((own | given).sum(1), 1)
 
     def _name(self) -> int:
-        """Say what the parts and the object are; the number of commands."""
+        """Name the parts and the category; return the number of commands."""
         before = self.live.state.seq
         for number, name in self._names().items():
             self._do(NamePart(number, name))
@@ -209,16 +209,16 @@ class _Annotator:
 
     # --- joints
 
-    def _with(
+    def _score(
         self, before: AnnotatorScore, name: str, parts: tuple[Part, ...], commands: int
     ) -> AnnotatorScore:
-        # In the app part 0 is the base by definition: the predictor need not guess it.
-        told = tuple(
+        # In the app part 0 is the base by definition: the predictor needn't guess it.
+        named = tuple(
             replace(p, name="base") if p.link == f"link_{BASE}" and p.name is None else p
             for p in parts
         )
         category = self.truth.category if self.config.names else None
-        segmented = SegmentedObject(self.id, told, category)
+        segmented = SegmentedObject(self.id, named, category)
         if name == BY_HAND:
             prediction = Prediction(_all_fixed(segmented), backend=BY_HAND)
         else:
@@ -231,11 +231,11 @@ class _Annotator:
         segmentation = self.live.document.segmentation
         assert segmentation is not None
         self._do(RecordPrediction(prediction, segmentation.labels))
-        mender = JointCorrector(self.live, self.truth, self.config.limits)
-        wrong, corrections = mender.mend()
+        corrector = JointCorrector(self.live, self.truth, self.config.limits)
+        wrong, corrections = corrector.correct()
         tree = self.live.document.tree
         score = score_object(self.truth, tree, limits=self.config.limits)
-        why = "; ".join(mender.unreachable)
+        why = "; ".join(corrector.unreachable)
         return replace(
             out,
             wrong=wrong,
@@ -247,10 +247,10 @@ class _Annotator:
 
 
 def _numbered(truth: ArticulatedObject) -> tuple[ArticulatedObject, dict[str, int]]:
-    """The truth with its parts numbered as the app does, the root's part first.
+    """The ground truth with its parts numbered as in the app, the root's part first.
 
     Raises:
-        ConfigurationError: where it has more parts than a person would click.
+        ConfigurationError: where it has more than :data:`MAX_PARTS` parts.
     """
     links = [p.link for p in truth.parts]
     if len(links) > MAX_PARTS:
@@ -269,7 +269,7 @@ def _numbered(truth: ArticulatedObject) -> tuple[ArticulatedObject, dict[str, in
 def _scan(
     truth: ArticulatedObject, config: AnnotatorConfig, part_of: dict[str, int]
 ) -> tuple[Asset, Labels]:
-    """The object as one coloured cloud, and the true part of each point."""
+    """The object as one coloured cloud, and the part of each point."""
     rng = np.random.default_rng([config.seed, zlib.crc32(truth.name.encode())])
     areas = [0.0 if p.mesh is None else float(p.mesh.face_areas.sum()) for p in truth.parts]
     whole = sum(areas) or 1.0
@@ -295,7 +295,7 @@ def _click(points: npt.NDArray[np.floating], element: int, part: int) -> Click:
 
 
 def _all_fixed(segmented: SegmentedObject) -> KinematicTree:
-    """Where a person without a predictor starts: nothing moves, all hangs on the base."""
+    """The start by hand: nothing moves, every part is fixed to the base."""
     links = tuple(p.link for p in segmented.parts)
     joints = tuple(
         Joint(f"joint_{link.removeprefix('link_')}", "fixed", links[0], link) for link in links[1:]

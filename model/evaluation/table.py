@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from model.core.progress import Progress
 from model.evaluation.report import COLUMNS, Report, paper_rows
 
 if TYPE_CHECKING:
@@ -16,27 +14,6 @@ if TYPE_CHECKING:
 
 WIDTH = 150
 """Columns of a file or a pipe, which have none of their own."""
-
-
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar on stderr that is fed as a :class:`~model.core.progress.Progress`."""
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as RichProgress
-
-    console = Console(stderr=True)
-    with RichProgress(
-        TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn(),
-        console=console, transient=True,
-        disable=not console.is_terminal,  # it would leave an empty line in a file
-    ) as bar:  # fmt: skip
-        task = bar.add_task("starting", total=1.0)
-
-        def report(fraction: float, message: str) -> None:
-            bar.update(task, completed=fraction, description=message)
-
-        yield report
 
 
 def print_reports(reports: Sequence[Report]) -> None:

@@ -133,7 +133,7 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigure
         wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
         figures = SceneFigures(opening, objects)
-        picture, least = app.in_scene.picture, min(PICTURE_BYTES, 10 * FACES * objects)
+        picture, least = app.scene.picture, min(PICTURE_BYTES, 10 * FACES * objects)
         wait_for(lambda: picture.shown and browser.received > least, "the first object")
         figures.first_ms = 1000 * (time.perf_counter() - start)
         worker = server.app_state.workers.geometry.pid
@@ -168,7 +168,7 @@ def _peak_memory(pid: int) -> float:
 
 
 def _pick(app: Any, objects: int) -> float:
-    picture, rng, taken = app.in_scene.picture, np.random.default_rng(1), []
+    picture, rng, taken = app.scene.picture, np.random.default_rng(1), []
     low, high = picture.bounds()
     for _ in range(20):
         target = rng.uniform(low, high)

@@ -239,12 +239,13 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
         browser = SimulatedBrowser(server.url)
         wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
-        wait_for(lambda: app.object is not None and app.object.asset is not None, "the object")
-        wait_for(lambda: app.drawn, "the picture")
+        shown = app.tab.selection
+        wait_for(lambda: shown.object is not None and shown.object.asset is not None, "the object")
+        wait_for(lambda: app.drawing.drawn, "the picture")
         drawn = time.perf_counter()
-        asset = app.object.asset
+        asset = shown.object.asset
         figures = UiFigures(path.stem, asset.element_count, 1000 * (drawn - start))
-        wait_for(lambda: not app.object.busy, "the segmenter")
+        wait_for(lambda: not shown.object.busy, "the segmenter")
         figures.encode_ms = 1000 * (time.perf_counter() - drawn)
         browser.quiet()
         watch = LoopWatch(server.viser.get_event_loop())
@@ -262,21 +263,27 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
 def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int) -> None:
     """Click on random visible points of three drawers, each for its own part."""
     rng = np.random.default_rng(1)
-    asset, taken, sent = app.object.asset, [], []
+    shown = app.tab.selection
+    asset, taken, sent = shown.object.asset, [], []
     low = asset.bounds[0]
     for k in range(clicks):
-        app.part = 1 + k % 3
+        shown.part = 1 + k % 3
         target = np.array([rng.uniform(-0.3, 0.3), low[1], 0.15 + 0.3 * (k % 3)])
         target[2] += rng.uniform(-0.1, 0.1)
         origin = np.array([target[0] + 0.3, low[1] - 2.0, target[2] + 0.3])
         direction = (target - origin) / np.linalg.norm(target - origin)
-        before, count = browser.quiet(0.3), len(app.object.document.prompts)
+        before, count = browser.quiet(0.3), len(shown.object.document.prompts)
         start = time.perf_counter()
         ray = tuple(map(float, origin)), tuple(map(float, direction))
-        app.act(lambda ray=ray: app.pointing.click(*ray, True))
-        wait_for(lambda count=count: len(app.object.document.prompts) > count, "the prompt")
+        app.tab.act(lambda ray=ray: app.pointing.click(*ray, True))
         wait_for(
-            lambda: app.object.document.segmentation_current and app.shows_labels, "the labels"
+            lambda count=count: len(app.tab.selection.object.document.prompts) > count, "the prompt"
+        )
+        wait_for(
+            lambda: (
+                app.tab.selection.object.document.segmentation_current and app.drawing.shows_labels
+            ),
+            "the labels",
         )
         taken.append(time.perf_counter() - start)
         sent.append(browser.quiet(0.3) - before)
@@ -288,9 +295,9 @@ def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int)
 
 def _baseline(app: Any, browser: SimulatedBrowser, figures: UiFigures) -> None:
     """Send the whole object again, as a viewer without differences does at each click."""
-    asset = app.object.asset
+    asset = app.tab.selection.object.asset
     before, start = browser.quiet(), time.perf_counter()
-    app.scene.show_asset(asset)
+    app.picture.show_asset(asset)
     wait_for(lambda: browser.last > start, "the whole object")
     figures.whole_bytes = browser.quiet(1.0) - before
     figures.whole_ms = 1000 * (browser.last - start)
@@ -303,10 +310,10 @@ def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
         for k in range(links)
     )
     tree = KinematicTree(tuple(f"link_{k}" for k in range(links + 1)), joints)
-    app.scene.parts.pretend(range(links + 1))
+    app.picture.parts.pretend(range(links + 1))
     start = time.perf_counter()
     for tick in range(ticks):
-        app.scene.parts.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
+        app.picture.parts.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
     return ticks / (time.perf_counter() - start)
 
 
