@@ -22,25 +22,21 @@ class TabThreads:
     """Carries out a tab's actions, and draws.
 
     Args:
-        name: the log and the threads call the tab so.
-        draw: sends what changed.
+        name: of the tab, for the log.
         notify: shows a person ``(title, body, colour)``.
     """
 
-    def __init__(
-        self, name: str, draw: Callable[[], None], notify: Callable[[str, str, str], None]
-    ) -> None:
+    def __init__(self, name: str, notify: Callable[[str, str, str], None]) -> None:
         self.closed = False
         self._name = name
-        self._draw = draw
         self._notify = notify
         self._actions: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._dirty = threading.Event()
 
-    def start(self) -> None:
-        """Begin; what was asked for before is done now."""
-        for target in (self._act_loop, self._draw_loop):
-            threading.Thread(target=target, name=self._name, daemon=True).start()
+    def start(self, draw: Callable[[], None]) -> None:
+        """Begin, with what was asked for before; ``draw`` sends what changed."""
+        for target, args in ((self._act_loop, ()), (self._draw_loop, (draw,))):
+            threading.Thread(target=target, args=args, name=self._name, daemon=True).start()
 
     def close(self) -> None:
         """End both threads: the tab is gone."""
@@ -71,14 +67,14 @@ class TabThreads:
                 self._notify("Something broke", "Nothing was lost; see the server's log", "red")
             self.invalidate()
 
-    def _draw_loop(self) -> None:
+    def _draw_loop(self, draw: Callable[[], None]) -> None:
         while True:
             self._dirty.wait()
             self._dirty.clear()
             if self.closed:
                 return
             try:
-                self._draw()
+                draw()
             except Exception:  # the boundary of drawing: a closing tab must not end the server
                 if not self.closed:
                     log.exception("drawing %s failed", self._name)

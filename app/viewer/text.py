@@ -13,3 +13,8 @@ def plain(text: str, limit: int = 120) -> str:
     """
     short = text if len(text) <= limit else text[: limit - 1] + "…"
     return "".join(c if c.isalnum() or c in _KEEP else f"&#{ord(c)};" for c in short)
+
+
+def percent(share: float) -> str:
+    """A share, 0..1, with one digit; what there is at all is never shown as nothing."""
+    return "< 0.1 %" if share < 0.0005 else f"{100 * share:.1f} %"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -21,42 +21,44 @@ DRAWER = replace(DOOR, type="prismatic", axis=(-1, 0, 0), lower=0.0, upper=0.4)
 
 
 @pytest.fixture
-def app(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A tab with a door that was predicted, whose geometry says a drawer."""
-    app = SimpleNamespace(joint=DOOR, asked=[])
+def editor(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Edits a door that was predicted, whose geometry says a drawer."""
+    monkeypatch.setattr(JointEditor, "__init__", lambda self: None)
+    editor: Any = JointEditor()  # type: ignore[call-arg]
+    editor.asked = []
 
     def submit(task: Any, _source: Any, tree: KinematicTree, *rest: Any, **_: Any) -> Future[Joint]:
-        app.asked.append((task, tree.joint_of["link_1"], *rest))
+        editor.asked.append((task, tree.joint_of["link_1"], *rest))
         done: Future[Joint] = Future()
         done.set_result(DRAWER)
         return done
 
     tree = KinematicTree(("link_0", "link_1"), (DOOR,))
     doc = Document(tree=tree, prediction=Prediction(tree))
-    app.object = SimpleNamespace(document=doc, source=lambda: None)
-    app.need_object = lambda: app.object
-    app.set_joint = lambda joint: setattr(app, "joint", joint)
-    app.app_state = SimpleNamespace(
-        workers=SimpleNamespace(prediction=SimpleNamespace(submit=submit))
+    obj = SimpleNamespace(document=doc, source=lambda: None)
+    selection = SimpleNamespace(joint=DOOR, need_object=lambda: obj)
+    editor._tab = SimpleNamespace(
+        selection=selection, do=lambda command: setattr(selection, "joint", command.joint)
     )
-    monkeypatch.setattr(JointEditor, "__init__", lambda self, app: setattr(self, "_app", app))
-    return app
+    editor._worker = SimpleNamespace(submit=submit)
+    editor.selection = selection
+    return editor
 
 
-def test_a_door_made_a_drawer_takes_axis_and_range_from_the_geometry(app: Any) -> None:
-    JointEditor(cast(Any, app)).set_type("prismatic")
-    assert app.asked == [(snapping_tasks.retype_joint, DOOR, "link_1", "prismatic")]
-    assert app.joint == DRAWER
+def test_a_door_made_a_drawer_takes_axis_and_range_from_the_geometry(editor: Any) -> None:
+    editor.set_type("prismatic")
+    assert editor.asked == [(snapping_tasks.retype_joint, DOOR, "link_1", "prismatic")]
+    assert editor.selection.joint == DRAWER
 
 
-def test_the_predicted_type_comes_back_as_predicted(app: Any) -> None:
-    app.joint = replace(DRAWER, name="front")
-    JointEditor(cast(Any, app)).set_type("revolute")
-    assert app.joint == replace(DOOR, name="front")
-    assert not app.asked
-    app.joint = replace(DRAWER, parent="link_2")
-    JointEditor(cast(Any, app)).set_type("revolute")
-    assert app.asked, "the prediction is of a joint on another part"
+def test_the_predicted_type_comes_back_as_predicted(editor: Any) -> None:
+    editor.selection.joint = replace(DRAWER, name="front")
+    editor.set_type("revolute")
+    assert editor.selection.joint == replace(DOOR, name="front")
+    assert not editor.asked
+    editor.selection.joint = replace(DRAWER, parent="link_2")
+    editor.set_type("revolute")
+    assert editor.asked, "the prediction is of a joint on another part"
 
 
 def test_an_axis_is_shown_without_a_trace_of_the_other_side() -> None:

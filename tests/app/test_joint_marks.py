@@ -15,6 +15,7 @@ from app.server.validating import JointCheck
 from app.viewer.picture.joint_marks import AxisMark, JointMarks
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.moving_parts import MovingParts
+from app.viewer.tab import Selection
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 
@@ -96,25 +97,25 @@ def test_handles_go_with_what_the_joint_hangs_on_and_give_the_axis_at_rest() -> 
     client.add_transform_controls = add  # type: ignore[attr-defined]
     client.atomic = nullcontext  # type: ignore[attr-defined]
     changed: list[Joint] = []
-    app = SimpleNamespace(
-        object=SimpleNamespace(
-            document=SimpleNamespace(tree=TREE), asset=SimpleNamespace(diagonal=1.0)
-        ),
-        joint=UPPER,
-        client=client,
-        scene=SimpleNamespace(parts=JointMarks(client), marks=JointMarks(client)),  # type: ignore[arg-type]
-        set_joint=changed.append,
+    selection = Selection(lambda: None, "the queue")
+    selection.object = SimpleNamespace(  # type: ignore[assignment]
+        document=SimpleNamespace(tree=TREE), asset=SimpleNamespace(diagonal=1.0)
     )
-    motion = Motion(app)  # type: ignore[arg-type]
-    motion.gizmo_on = True
+    selection.child = "link_2"
+    tab: Any = SimpleNamespace(
+        client=client, selection=selection, do=lambda command: changed.append(command.joint)
+    )
+    picture: Any = SimpleNamespace(parts=JointMarks(client), marks=JointMarks(client))  # type: ignore[arg-type]
+    motion = Motion(tab, picture)
+    motion.handles.on = True
     motion.q = {"lower": math.pi / 2}
-    motion.draw_gizmo()
+    motion.handles.draw()
     np.testing.assert_allclose(handles.position, (0, -0.5, 0.1), atol=1e-9)
     motion.set_q("lower", 0.0)
     np.testing.assert_allclose(handles.position, UPPER.origin, atol=1e-9)
     motion.set_q("lower", math.pi / 2)
     handles.position = (0, -0.6, 0.1)  # a person pulls them on, by as far as the arm is long then
-    motion.take_gizmo()
+    motion.handles.release()
     np.testing.assert_allclose(changed[0].origin, (0, 0, 0.7), atol=1e-9)
     np.testing.assert_allclose(changed[0].axis, UPPER.axis, atol=1e-9)
 

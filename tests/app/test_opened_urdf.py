@@ -23,7 +23,7 @@ from app.server.open_object import OpenObject
 from app.server.part_tasks import articulated_object
 from app.server.tasks import arrays_of, stamp
 from app.viewer.panels.joint_text import joint_note
-from app.viewer.panels.review_panel import summary
+from app.viewer.steps.review import summary
 from model.core.joint import JointDynamics
 from model.io.assets.reader import load_object, told_entry
 from model.io.open_asset import open_asset

@@ -4,9 +4,10 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.server.tool_tasks import NEXT_MASK, TOOLS
-from app.viewer.panels.annotate_panel import TOOL_ROWS, AnnotatePanel, parts_listed
-from app.viewer.panels.prompt_list import prompt_entries
-from app.viewer.panels.review_panel import what_happened
+from app.viewer.panels.part_list import parts_listed
+from app.viewer.panels.prompt_list import PromptList, prompt_entries
+from app.viewer.panels.tool_buttons import TOOL_ROWS
+from app.viewer.steps.review import what_happened
 from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.commands import ClearPrompts, RemovePrompt, ResetJoint, SetJoint
@@ -57,12 +58,15 @@ def test_the_history_speaks_as_the_screens_do():
 def test_what_is_removed_is_of_the_part_whose_prompts_are_listed():
     prompts = tuple(Click((0.0, 0.0, 0.0), part) for part in (1, 1, 2))
     done: list[object] = []
-    app = SimpleNamespace(part=1, do=done.append, notify=lambda *said: done.append(said[1]))
-    panel: Any = SimpleNamespace(_app=app, _document=lambda: SimpleNamespace(prompts=prompts))
+    obj = SimpleNamespace(document=SimpleNamespace(prompts=prompts))
+    selection = SimpleNamespace(part=1, need_object=lambda: obj)
+    tab = SimpleNamespace(selection=selection, do=done.append)
+    tab.notify = lambda *said: done.append(said[1])
+    panel: Any = SimpleNamespace(_tab=tab)
 
     def press(part: int, action: str) -> object:
-        app.part = part
-        AnnotatePanel._prompt_action(panel, action)
+        selection.part = part
+        PromptList.remove(panel, action)
         return done[-1]
 
     assert press(1, "Last") == RemovePrompt(1, 1)

@@ -65,8 +65,16 @@ class Tab:
         return self.server.apps[max(self.server.apps)]
 
     @property
+    def selection(self) -> Any:
+        return self.app.tab.selection
+
+    @property
+    def object(self) -> Any:
+        return self.selection.object
+
+    @property
     def document(self) -> Any:
-        return self.app.object.document
+        return self.object.document
 
     def ready(self) -> Tab:
         """Wait for the object's picture and for clicks to be heard."""
@@ -77,7 +85,7 @@ class Tab:
         )
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(
-            lambda: self.app.object is not None and self.app.object.asset is not None,
+            lambda: self.object is not None and self.object.asset is not None,
             "the object is open",
         )
         self.wait_node("/scan")
@@ -94,7 +102,7 @@ class Tab:
 
     def camera_at_rest(self) -> Any:
         """Where the camera is once it has come to rest; a new object is flown to."""
-        view, still = self.app.client.camera, 0
+        view, still = self.app.tab.client.camera, 0
         last = np.asarray(view.position)
         while still < 3:
             self.page.wait_for_timeout(200)
@@ -127,7 +135,7 @@ class Tab:
         """Wait until the labels belong to the prompts."""
         wait_until(lambda: self.document.segmentation_current, "labels follow the prompts", seconds)
         wait_until(
-            lambda: not self.document.prompts or self.app.object.labels is not None, "labels shown"
+            lambda: not self.document.prompts or self.object.labels is not None, "labels shown"
         )
 
     def key(self, name: str) -> None:
@@ -136,7 +144,7 @@ class Tab:
 
     def wait_seen(self) -> None:
         """Wait until what is shown was there for long enough to be decided on."""
-        wait_until(lambda: self.app.seen.long_enough(time.monotonic()), "it was seen")
+        wait_until(lambda: self.app.guard.long_enough(time.monotonic()), "it was seen")
 
     def row(self, label: str) -> Any:
         """The row of a labelled widget."""
@@ -181,7 +189,7 @@ class Tab:
             if self.button(label).count():
                 self.button(label).first.click()
                 break
-        wait_until(lambda: self.app.stage == name, f"the {name} step")
+        wait_until(lambda: self.selection.step == name, f"the {name} step")
         self.page.wait_for_timeout(200)
 
 
@@ -190,7 +198,7 @@ class SceneTab(Tab):
 
     @property
     def scene(self) -> Any:
-        return self.app.in_scene
+        return self.app.scene
 
     @property
     def desk(self) -> Any:

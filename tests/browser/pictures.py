@@ -1,4 +1,4 @@
-"""The pictures of README.md and docs/annotating.md, taken of the real page.
+"""The pictures of the documents, taken of the real page.
 
 Run ``make pictures`` after a change of the screens (``make pictures ARGS="joints review"`` for
 some of them), and look at what git shows as changed. Data and cameras are the same each time.
@@ -23,7 +23,9 @@ from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from app.server.prompt_file import read_prompts
 from model.core.resources import static_assets
+from sessions import commands as cmd
 from tests.browser.browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
+from tests.browser.film import Film
 
 EXAMPLES = static_assets() / "examples"
 SIZE = (1400, 850)
@@ -60,8 +62,8 @@ class Taking:
         tab = kind(page, server)
         self._tabs.append(tab)
         tab.ready()
-        if tab.app.object is not None:
-            wait_until(lambda: not tab.app.object.busy, "the object is encoded", LONG)
+        if tab.object is not None:
+            wait_until(lambda: not tab.object.busy, "the object is encoded", LONG)
         free_of_notes(tab)  # viser's own: that there is no GPU
         return tab
 
@@ -88,11 +90,17 @@ class Taking:
         few.save(path, optimize=True)
         print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
 
+    def save_film(self, film: Film, name: str) -> Path:
+        """Write a moving picture among the others."""
+        path = self._out / f"{name}.webp"
+        film.save(path)
+        return path
+
 
 def look(tab: Tab, position: tuple[float, ...], at: tuple[float, ...]) -> None:
     """Put the camera there."""
     tab.camera_at_rest()
-    tab.app.client.camera.position, tab.app.client.camera.look_at = position, at
+    tab.app.tab.client.camera.position, tab.app.tab.client.camera.look_at = position, at
     tab.camera_at_rest()
     # The page says where it is, before places in the picture are computed.
     tab.page.wait_for_timeout(800)
@@ -129,24 +137,22 @@ def cabinet(taking: Taking) -> None:
         away(tab)
         free_of_notes(tab)
         taking.take(tab, "all_parts", (275, 165, 945, 665))
-        tab.app.act(tab.app.commands.undo)
+        tab.app.tab.act(tab.app.commands.undo)
         wait_until(lambda: not tab.document.prompts, "undo")
     if not taking.wanted("joints", "review"):
         return
     told = read_prompts(EXAMPLES / "cabinet.prompts.json")
-    from sessions import commands as cmd
-
-    tab.app.do(cmd.SetCategory(told.category))
+    tab.app.tab.do(cmd.SetCategory(told.category))
     for part, name in told.names.items():
-        tab.app.do(cmd.AddPart(part, name))
+        tab.app.tab.do(cmd.AddPart(part, name))
     for click in told.prompts.clicks:
-        tab.app.do(cmd.AddClick(click))
+        tab.app.tab.do(cmd.AddClick(click))
     tab.settled(LONG)
     tab.button("Predict joints (P)").first.click()
     wait_until(lambda: tab.document.tree is not None, "joints", LONG)
-    wait_until(lambda: tab.app.stage == "Joints", "the joints are shown")
-    wait_until(lambda: tab.app.object.judging.report, "a verdict", LONG)
-    wait_until(lambda: not tab.app.object.busy, "the sweeps are done", LONG)
+    wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
+    wait_until(lambda: tab.object.judging.report, "a verdict", LONG)
+    wait_until(lambda: not tab.object.busy, "the sweeps are done", LONG)
     tab.choose("Moves", "door 1")
     for count, (part, far) in enumerate(OPEN.items(), start=1):
         unit = "°" if part.startswith("door") else "mm"
@@ -175,7 +181,7 @@ def oven(taking: Taking) -> None:
         x, y = tab.pixel(DOOR)
         tab.page.mouse.move(x - 3, y)
         tab.page.mouse.move(x, y)
-        shown = tab.app.client.scene.get_handle_by_name
+        shown = tab.app.tab.client.scene.get_handle_by_name
         wait_until(lambda: shown("/hover/gained"), "dots under the pointer")
         taking.take(tab, "preview", front)
     if taking.wanted("rectangle"):
@@ -184,13 +190,13 @@ def oven(taking: Taking) -> None:
         return
     for part, (name, place) in enumerate((("door", DOOR), ("drawer", DRAWER)), start=1):
         tab.key(str(part))
-        wait_until(lambda part=part: tab.app.part == part, "the key chooses the part")
+        wait_until(lambda part=part: tab.selection.part == part, "the key chooses the part")
         tab.prompt(place)
         tab.button(name).click()
         wait_until(lambda part=part: part in tab.document.part_names, "it has a name")
         tab.page.evaluate("document.activeElement?.blur()")
     tab.key("3")
-    wait_until(lambda: tab.app.part == 3, "part 3")
+    wait_until(lambda: tab.selection.part == 3, "part 3")
     tab.prompt(KNOB)
     tab.key("z")
     wait_until(lambda: len(tab.document.parts) == 9, "all six knobs")
@@ -221,7 +227,7 @@ def rectangle(taking: Taking, tab: Tab) -> None:
 def lasso(taking: Taking, tab: Tab) -> None:
     """Round the oven's clock, the button still down."""
     tab.key("9")
-    wait_until(lambda: tab.app.part == 9, "part 9")
+    wait_until(lambda: tab.selection.part == 9, "part 9")
     tab.key("l")
     wait_until(lambda: tab.app.pointing.tool == "lasso", "the lasso")
     x, y = tab.pixel(CLOCK)
@@ -252,22 +258,69 @@ def scene(taking: Taking) -> None:
         LONG,
     )
     tab.set_slider("Above [%]", 50)
-    wait_until(lambda: tab.app.in_scene.card.above == 0.5, "the slider is heard")
+    wait_until(lambda: tab.scene.card.above == 0.5, "the slider is heard")
     tab.page.wait_for_timeout(1000)  # the button counts anew
     tab.page.get_by_role("button", name=re.compile(r"^Accept \d")).click()
     wait_until(lambda: desk.accepting.waiting or "accept" in desk.busy, "it begins")
     wait_until(lambda: not desk.accepting.waiting and "accept" not in desk.busy, "decided", LONG)
-    tab.app.act(lambda: tab.app.in_scene.choose("chair at the desk"))
-    wait_until(lambda: tab.app.in_scene.selected == "chair at the desk", "the chair is chosen")
+    tab.app.tab.act(lambda: tab.scene.choice.choose("chair at the desk"))
+    wait_until(lambda: tab.scene.choice.selected == "chair at the desk", "the chair is chosen")
     look(tab, (3.0, -5.9, 4.8), (0.1, 0.0, 0.2))
     away(tab)
     free_of_notes(tab)
     taking.take(tab, "scene")
 
 
-NAMES = ("all_parts", "joints", "review", "preview", "rectangle", "same_shape", "annotate",
+FILM_SIZE = (1120, 640)
+FILM_CLICKS = ((-0.42, -0.23, 0.51), (-0.03, -0.24, 0.25), (0.02, -0.24, 0.46),
+               (-0.06, -0.24, 0.67), (0.42, -0.23, 0.46))  # fmt: skip
+"""One place on each of the cabinet's doors and drawers."""
+
+
+def demo(taking: Taking) -> None:
+    """The moving picture: clicks, parts, joints that open and shut, on the bundled cabinet."""
+    if not taking.wanted("demo"):
+        return
+    tab = taking.open(size=FILM_SIZE)
+    look(tab, (-0.95, -2.3, 1.3), (0.02, -0.15, 0.36))
+    film = Film(tab.page)
+    caption = "1. Click on each part that moves"
+    film.take(caption, 900)
+    names = read_prompts(EXAMPLES / "cabinet.prompts.json").names
+    for part, place in enumerate(FILM_CLICKS, start=1):
+        tab.key(str(part))
+        wait_until(lambda part=part: tab.selection.part == part, "the key chooses the part")
+        film.take(caption, 300, tab.pixel(place))
+        tab.prompt(place)
+        tab.app.tab.do(cmd.NamePart(part, names[part]))
+        free_of_notes(tab)
+        film.take(caption, 500, tab.pixel(place), pressed=True)
+    tab.app.tab.do(cmd.SetCategory("StorageFurniture"))
+    caption = "2. Predict the joints (P)"
+    film.take(caption, 900)
+    tab.key("p")
+    wait_until(lambda: tab.document.tree is not None, "joints", LONG)
+    wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
+    wait_until(lambda: not tab.object.busy, "the sweeps are done", LONG)
+    free_of_notes(tab)
+    film.take(caption, 1200)
+    joints = [joint for joint in tab.document.tree.joints if joint.moves]
+    for open_share in (1 - np.cos(np.linspace(0, 2 * np.pi, 25))) / 2:
+
+        def pose(share: float = 0.9 * float(open_share)) -> None:
+            for joint in joints:
+                tab.app.motion.set_q(joint.name, share * (joint.upper or 0.0))
+            tab.app.joints_panel.show_q(tab.app.motion.q)
+
+        tab.app.tab.act(pose)
+        film.take("3. The joints move at once: correct, review, export", 90)
+    path = taking.save_film(film, "demo")
+    print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
+
+
+NAMES = ("demo", "all_parts", "joints", "review", "preview", "rectangle", "same_shape", "annotate",
          "lasso", "scene")  # fmt: skip
-PLAYS: tuple[Callable[[Taking], None], ...] = (cabinet, oven, scene)
+PLAYS: tuple[Callable[[Taking], None], ...] = (demo, cabinet, oven, scene)
 
 
 def main() -> None:

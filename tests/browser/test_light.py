@@ -29,15 +29,15 @@ def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
 
     wait_until(lambda: lit(True), "lit plainly, as nothing was chosen and a processor draws")
     assert tab.field("Plain light").is_checked()
-    first = tab.app.object
+    first = tab.object
     tab.key("n")
-    wait_until(lambda: tab.app.object not in (first, None) and tab.app.drawn, "the next object")
+    wait_until(lambda: tab.object not in (first, None) and tab.app.drawing.drawn, "the next object")
     tab.wait_node("/scan")
     assert lit(True)
     tab.field("Plain light").uncheck()
     wait_until(lambda: lit(False), "lit by its surroundings")
     page.reload()
-    wait_until(lambda: len(tab.server.apps) == 1 and tab.app.drawn, "the page again")
+    wait_until(lambda: len(tab.server.apps) == 1 and tab.app.drawing.drawn, "the page again")
     wait_until(lambda: lit(False), "lit by its surroundings again")
     tab.field("Plain light").check()
     wait_until(lambda: lit(True), "lit plainly again")

@@ -31,7 +31,7 @@ def annotate(tab: Tab, points: dict[str, np.ndarray]) -> None:
     tab.choose("Part is a", "door")
     wait_until(lambda: tab.document.part_names.get(1) == "door", "part 1 is a door")
     tab.key("2")
-    wait_until(lambda: tab.app.part == 2, "key 2 chooses part 2")
+    wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.prompt(points["drawer"])
     tab.choose("Part is a", "drawer")
     wait_until(lambda: tab.document.part_names.get(2) == "drawer", "part 2 is a drawer")
@@ -40,7 +40,7 @@ def annotate(tab: Tab, points: dict[str, np.ndarray]) -> None:
 def predict(tab: Tab) -> None:
     tab.button("Predict joints (P)").first.click()
     wait_until(lambda: tab.document.tree is not None, "a kinematic tree")
-    wait_until(lambda: tab.app.stage == "Joints", "the joints are shown")
+    wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
     tab.wait_node("/part/1")
 
 
@@ -54,21 +54,21 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     tab.button("● door").wait_for()
     for key, place in (("2", "drawer"), ("3", "base")):
         tab.key(key)
-        wait_until(lambda key=key: tab.app.part == int(key), "the key chooses the part")
+        wait_until(lambda key=key: tab.selection.part == int(key), "the key chooses the part")
         tab.page.get_by_text("Click a part that moves", exact=False).wait_for()
         tab.prompt(points[place])
     predict(tab)
     before = tab.document.prediction
     # The question is about the joint that is shown, as long as its part has no name.
     tab.page.get_by_text("What is part 2?").wait_for()
-    assert tab.app.child == "link_2"
-    tab.app.choose_joint("link_3")
+    assert tab.selection.child == "link_2"
+    tab.selection.choose_joint("link_3")
     tab.page.get_by_text("What is part 3?").wait_for()
-    tab.app.choose_joint("link_1")
+    tab.selection.choose_joint("link_1")
     tab.page.get_by_text("What is part 2? (Not the one chosen").wait_for()
     tab.button("drawer").click()
     tab.page.get_by_text("What is part 3?").wait_for()
-    assert tab.app.child == "link_3" and tab.document.prediction is before
+    assert tab.selection.child == "link_3" and tab.document.prediction is before
     # What no button says stands in a list, as in Annotate.
     tab.choose("Part is a", "seat")
     tab.button("lid").wait_for(state="hidden")
@@ -81,16 +81,16 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     assert tab.document.tree.joint_of["link_2"].type == "prismatic"
     tab.page.get_by_text("What is the object?").wait_for(state="hidden")
     # Where a joint was changed by hand the question stays, and the answer predicts nothing.
-    wait_until(lambda: not tab.app.object.busy, "the gate has judged")
+    wait_until(lambda: not tab.object.busy, "the gate has judged")
     predicted = tab.document.prediction
-    tab.app.do(SetCategory(None))
+    tab.app.tab.do(SetCategory(None))
     tab.app.motion.stop()
     tab.key("f")
     wait_until(lambda: tab.document.edited_joints, "a joint is flipped")
     tab.page.get_by_text("What is the object?").wait_for()
     tab.choose("Category", "Table")
     wait_until(lambda: tab.document.category == "Table", "the category is said")
-    assert tab.document.edited_joints and not tab.app.object.predicting
+    assert tab.document.edited_joints and not tab.object.predicting
     assert tab.document.prediction is predicted
 
 
@@ -106,7 +106,7 @@ def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -
     wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
     tab.page.get_by_text("Part 1 is: door").wait_for()
     tab.key("2")
-    wait_until(lambda: tab.app.part == 2, "key 2 chooses part 2")
+    wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.page.get_by_text("Click a part that moves", exact=False).wait_for()
     tab.prompt(points["drawer"])
     predict(tab)
@@ -136,8 +136,8 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     server = start(path)
     tab = open_tab(server)
     annotate(tab, points)
-    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
-    assert len(labels) == tab.app.object.asset.element_count
+    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
+    assert len(labels) == tab.object.asset.element_count
     predict(tab)
     tree = tab.document.tree
     door, drawer = tree.joint_of["link_1"], tree.joint_of["link_2"]
@@ -153,19 +153,19 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     # A slider moves the link; the drawn frame is where the kinematics says.
     tab.set_slider("drawer 2 [mm]", 100)
     wait_until(lambda: abs(tab.app.motion.q.get(drawer.name, 0) - 0.1) < 1e-6, "the slider moves q")
-    frame = tab.app.client.scene.get_handle_by_name("/part/2")
+    frame = tab.app.tab.client.scene.get_handle_by_name("/part/2")
     wait_until(lambda: np.allclose(frame.position, (0, -0.1, 0), atol=1e-3), "the link moves")
     tab.set_slider("door 1 [°]", 45)
     wait_until(
         lambda: abs(tab.app.motion.q.get(door.name, 0) - math.pi / 4) < 1e-6, "the door turns"
     )
-    frame = tab.app.client.scene.get_handle_by_name("/part/1")
+    frame = tab.app.tab.client.scene.get_handle_by_name("/part/1")
     expected = motion(door, math.pi / 4)[:3, 3]
     wait_until(lambda: np.allclose(frame.position, expected, atol=1e-4), "the door's frame")
 
     # Edit by number, then undo.
     tab.choose("Moves", "door 1")
-    wait_until(lambda: tab.app.child == "link_1", "the door is chosen")
+    wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
     tab.page.wait_for_timeout(300)
     tab.set_number("Upper [°]", 110)
     upper = math.radians(110)
@@ -189,7 +189,7 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
 
     # Accept; the asset on disk loads and moves alike.
     tab.step("Review")
-    wait_until(lambda: not tab.app.object.busy, "sweeps are done")
+    wait_until(lambda: not tab.object.busy, "sweeps are done")
     tab.button("Accept with your edits (Y)").click()
     wait_until(lambda: tab.document.review.state == "accepted", "accepted")
     saved = wait_until(lambda: tab.document.saved, "saved")
@@ -225,8 +225,8 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     tab.prompt(points["base"], ("Shift",))
     clicks = tab.document.prompts
     assert [c.positive for c in clicks] == [True, False]
-    asset = tab.app.object.asset
-    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
+    asset = tab.object.asset
+    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
     assert labels[clicks[0].element] == 1
     assert labels[clicks[1].element] != 1
     np.testing.assert_allclose(clicks[0].position, points["door"], atol=0.01 * asset.diagonal)
@@ -242,8 +242,8 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     wait_until(lambda: len(tab.document.prompts) == 3, "the box is a prompt")
     tab.settled()
     region = tab.document.prompts[2]
-    chosen = tab.app.object.services.store.get_array(region.elements)
-    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
+    chosen = tab.object.services.store.get_array(region.elements)
+    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
     assert region.count == len(chosen) > 0
     assert (labels[chosen] == 1).all()
 
@@ -259,7 +259,7 @@ def test_a_note_shows_the_whole_path(start: Any, open_tab: Any, cabinet: Any) ->
     """A long path was cut off where it says which file."""
     tab = open_tab(start(cabinet[0]))
     place = "/home/somebody/with_a_long_name/workspace_of_today/assets/cabinet-1"
-    tab.app.object.tell("Accepted", f"Saved in {place}", "green")
+    tab.object.tell("Accepted", f"Saved in {place}", "green")
     note = tab.page.get_by_text(place, exact=False)
     note.wait_for()
     assert note.evaluate("e => e.scrollWidth <= e.clientWidth")
@@ -277,7 +277,7 @@ def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
     edits = tab.document.edits
     for number in ("5", "4"):
         tab.key(number)
-        wait_until(lambda number=number: tab.app.part == int(number), f"part {number}")
+        wait_until(lambda number=number: tab.selection.part == int(number), f"part {number}")
     assert tab.document.edits == edits and [p.id for p in tab.document.parts] == [0, 1]
     tab.prompt(points["drawer"])
     assert [p.id for p in tab.document.parts] == [0, 1, 4]
@@ -310,12 +310,12 @@ def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> No
     predict(tab)
     before = tab.document.tree.joint_of["link_1"]
     tab.choose("Moves", "door 1")
-    wait_until(lambda: tab.app.child == "link_1", "the door is chosen")
+    wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
     tab.button("Axis handles (G)").click()
     tab.wait_node("/gizmo")
     tab.page.wait_for_timeout(800)
     # The handle along x: grab its arrow and pull.
-    tip = np.asarray(before.origin) + np.array([0.15 * tab.app.object.asset.diagonal, 0, 0])
+    tip = np.asarray(before.origin) + np.array([0.15 * tab.object.asset.diagonal, 0, 0])
     origin = tab.pixel(before.origin)
     moved = drag_until_moved(tab, tip, origin, before)
     after = tab.document.tree.joint_of["link_1"]
@@ -379,7 +379,7 @@ def test_two_tabs_show_the_same(start: Any, open_tab: Any, cabinet: Any) -> None
     second = open_tab(server)
     assert second.app is not one
     second.prompt(points["door"])
-    wait_until(lambda: len(one.object.document.prompts) == 1, "the first tab's state")
+    wait_until(lambda: len(one.tab.selection.object.document.prompts) == 1, "the first tab's state")
     first.wait_node("/prompt/0")
     first.wait_node("/tint/1")
     second.page.close()
@@ -396,8 +396,8 @@ def test_next_object_and_a_cloud(start: Any, open_tab: Any, cabinet: Any, tmp_pa
     points = write_cloud(chest)
     tab = open_tab(start(path, chest))
     tab.page.keyboard.press("n")
-    wait_until(lambda: tab.app.object.record.name == "chest", "the next object")
-    wait_until(lambda: tab.app.object.asset is not None, "the chest is open")
+    wait_until(lambda: tab.object.record.name == "chest", "the next object")
+    wait_until(lambda: tab.object.asset is not None, "the chest is open")
     tab.page.wait_for_timeout(1500)
     tab.prompt(points["lid"])
     wait_until(lambda: tab.document.segmentation_current, "labels")
@@ -418,40 +418,42 @@ def test_a_file_that_cannot_be_opened_says_so(
     page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
     page.goto(server.url)
     wait_until(lambda: server.apps, "the server sees the tab")
-    app = server.apps[max(server.apps)]
-    wait_until(lambda: app.object is not None and app.object.problem, "the problem is known")
+    selection = server.apps[max(server.apps)].tab.selection
+    wait_until(
+        lambda: selection.object is not None and selection.object.problem, "the problem is known"
+    )
     page.get_by_text("a_bad.ply").first.wait_for(timeout=20_000)
     hint = page.get_by_text("Click a part that moves", exact=False)
     hint.wait_for(state="hidden", timeout=20_000)
     again = page.get_by_role("button", name="Try again")
     again.wait_for(timeout=20_000)
     page.get_by_role("button", name="Take it off the list").click()
-    wait_until(lambda: app.object.asset is not None, "the next object is open")
-    assert len(app.app_state.queue.records()) == 1
+    wait_until(lambda: selection.object.asset is not None, "the next object is open")
+    assert len(server.app_state.queue.records()) == 1
     page.get_by_role("button", name="Put a_bad back").click()
     again.wait_for(timeout=20_000)
     bad.write_bytes(cabinet[0].read_bytes())
     again.click()
-    wait_until(lambda: app.object.asset is not None, "it opens once the file is mended")
+    wait_until(lambda: selection.object.asset is not None, "it opens once the file is mended")
     hint.wait_for(timeout=20_000)
     again.wait_for(state="hidden", timeout=20_000)
     page.keyboard.press("n")
-    wait_until(lambda: app.object.asset is not None, "the next one opens all the same")
+    wait_until(lambda: selection.object.asset is not None, "the next one opens all the same")
     page.context.close()
 
 
 def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path), has_touch=True)
-    tab.app.touch_wanted = True
-    tab.app.invalidate()
+    tab.app.annotate.source.touch = True
+    tab.app.tab.invalidate()
     tab.wait_node("/touch")
     tab.page.wait_for_timeout(500)
     x, y = tab.pixel(points["door"])
     tab.page.touchscreen.tap(x, y)
     wait_until(lambda: len(tab.document.prompts) == 1, "a tap is a prompt")
     tab.settled()
-    labels = tab.app.object.services.store.get_array(tab.document.segmentation.labels)
+    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
     assert labels[tab.document.prompts[0].element] == 1
 
 
@@ -465,42 +467,38 @@ def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_
     chooser = tab.page.locator('input[type="file"]').first
     chooser.set_input_files(str(folder / "notes.docx"))
     tab.page.get_by_text("can't be opened", exact=False).first.wait_for(timeout=20_000)
-    assert len(tab.app.app_state.queue.records()) == 1
+    assert len(tab.server.app_state.queue.records()) == 1
     chooser.set_input_files(str(folder / "chest.ply"))
-    wait_until(lambda: tab.app.object.record.name == "chest", "the upload is open")
-    wait_until(lambda: tab.app.object.asset is not None, "it is read")
-    assert tab.app.object.asset.element_kind == "point"
+    wait_until(lambda: tab.object.record.name == "chest", "the upload is open")
+    wait_until(lambda: tab.object.asset is not None, "it is read")
+    assert tab.object.asset.element_kind == "point"
 
 
 def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
     tab.prompt(points["door"])
-    before = tab.app.object.asset.bounds[1] - tab.app.object.asset.bounds[0]
+    before = tab.object.asset.bounds[1] - tab.object.asset.bounds[0]
     tab.page.get_by_text("Source", exact=True).first.click()
     tab.page.wait_for_timeout(300)
     tab.choose("Up axis", "y")
     tab.choose("File's unit", "millimetres")
     tab.button("Read again with these").click()
-    wait_until(
-        lambda: tab.app.object.asset is not None and tab.app.object.asset.up_axis == "y", "y is up"
-    )
-    size = tab.app.object.asset.bounds[1] - tab.app.object.asset.bounds[0]
+    wait_until(lambda: tab.object.asset is not None and tab.object.asset.up_axis == "y", "y is up")
+    size = tab.object.asset.bounds[1] - tab.object.asset.bounds[0]
     np.testing.assert_allclose(size, before[[0, 2, 1]] * 0.001, rtol=1e-6)
     assert not tab.document.prompts
     tab.page.get_by_text("0.8 mm wide: is the file in metres?").wait_for()
     tab.button("Yes, it is in metres").click()
     wait_until(
-        lambda: tab.app.object.asset is not None and tab.app.object.asset.unit_scale == 1.0,
+        lambda: tab.object.asset is not None and tab.object.asset.unit_scale == 1.0,
         "the file is in metres",
     )
     wait_until(lambda: not tab.button("Yes, it is in metres").count(), "there is nothing to ask")
     tab.page.keyboard.press("Control+z")
     tab.page.keyboard.press("Control+z")
     wait_until(lambda: len(tab.document.prompts) == 1, "undo brings the old reading back")
-    wait_until(
-        lambda: tab.app.object.asset is not None and tab.app.object.asset.up_axis == "z", "z is up"
-    )
+    wait_until(lambda: tab.object.asset is not None and tab.object.asset.up_axis == "z", "z is up")
 
 
 def below_the_picture(tab: Tab) -> bool:
@@ -513,7 +511,7 @@ def below_the_picture(tab: Tab) -> bool:
 def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
-    store = tab.app.app_state.store
+    store = tab.server.app_state.store
     tab.prompt(points["door"])
     first = store.get_array(tab.document.segmentation.labels)
     tab.page.keyboard.press("Tab")
@@ -543,7 +541,7 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     wait_until(lambda: not hint.is_visible(), "a click ends it")
     tab.page.keyboard.press("Tab")
     wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "the next click has masks anew")
-    while tab.app.object.state.can_undo and len(tab.document.prompts) > 1:
+    while tab.object.state.can_undo and len(tab.document.prompts) > 1:
         tab.app.commands.undo()
     tab.settled()
     np.testing.assert_array_equal(store.get_array(tab.document.segmentation.labels), first)

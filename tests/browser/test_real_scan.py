@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
 
 def frontmost(tab: Tab, height: float, across: float) -> np.ndarray:
     """The displayed point nearest to the viewer at a share of the height and of the width."""
-    asset = tab.app.object.asset
+    asset = tab.object.asset
     points, front = asset.display_points, np.asarray(asset.front)
     side = np.cross(front, (0.0, 0.0, 1.0))
     low, high = asset.bounds
@@ -37,7 +37,7 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
     tab.prompt(frontmost(tab, 0.5, 0.5))
     tab.choose("Part is a", "door")
     tab.key("2")
-    wait_until(lambda: tab.app.part == 2, "key 2 chooses part 2")
+    wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.prompt(frontmost(tab, 0.93, 0.5))
     tab.choose("Part is a", "door")
     wait_until(lambda: tab.document.part_names == {1: "door", 2: "door"}, "both are doors")
@@ -47,19 +47,21 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
     tree = wait_until(lambda: tab.document.tree, "a kinematic tree")
     assert tree.root == "link_0"
     assert all(j.moves for j in tree.joints)
-    wait_until(lambda: tab.app.stage == "Joints", "the joints are shown")
+    wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
     for joint in tree.joints:
         if joint.type != "revolute":  # what a person would mend
-            tab.app.act(lambda child=joint.child: tab.app.choose_joint(child))
-            wait_until(lambda child=joint.child: tab.app.child == child, "the joint is chosen")
-            tab.app.act(lambda: tab.app.joints_panel.editor.set_type("revolute"))
+            tab.app.tab.act(lambda child=joint.child: tab.selection.choose_joint(child))
+            wait_until(
+                lambda child=joint.child: tab.selection.child == child, "the joint is chosen"
+            )
+            tab.app.tab.act(lambda: tab.app.joints.editor.set_type("revolute"))
     wait_until(lambda: {j.type for j in tab.document.tree.joints} == {"revolute"}, "both swing")
-    wait_until(lambda: not tab.app.object.busy, "sweeps are done")
+    wait_until(lambda: not tab.object.busy, "sweeps are done")
     tab.wait_seen()
     tab.key("y")
-    if wait_until(lambda: tab.app.object.judging.report, "a verdict").severity == Severity.WARNING:
-        obj = tab.app.object  # it is shown first
-        wait_until(lambda: tab.app.review_panel.gate.looked_at(obj), "it was shown")
+    if wait_until(lambda: tab.object.judging.report, "a verdict").severity == Severity.WARNING:
+        obj = tab.object  # it is shown first
+        wait_until(lambda: tab.app.review.gate.looked_at(obj), "it was shown")
         tab.wait_seen()
         tab.key("y")
     wait_until(lambda: tab.document.review.state == "accepted", "accepted")

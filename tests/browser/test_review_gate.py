@@ -75,12 +75,12 @@ def check_marks_leave(tab: Tab, contact: Any) -> None:
     tab.page.evaluate("document.activeElement?.blur()")
     tab.key("r")
     wait_until(lambda: not tab.app.motion.q, "back at rest")
-    assert tab.app.client.scene.get_handle_by_name("/moment") is None
+    assert tab.app.tab.client.scene.get_handle_by_name("/moment") is None
     wait_until(lambda: not contact.visible, "no contact at rest")
     joint_button(tab, r"part 1.*: broken").click()
     tab.wait_node("/moment")
     tab.step("Joints")
-    assert tab.app.client.scene.get_handle_by_name("/moment") is None
+    assert tab.app.tab.client.scene.get_handle_by_name("/moment") is None
     tab.step("Review")
 
 
@@ -89,7 +89,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
 ) -> None:
     server = start(write_cupboard(tmp_path / "cupboard"), write_cupboard(tmp_path / "other"))
     tab = open_tab(server)
-    obj = tab.app.object
+    obj = tab.object
     record_prediction(obj, 0.4)
     tab.wait_node("/part/1")
     tab.step("Review")
@@ -101,13 +101,13 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     worst = report.of("door").worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.wait_node("/moment")
-    marker = tab.app.client.scene.get_handle_by_name("/moment")
+    marker = tab.app.tab.client.scene.get_handle_by_name("/moment")
     np.testing.assert_allclose(marker.position, worst.where)
-    frame = tab.app.client.scene.get_handle_by_name("/part/1")
+    frame = tab.app.tab.client.scene.get_handle_by_name("/part/1")
     expected = obj.document.tree.pose(worst.q)["link_1"][:3, 3]
     wait_until(lambda: np.allclose(frame.position, expected, atol=1e-6), "the posed link")
     tab.page.screenshot(path=str(tmp_path / "worst.png"))
-    contact = tab.app.client.scene.get_handle_by_name("/contact/0")
+    contact = tab.app.tab.client.scene.get_handle_by_name("/contact/0")
     assert contact.visible
 
     check_marks_leave(tab, contact)
@@ -131,7 +131,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     box = tab.field("Right all the same, because")
     box.fill("the shelf is soft")
     box.press("Enter")
-    wait_until(lambda: tab.app.review_panel.override_text == "the shelf is soft", "the reason")
+    wait_until(lambda: tab.app.review.override_text == "the shelf is soft", "the reason")
     tab.wait_seen()  # what was there before Undo counts as new
     joint_button(tab, "against the gate").click()
     wait_until(lambda: obj.document.saved is not None, "saved")
@@ -142,10 +142,10 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
         "the shelf is soft",
     )
     # The next object is there without a click.
-    wait_until(lambda: tab.app.object is not obj, "the next object")
+    wait_until(lambda: tab.object is not obj, "the next object")
     # Y once more is no change that would need the object to be reopened.
     tab.key("b")
-    wait_until(lambda: tab.app.object is obj, "back at it")
+    wait_until(lambda: tab.object is obj, "back at it")
     tab.wait_seen()
     tab.key("y")
     tab.page.get_by_text("It is already; Reopen lets it be changed").wait_for()
@@ -156,7 +156,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
 ) -> None:
     server = start(write_cupboard(tmp_path / "cupboard"), write_cupboard(tmp_path / "other"))
     tab = open_tab(server)
-    obj = tab.app.object
+    obj = tab.object
     other = server.app_state.object(server.app_state.queue.records()[1].id)
     hinge = replace(DOOR, origin=(-0.28, -0.003, 0.2))
     tree = KinematicTree(("link_0", "link_1"), (hinge,))
@@ -172,16 +172,16 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.key("y")  # a double press shows it, no more
     wait_until(lambda: tab.app.motion.q == dict(report.joints[0].worst.q), "the worst pose")
     tab.wait_node("/moment")
-    assert tab.app.stage == "Review" and obj.document.review.state == "predicted"
+    assert tab.selection.step == "Review" and obj.document.review.state == "predicted"
     joint_button(tab, "Accept as it is").wait_for()
     tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     # Its asset takes long to write: the person goes on meanwhile, and is told once it is there.
     held = server.app_state.workers.saving.submit(time.sleep, 600.0, priority=9)
     tab.key("y")
-    wait_until(lambda: tab.app.object is other, "the next object")
+    wait_until(lambda: tab.object is other, "the next object")
     assert obj.document.review.state == "predicted" and server.app_state.is_saving(obj.record.id)
-    first = tab.app.queue_panel._buttons[0]
+    first = tab.app.queue._buttons[0]
     wait_until(lambda: first.hint.endswith("cupboard: being saved"), "the queue tells it")
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
     held.cancel()
@@ -189,11 +189,11 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     assert obj.document.review.state == "accepted"
     wait_until(lambda: not obj.watched, "nobody looks at it any more")
     tab.wait_seen()
-    assert tab.app.object is other
-    tab.app.seen._sent = None  # as if it had only just come on the screen
+    assert tab.object is other
+    tab.app.guard._sent = None  # as if it had only just come on the screen
     tab.key("y")  # too early: nobody has seen it
     tab.page.wait_for_timeout(1500)
-    assert tab.app.review_panel.gate.looked_at(other) is None
+    assert tab.app.review.gate.looked_at(other) is None
     assert other.document.review.state == "predicted"
 
 
@@ -202,14 +202,14 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     tab.wait_seen()
     tab.key("y")
     tab.button("Don't accept yet (Esc)").wait_for()
-    assert tab.app.object.judging.waiting
+    assert tab.object.judging.waiting
     tab.page.screenshot(path=str(picture))
     # Who looked at another one meanwhile is told once all the same.
-    obj = tab.app.object
+    obj = tab.object
     tab.key("b")
-    wait_until(lambda: tab.app.object is not obj, "another object")
+    wait_until(lambda: tab.object is not obj, "another object")
     tab.key("n")
-    wait_until(lambda: tab.app.object is obj, "back at it")
+    wait_until(lambda: tab.object is obj, "back at it")
     tab.step("Review")
     tab.key("Escape")
     told = tab.page.get_by_text("Taken back before the joints were judged")
@@ -239,15 +239,15 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.step("Review")
     tab.field("Comment").fill("the hinge is bent")
     tab.page.evaluate("document.activeElement?.blur()")
-    wait_until(lambda: tab.app.review_panel.comment_text == "the hinge is bent", "the comment")
+    wait_until(lambda: tab.app.review.comment_text == "the hinge is bent", "the comment")
     tab.wait_seen()
     tab.key("y")
-    wait_until(lambda: tab.app.object is clean, "the next object")
-    first = tab.app.queue_panel._buttons[0]
+    wait_until(lambda: tab.object is clean, "the next object")
+    first = tab.app.queue._buttons[0]
     wait_until(lambda: first.hint.endswith("being judged, then accepted"), "the queue tells it")
     tab.wait_seen()
     tab.key("y")
-    wait_until(lambda: tab.app.object is third, "the next object again")
+    wait_until(lambda: tab.object is third, "the next object again")
     assert {o.document.review.state for o in (grazing, clean)} == {"predicted"}
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
     check_a_wish_is_taken_back(tab, tmp_path / "waiting.png")
@@ -257,24 +257,24 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.page.get_by_text("clean: Saved in", exact=False).wait_for()
     assert clean.document.review.state == "accepted"
     tab.page.get_by_text("Y again accepts it as it is", exact=False).first.wait_for()
-    assert grazing.document.review.state == "predicted" and tab.app.object is third
+    assert grazing.document.review.state == "predicted" and tab.object is third
     wait_until(lambda: "grazing: look again: part 1: Runs" in first.hint, "the queue says why")
     tab.page.screenshot(path=str(tmp_path / "look_again.png"))
 
     # The way back leads to the worst moment, with what was typed; Y has seen it now.
     tab.button("Look again: grazing").click()
-    wait_until(lambda: tab.app.object is grazing, "back at it")
+    wait_until(lambda: tab.object is grazing, "back at it")
     worst = grazing.judging.report.joints[0].worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.wait_node("/moment")
-    assert tab.app.stage == "Review" and tab.app.review_panel.comment_text == "the hinge is bent"
+    assert tab.selection.step == "Review" and tab.app.review.comment_text == "the hinge is bent"
     joint_button(tab, "Accept as it is").wait_for()
     tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "back.png"))
     tab.key("y")
     wait_until(lambda: grazing.document.saved is not None, "saved")
     assert grazing.document.review.comment == "the hinge is bent"
-    wait_until(lambda: not tab.app.queue_panel._again.visible, "nothing is held back")
+    wait_until(lambda: not tab.app.queue._again.visible, "nothing is held back")
 
 
 def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:
@@ -283,7 +283,7 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     file = read_prompts(path.with_suffix(".prompts.json"))
     server = start(path)
     tab = open_tab(server, 900, 600)
-    obj = tab.app.object
+    obj = tab.object
     obj.do(cmd.SetCategory(file.category), "tester")
     for part, name in file.names.items():
         obj.do(cmd.AddPart(part, name), "tester")
@@ -327,22 +327,22 @@ def test_the_least_sure_prediction_follows_a_decision(
     objects = [server.app_state.object(r.id) for r in server.app_state.queue.records()]
     for obj, sure in zip(objects, (0.5, 0.9, 0.2), strict=True):
         record_prediction(obj, sure)
-    assert tab.app.object is objects[0]
+    assert tab.object is objects[0]
     tab.step("Review")
-    carry_out = tab.app.do
+    carry_out = tab.app.tab.do
 
     def slowly(command: cmd.Command) -> None:
         carry_out(command)
         time.sleep(1)  # the tab draws the decision meanwhile
 
-    monkeypatch.setattr(tab.app, "do", slowly)
+    monkeypatch.setattr(tab.app.tab, "do", slowly)
     tab.page.evaluate("document.activeElement?.blur()")
     tab.wait_seen()
     tab.key("x")
-    wait_until(lambda: tab.app.rejecting.asking, "it asks what is wrong")
+    wait_until(lambda: tab.app.commands.rejecting.asking, "it asks what is wrong")
     assert objects[0].document.review.state == "predicted"
     tab.key("2")
     wait_until(lambda: objects[0].document.review.state == "rejected", "rejected")
-    wait_until(lambda: tab.app.object is objects[2], "the least sure one")
+    wait_until(lambda: tab.object is objects[2], "the least sure one")
     assert objects[0].document.review.reason == "axis"
-    wait_until(lambda: tab.app.stage == "Review", "its review")
+    wait_until(lambda: tab.selection.step == "Review", "its review")

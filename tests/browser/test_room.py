@@ -53,7 +53,7 @@ class RoomTab(SceneTab):
     @property
     def origin(self) -> np.ndarray:
         """Of the open object's frame in the room; it isn't turned there."""
-        return self.desk.world_from_copy(self.desk.items[self.scene.inside])[:3, 3]
+        return self.desk.world_from_copy(self.desk.items[self.scene.edit.inside])[:3, 3]
 
     def press(self, text: str) -> None:
         button = self.button(text).locator("visible=true").first
@@ -63,8 +63,8 @@ class RoomTab(SceneTab):
 
     def look(self, eye: Any, at: Any) -> None:
         """Orbit to where ``at`` is seen from ``eye``; both in the room."""
-        camera = self.app.client.camera
-        with self.app.client.atomic():
+        camera = self.app.tab.client.camera
+        with self.app.tab.client.atomic():
             camera.position = np.asarray(eye) - self.origin
             camera.look_at = np.asarray(at) - self.origin
         spot = np.asarray(at) - self.origin
@@ -101,36 +101,36 @@ class RoomTab(SceneTab):
 
     def open_room(self, eye: Any, at: Any) -> None:
         """Open the whole room to pick from, and look at a spot."""
-        if self.scene.selected != "room":  # it is chosen at first: there is nothing else
+        if self.scene.choice.selected != "room":  # it is chosen at first: there is nothing else
             self.page.get_by_role("button", name="room").first.click()
             self.clicks += 1
-        wait_until(lambda: self.scene.selected == "room", "the room is chosen")
+        wait_until(lambda: self.scene.choice.selected == "room", "the room is chosen")
         self.press("Pick an object out of it")
-        wait_until(lambda: self.scene.picking and self.app.drawn, "the room is open")
+        wait_until(lambda: self.selection.picking and self.app.drawing.drawn, "the room is open")
         self.wait_node("/scan")
-        wait_until(lambda: "encode" not in self.app.object.busy, "it can be clicked on", SLOW)
+        wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on", SLOW)
         for note in self.page.locator(".mantine-Notification-closeButton").all():
             note.click()  # it may lie over what is clicked
         self.look(eye, at)
 
     def aim(self, low: Any, high: Any) -> None:
         """Remember what stands between two corners as wanted, and what of it is to be seen."""
-        asset = tasks.asset_of(self.app.object.asset.folder)
+        asset = tasks.asset_of(self.object.asset.folder)
         self.points = asset.element_centers + self.origin
         wanted = ((self.points >= low) & (self.points <= high)).all(1)
         wanted[np.flatnonzero(wanted)[~largest_piece(self.points[wanted])]] = False
         self.wanted = wanted
-        self.seen = Picker(asset).select_box(self.app.pointing.camera(), *BETWEEN_PANELS)
+        self.seen = Picker(asset).select_box(self.app.queries.camera(), *BETWEEN_PANELS)
 
     @property
     def labels(self) -> np.ndarray:
-        labels = self.app.object.labels
+        labels = self.object.labels
         return np.zeros(len(self.points), int) if labels is None else labels
 
     @property
     def reached(self) -> float:
         """IoU of the chosen part with what is wanted."""
-        return iou(self.labels == self.app.part, self.wanted)
+        return iou(self.labels == self.selection.part, self.wanted)
 
     def click_until(self, good: float, most: int) -> None:
         """Click the middle of the largest visible error, as a person would, until it is good."""
@@ -138,7 +138,7 @@ class RoomTab(SceneTab):
             if self.reached >= good:
                 return
             seen = self.seen
-            answer = (self.labels == self.app.part)[seen]
+            answer = (self.labels == self.selection.part)[seen]
             found = next_click(self.points[seen], self.wanted[seen], answer)
             assert found is not None, f"nothing wrong is to be seen at IoU {self.reached:.2f}"
             spot = self.points[seen][found[0]] - self.origin
@@ -150,7 +150,7 @@ class RoomTab(SceneTab):
         before = len(self.document.prompts)
         self.key("k")
         wait_until(lambda: self.app.pointing.armed == "cut", "cut waits for places")
-        mine = self.seen[self.labels[self.seen] == self.app.part]
+        mine = self.seen[self.labels[self.seen] == self.selection.part]
         for z in (0.25, 0.7):
             off = np.abs(self.points[mine] - [0, y, z])[:, 1:].sum(1)
             self.click3d(self.points[mine[off.argmin()]] - self.origin)
@@ -158,9 +158,9 @@ class RoomTab(SceneTab):
         wait_until(lambda: len(self.document.prompts) > before, "the part is cut")
         self.settled()
         part = int(np.bincount(self.labels[self.wanted & (self.labels > 0)]).argmax())
-        if part != self.app.part:
+        if part != self.selection.part:
             self.key(str(part))
-            wait_until(lambda: self.app.part == part, "the wanted side is chosen")
+            wait_until(lambda: self.selection.part == part, "the wanted side is chosen")
         self.clicks += 4
 
     def take_out(self, name: str) -> str:
@@ -168,11 +168,12 @@ class RoomTab(SceneTab):
         self.field("It is a").fill(name)
         self.press("Take it out of the room")
         wait_until(
-            lambda: (self.scene.inside or "").startswith(name) and self.app.drawn, "it is open"
+            lambda: (self.scene.edit.inside or "").startswith(name) and self.app.drawing.drawn,
+            "it is open",
         )
         self.wait_node("/scan")
-        wait_until(lambda: "encode" not in self.app.object.busy, "it can be clicked on", SLOW)
-        return self.scene.inside
+        wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on", SLOW)
+        return self.scene.edit.inside
 
     def swing_open(self, degrees: int) -> None:
         """Predict the door's joint, limit it, accept it, and go back to the room."""
@@ -181,11 +182,11 @@ class RoomTab(SceneTab):
         (joint,) = tree.joints
         assert joint.type == "revolute" and abs(joint.axis[2]) > 0.9  # an upright hinge
         assert joint.lower == 0.0  # as it was scanned it is closed
-        wait_until(lambda: self.app.stage == "Joints", "the joints are shown")
+        wait_until(lambda: self.selection.step == "Joints", "the joints are shown")
         self.set_number("Upper [°]", degrees)
         wait_until(lambda: round(np.degrees(self.document.tree.joints[0].upper)) == degrees,
                    "the limit")  # fmt: skip
-        obj = self.app.object
+        obj = self.object
         self.step("Review")
         for _ in range(3):
             report = wait_until(
@@ -202,15 +203,15 @@ class RoomTab(SceneTab):
         accept.click()
         if report.severity == Severity.WARNING:  # it is shown first
             self.clicks += 1
-            wait_until(lambda: self.app.review_panel.gate.looked_at(obj), "it was shown")
+            wait_until(lambda: self.app.review.gate.looked_at(obj), "it was shown")
             self.wait_seen()
             accept.click()
         self.clicks += 4
         wait_until(lambda: obj.document.review.state == "accepted", "accepted", SLOW)
-        wait_until(lambda: self.scene.inside is None or self.app.object is not obj, "it goes on")
-        if self.scene.inside is not None:
+        wait_until(lambda: self.scene.edit.inside is None or self.object is not obj, "it goes on")
+        if self.scene.edit.inside is not None:
             self.press("Back to the scene (Backspace)")
-        wait_until(lambda: self.app.object is None, "back in the room")
+        wait_until(lambda: self.object is None, "back in the room")
 
 
 def test_two_objects_come_out_of_a_real_room(

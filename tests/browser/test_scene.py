@@ -77,7 +77,7 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.page.wait_for_timeout(700)
     low, high = tab.scene.picture.bounds(["rock 2"])
     tab.click3d([*((low + high) / 2)[:2], high[2]])
-    wait_until(lambda: tab.scene.selected == "rock 2", "a click chooses the rock")
+    wait_until(lambda: tab.scene.choice.selected == "rock 2", "a click chooses the rock")
     tab.button("Articulable").click()
     wait_until(lambda: tab.status("rock 2") == "todo", "a person says that it is articulable")
     tab.button("Undo").first.click()
@@ -86,29 +86,30 @@ def test_open_choose_work_in_place_accept_and_save(
     # N goes to what wants a decision; Enter works on it in place.
     tab.page.locator("canvas").first.focus()
     tab.key("n")
-    wait_until(lambda: tab.scene.selected == "cabinet 1", "N goes to the cabinet")
+    wait_until(lambda: tab.scene.choice.selected == "cabinet 1", "N goes to the cabinet")
     check_picture_of_the_chosen(tab)
     load_again(tab)
-    wait_until(lambda: tab.scene.selected == "cabinet 1", "a reload keeps the choice")
+    wait_until(lambda: tab.scene.choice.selected == "cabinet 1", "a reload keeps the choice")
     tab.page.locator("canvas").first.focus()
     tab.key("Enter")
-    wait_until(lambda: tab.app.object is not None and tab.app.drawn, "the cabinet is open")
+    wait_until(lambda: tab.object is not None and tab.app.drawing.drawn, "the cabinet is open")
     tab.wait_node("/scan")
-    root = tab.app.client.scene.get_handle_by_name("/world")
+    root = tab.app.tab.client.scene.get_handle_by_name("/world")
     pose = tab.desk.world_from_copy(tab.desk.items["cabinet 1"])
     np.testing.assert_allclose(root.position, np.linalg.inv(pose)[:3, 3], atol=1e-6)
     around = next(n for k, n in tab.scene.picture._nodes.items() if k[0] == "static")
     wait_until(
         lambda: around.ghost is not None and around.ghost.visible, "its surroundings: ghosts"
     )
-    assert tab.app.stage == "Joints"
+    assert tab.selection.step == "Joints"
     load_again(tab)
     wait_until(
-        lambda: tab.scene.inside == "cabinet 1" and tab.app.drawn, "a reload comes back to it"
+        lambda: tab.scene.edit.inside == "cabinet 1" and tab.app.drawing.drawn,
+        "a reload comes back to it",
     )
     tab.wait_node("/scan")
     tab.button("Back to the scene (Backspace)").click()
-    wait_until(lambda: tab.app.object is None and tab.scene.inside is None, "back in the scene")
+    wait_until(lambda: tab.object is None and tab.scene.edit.inside is None, "back in the scene")
 
     play_by_keys(tab)
     # All joints at once, then a decision from the scene.
@@ -119,7 +120,7 @@ def test_open_choose_work_in_place_accept_and_save(
     )
     tab.button("Stop (Space)").click()
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
-    wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choose(
+    wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choice.choose(
         "cabinet 1"), "the cabinet is chosen")  # fmt: skip
     tab.wait_seen()
     tab.button("Accept (Y)").first.click()
@@ -137,12 +138,12 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     tab = open_tab(server, kind=SceneTab)
     for id in ("cabinet 1", "cabinet 2"):
         wait_until(lambda id=id: tab.status(id) == "predicted", "it is predicted")
-    tab.scene.choose("cabinet 1")
+    tab.scene.choice.choose("cabinet 1")
     tab.page.locator("canvas").first.focus()
     tab.key("Enter")
-    wait_until(lambda: tab.app.object is not None and tab.app.drawn, "it is open")
+    wait_until(lambda: tab.object is not None and tab.app.drawing.drawn, "it is open")
     tab.wait_node("/part/1")
-    obj, app_state = tab.app.object, server.app_state
+    obj, app_state = tab.object, server.app_state
     wait_until(lambda: obj.judging.report, "a verdict")
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "judging is held up")
@@ -151,7 +152,10 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     obj.do(cmd.SetJoint(replace(joint, axis=tuple(-v for v in joint.axis))), "tester")
     tab.wait_seen()
     tab.key("y")
-    wait_until(lambda: tab.scene.inside is None and tab.scene.selected == "cabinet 2", "the next")
+    wait_until(
+        lambda: tab.scene.edit.inside is None and tab.scene.choice.selected == "cabinet 2",
+        "the next",
+    )
     row = tab.desk.row(tab.desk.items["cabinet 1"])
     assert row.shown == "judging" and obj.judging.waiting
     tab.page.wait_for_timeout(1500)
@@ -159,12 +163,12 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     held.cancel()
     tab.page.get_by_text("cabinet 1: drawer 2 is broken", exact=False).first.wait_for()
     assert tab.desk.row(tab.desk.items["cabinet 1"]).shown == "held"
-    assert tab.scene.selected == "cabinet 2" and obj.document.review.state == "predicted"
-    tab.scene.choose("cabinet 1")
+    assert tab.scene.choice.selected == "cabinet 2" and obj.document.review.state == "predicted"
+    tab.scene.choice.choose("cabinet 1")
     tab.page.get_by_text("Not accepted: drawer 2", exact=False).first.wait_for()
     tab.page.screenshot(path=str(tmp_path / "held.png"))
     tab.key("Enter")
-    wait_until(lambda: tab.app.object is obj and tab.app.stage == "Review", "its review")
+    wait_until(lambda: tab.object is obj and tab.selection.step == "Review", "its review")
     worst = obj.judging.report.joints[0].worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.page.wait_for_timeout(1000)

@@ -50,7 +50,7 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
 ) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
-    wait_until(lambda: not tab.app.object.busy, "the object is encoded")
+    wait_until(lambda: not tab.object.busy, "the object is encoded")
     x, y = tab.pixel(points["door"])
 
     def moved() -> Any:
@@ -58,17 +58,18 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
         tab.page.mouse.move(x - 3, y)
         tab.page.mouse.move(x, y)
         tab.page.wait_for_timeout(300)
-        return tab.app.client.scene.get_handle_by_name("/hover/gained")
+        return tab.app.tab.client.scene.get_handle_by_name("/hover/gained")
 
     wait_until(moved, "dots under the pointer")
     tab.wait_node("/hover/gained")
-    shown = tab.app.client.scene.get_handle_by_name("/hover/gained").points
+    shown = tab.app.tab.client.scene.get_handle_by_name("/hover/gained").points
     assert len(shown) and tab.document.prompts == ()
     # Off by its key: what was shown goes, and nothing comes any more.
     tab.key("v")
     wait_until(lambda: not tab.app.pointing.hover.on, "the preview is off")
     wait_until(
-        lambda: tab.app.client.scene.get_handle_by_name("/hover/gained") is None, "dots are gone"
+        lambda: tab.app.tab.client.scene.get_handle_by_name("/hover/gained") is None,
+        "dots are gone",
     )
     tab.prompt(points["door"])
     assert tab.document.segmentation.counts[1] > 0
@@ -82,16 +83,16 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
 def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
-    camera = np.asarray(tab.app.client.camera.position)
+    camera = np.asarray(tab.app.tab.client.camera.position)
     x, y = tab.pixel(points["drawer"])
     tool(tab, "l", "lasso")
     drag(tab, [(x - 90, y - 90), (x + 90, y - 90), (x + 90, y + 120), (x - 90, y + 120)])
     region = prompts_become(tab, 1)
     assert (region.tool, region.part, region.positive) == ("lasso", 1, True) and region.count
-    np.testing.assert_allclose(tab.app.client.camera.position, camera, err_msg="it orbited")
+    np.testing.assert_allclose(tab.app.tab.client.camera.position, camera, err_msg="it orbited")
     tool(tab, "i", "brush")
     tab.key("2")
-    wait_until(lambda: tab.app.part == 2, "part 2")
+    wait_until(lambda: tab.selection.part == 2, "part 2")
     x, y = tab.pixel(points["door"])
     drag(tab, [(x - 10, y), (x + 25, y)])
     region = prompts_become(tab, 2)
@@ -103,7 +104,7 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     tab.key("m")
     wait_until(lambda: tab.app.pointing.armed == "merge", "merge waits for a part")
     before = tab.document.parts
-    tab.app.act(lambda: tab.app.pointing.merge(1))
+    tab.app.tab.act(lambda: tab.app.pointing.merge(1))
     wait_until(lambda: [p.id for p in tab.document.parts] == [0, 2], "part 1 joined part 2")
     tab.settled()
     assert 1 not in tab.document.segmentation.parts
@@ -120,7 +121,7 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     tab.settled()
     region = tab.document.prompts[-1]
     assert region.tool == "cut" and region.part == 3
-    wait_until(lambda: tab.app.part == 3, "what was cut off is chosen, to be named")
+    wait_until(lambda: tab.selection.part == 3, "what was cut off is chosen, to be named")
     assert tab.app.pointing.armed == ""
 
 
@@ -147,26 +148,26 @@ def test_what_is_hidden_is_neither_drawn_nor_clicked(
         wait_until(lambda: tab.page.evaluate(_DRAWN) == count, what)
 
     for name, place in (("cabinet", points["door"]), ("chest", lid)):
-        if name != tab.app.object.record.name:
+        if name != tab.object.record.name:
             tab.key("n")
-            wait_until(lambda: tab.app.object.record.name == "chest", "the cloud")
-            wait_until(lambda: tab.app.drawn, "it is drawn")
+            wait_until(lambda: tab.object.record.name == "chest", "the cloud")
+            wait_until(lambda: tab.app.drawing.drawn, "it is drawn")
             tab.page.wait_for_timeout(1500)  # the page's own camera comes after
-        wait_until(lambda: not tab.app.object.busy, "the object is encoded")
+        wait_until(lambda: not tab.object.busy, "the object is encoded")
         tab.camera_at_rest()
         tab.prompt(place)
-        labels = tab.app.object.labels
+        labels = tab.object.labels
         front = tab.document.prompts[0].element
         drawn(len(labels), "all is drawn")
         tab.key("h")
         drawn(int((labels != 1).sum()), "without the part")
         tab.key("2")
-        wait_until(lambda: tab.app.part == 2, "part 2")
+        wait_until(lambda: tab.selection.part == 2, "part 2")
         tab.prompt(place)
         behind = tab.document.prompts[1].element
         assert behind != front and labels[behind] != 1
         tab.key("1")
-        wait_until(lambda: tab.app.part == 1, "part 1")
+        wait_until(lambda: tab.selection.part == 1, "part 1")
         tab.key("h")
         drawn(len(labels), "all again")
 
@@ -174,7 +175,7 @@ def test_what_is_hidden_is_neither_drawn_nor_clicked(
 def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:
     """The bundled oven: one knob, the others by their shape, one name, one undo."""
     tab = open_tab(start(OVEN))
-    wait_until(lambda: not tab.app.object.busy, "the object is encoded")
+    wait_until(lambda: not tab.object.busy, "the object is encoded")
     tab.prompt((-0.2518, -0.3616, 0.8229))
     tab.key("z")
     wait_until(lambda: len(tab.document.parts) > 3, "the other knobs are parts")
@@ -207,16 +208,18 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
         tab.page.wait_for_timeout(400)
     wait_until(lambda: tab.document.face_cuts, "faces are split")
     tab.settled()
-    asset = wait_until(lambda: tab.app.object.asset, "it is open with more faces")
+    asset = wait_until(lambda: tab.object.asset, "it is open with more faces")
     assert asset.element_count > 12
     mesh = asset_of(asset.folder).mesh
-    store = tab.app.app_state.store
+    store = tab.server.app_state.store
     labels = store.get_array(tab.document.segmentation.labels)
     door = mesh.triangles[labels == 1].reshape(-1, 3)
     # As exact as a click on the picture: two pixels.
     np.testing.assert_allclose(door.min(0), points["low"], atol=0.01)
     np.testing.assert_allclose(door.max(0), points["high"], atol=0.01)
-    np.testing.assert_allclose(tab.app.client.camera.position, camera, err_msg="the view jumped")
+    np.testing.assert_allclose(
+        tab.app.tab.client.camera.position, camera, err_msg="the view jumped"
+    )
     # Clicks go on from there: what is beside the door stays apart from it.
     assert tab.app.pointing.armed == "rectangle"  # for the next one of a row
     tab.key("Escape")
@@ -228,7 +231,7 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     while tab.document.face_cuts:
         tab.app.commands.undo()
     wait_until(
-        lambda: tab.app.object.asset is not None and tab.app.object.asset.element_count == 12,
+        lambda: tab.object.asset is not None and tab.object.asset.element_count == 12,
         "undo brings the old faces back",
     )
     assert not tab.document.prompts
@@ -255,8 +258,8 @@ def test_an_obj_with_its_texture_is_uploaded_in_one_go(
     with tab.page.expect_file_chooser() as chooser:
         tab.button("Add files").click()
     chooser.value.set_files([str(p) for p in chosen])
-    wait_until(lambda: tab.app.object.record.name == "tri", "the new object is open")
-    asset = wait_until(lambda: tab.app.object.asset, "it is read")
+    wait_until(lambda: tab.object.record.name == "tri", "the new object is open")
+    asset = wait_until(lambda: tab.object.asset, "it is read")
     assert not asset.warnings
     kept = asset.path.parent
     assert {p.name for p in kept.iterdir()} == {"oak.png", "tri.mtl", "tri.obj"}

@@ -28,9 +28,9 @@ def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
     (tmp_path / "cupboard.urdf").write_text(URDF)
     tab: Tab = open_tab(start(tmp_path / "cupboard.urdf"))
     app, page = tab.app, tab.page
-    wait_until(lambda: app.stage == "Joints", "its joints are shown")
+    wait_until(lambda: tab.selection.step == "Joints", "its joints are shown")
     page.get_by_text("As cupboard.urdf tells it.").wait_for()
-    wait_until(app.object.part_payloads, "the parts as they move")
+    wait_until(tab.object.part_payloads, "the parts as they move")
     page.evaluate("document.activeElement?.blur()")
     tab.key(" ")
     wait_until(lambda: app.motion.q.get("hinge", 0.0) > 0.1, "the door opens")

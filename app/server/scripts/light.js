@@ -1,5 +1,5 @@
 // Where a processor draws, reflections take most of each frame: who has chosen nothing yet begins
-// with plain light. What is written is what the application remembers here (ClientApp.remember).
+// with plain light. What is written is what the application remembers here (navigation.Memory).
 (() => {
   const key = "viser-user:artiworld";
   try {

@@ -6,23 +6,19 @@ import logging
 import math
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from app.server import picking_tasks, tool_tasks
-from app.server.jobs import PREVIEWS
 from app.server.open_object import OpenObject
 from app.server.pointer_messages import ArtiworldHoverMessage
-from app.server.segmenting import stored_prompts
+from app.viewer.input.queries import PointerQueries
 from app.viewer.picture import palette
+from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.tab import Tab
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 from model.segmentation.prompts import Click
 
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
-
 log = logging.getLogger(__name__)
-_SECONDS = 10.0
 _AGAIN = 0.25
 """Seconds until a place that could not be answered yet is asked again; the pointer may rest."""
 
@@ -30,13 +26,23 @@ _AGAIN = 0.25
 class Hover:
     """The preview of one tab, on a thread of its own: only the newest place counts.
 
+    Args:
+        clicking: whether a click now would be a prompt.
+
     Attributes:
         on: whether a person wants it.
         seconds: from the message to the preview, of the last one; for measuring.
     """
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(
+        self,
+        tab: Tab,
+        picture: ObjectPicture,
+        queries: PointerQueries,
+        clicking: Callable[[], bool],
+    ) -> None:
+        self._tab, self._picture, self._queries = tab, picture, queries
+        self._clicking = clicking
         self.on = True
         self.seconds: float | None = None
         self._place: tuple[float, float] | None = None
@@ -86,59 +92,34 @@ class Hover:
 
     def _show(self) -> bool:
         """Answer the newest place; False where that has to wait for the object."""
-        app, place, came = self._app, self._place, self._came
-        obj = app.object
+        selection, place, came = self._tab.selection, self._place, self._came
+        obj = selection.object
         if obj is None or obj.asset is None or place is None or not self._ready(obj):
             self._clear()
             return not (self.on and place is not None and obj is not None and obj.busy)
-        origin, direction = app.pointing.camera().ray(place)
-        hit = app.app_state.workers.geometry.submit(
-            picking_tasks.pick,
-            obj.asset.folder,
-            tuple(origin),
-            tuple(direction),
-            app.pointing.hidden_now(),
-            key=("hover", app.client.client_id),
-            priority=PREVIEWS,
-        ).result(_SECONDS)
+        hit = self._queries.pick_preview(obj.asset, place)
         if hit is None:
             self._clear()
             return True
-        element, part, doc = int(hit.element), app.part, obj.document
+        element, part, doc = int(hit.element), selection.part, obj.document
         wanted = (element, part, doc.key)
         if wanted == self._shown:
             return True
         x, y, z = (float(v) for v in hit.position)
-        answer = app.app_state.workers.segmentation.submit(
-            tool_tasks.hover,
-            obj.asset.folder,
-            app.app_state.workspace,
-            app.app_state.config.segmenter,
-            stored_prompts(doc),
-            Click((x, y, z), part, True, element),
-            key=("hover", app.client.client_id),
-            priority=PREVIEWS,
-            works_on=obj.asset.folder,
-        ).result(_SECONDS)
-        if self._place is None or obj is not app.object or obj.document.key != doc.key:
+        answer = self._queries.preview(obj.asset, doc, Click((x, y, z), part, True, element))
+        if self._place is None or obj is not selection.object or obj.document.key != doc.key:
             return True  # clicked or left meanwhile
         self._shown = wanted
-        app.scene.overlays.show_hover(answer.gained, answer.lost, palette.part_color(part))
+        self._picture.overlays.show_hover(answer.gained, answer.lost, palette.part_color(part))
         self.seconds = time.perf_counter() - came
         return True
 
     def _ready(self, obj: OpenObject) -> bool:
         """Whether a click here and now would be a prompt that is answered at once."""
-        app = self._app
-        return (
-            self.on
-            and app.stage == "Annotate"
-            and not app.pointing.armed
-            and app.pointing.tool == "click"
-            and not {"open", "encode", "segment", "room", "tool"} & set(obj.busy)
-        )
+        busy = {"open", "encode", "segment", "room", "tool"} & set(obj.busy)
+        return self.on and self._clicking() and not busy
 
     def _clear(self) -> None:
         if self._shown is not None:
             self._shown = None
-            self._app.scene.overlays.show_hover(None, None, palette.BASE_COLOR)
+            self._picture.overlays.show_hover(None, None, palette.BASE_COLOR)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from html import escape
+from typing import Any, Final
 
-from app.viewer.panels.quick_names import NUMBERED
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
+from app.viewer.tab import Tab
 
 KEYS: Final[tuple[tuple[str, str], ...]] = (
     ("Click", "this belongs to the chosen part"),
@@ -44,73 +43,68 @@ KEYS: Final[tuple[tuple[str, str], ...]] = (
 )
 """Each fits a line of the sheet, and all of them a small screen."""
 
-TOOL_KEYS: Final[tuple[tuple[str, str | None], ...]] = (
-    ("Merge", "M"),
-    ("Connected", "O"),
-    ("Grow", "U"),
-    ("Shrink", "J"),
-    ("Same shape", "Z"),
-    ("Mirror", None),
-    ("Split", None),
-    ("Leftovers", None),
-    ("All parts", None),
-    # The page itself hears L and I, since the drag may begin before a message is here.
-    ("Lasso", None),
-    ("Brush", None),
+_SHEET = (
+    "display:grid;grid-template-columns:max-content 1fr;gap:0.05em 1.2em;"
+    "font-size:0.82em;line-height:1.32"
 )
 
 
-def add_keys(app: ClientApp) -> None:
-    """Register every command with its key; they also stand in the palette (Ctrl+K)."""
-    gui = app.client.gui
+@dataclass(frozen=True)
+class Binding:
+    """One command of the palette (Ctrl+K).
 
-    def add(
-        label: str,
-        key: Any,
-        action: Callable[[], None],
-        modifier: Any = None,
-        *,
-        decides: bool = False,
-    ) -> None:
-        command = gui.add_command(label, hotkey=key, modifier=modifier)
-        carry_out = app.decide if decides else app.act
-        command.on_trigger(lambda _: carry_out(action))
+    Attributes:
+        label: its name there.
+        key: the key that triggers it too, or None.
+        action: what it does.
+        modifier: the keys that are held with it, or None.
+        decides: whether it decides about what is on the screen.
+    """
 
-    for part in range(10):
-        name = "the base" if part == 0 else f"part {part}"
-        add(f"Choose {name}", str(part), lambda part=part: app.commands.number(part))
-    add("Undo", "Z", app.commands.undo, "cmd/ctrl")
-    add("Redo", "Z", app.commands.redo, "cmd/ctrl+shift")
-    add("Predict joints", "P", app.commands.predict)
-    add("Play the joints", "space", app.commands.play)
-    add("Play all joints of the scene", "space", app.commands.play_all, "shift")
-    add("Reset the pose", "R", app.motion.reset)
-    add("Next joint or mask", "tab", app.commands.next_choice)
-    add("Mask before this one", "tab", app.commands.choice_before, "shift")
-    add("Next joint type", "T", app.joints_panel.editor.next_type)
-    add("Flip the axis", "F", app.joints_panel.editor.flip)
-    add("Axis handles", "G", app.motion.toggle_gizmo)
-    add("Hide or show the part", "H", app.annotate_panel.toggle_hidden)
-    # The page hears Shift and a number: which sign that writes depends on the keyboard.
-    for number, name in enumerate(NUMBERED, 1):
-        add(f"Name: {name}", None, lambda number=number: app.commands.answer(number))
-    add("Take the guessed category", None, lambda: app.commands.answer(0))
-    panel = app.annotate_panel
-    add("Delete the part", "delete", panel.delete_part)
-    for label, key in TOOL_KEYS:
-        add(f"Tool: {label}", key, lambda label=label: panel.use_tool(label))
-    add("Tool: Cut along a line, or a rectangle", "K", app.pointing.next_cut)
-    add("Preview under the pointer", "V", panel.toggle_hover)
-    add("Leave out floor and walls", None, app.source_panel.leave_out)
-    add("Cut this part out as an object", None, app.source_panel.cut_out)
-    add("Keys and mouse", None, app.commands.show_keys)
-    add("Accept", "Y", app.commands.accept, decides=True)
-    add("Reject", "X", app.commands.reject, decides=True)
-    add("Next object", "N", lambda: app.step(1))
-    add("Previous object", "B", lambda: app.step(-1))
-    add("Frame the object", "C", app.commands.frame)
-    if app.app_state.scene is not None:
-        add("Work on the chosen object", "enter", app.in_scene.enter)
-        add("Back to the scene", "backspace", app.in_scene.leave)
-    for stage in ("Annotate", "Joints", "Review"):
-        add(f"Step: {stage}", None, lambda stage=stage: app.set_stage(stage))
+    label: str
+    key: Any
+    action: Callable[[], None]
+    modifier: Any = None
+    decides: bool = False
+
+
+def add_keys(
+    tab: Tab, bindings: Iterable[Binding], decide: Callable[[Callable[[], None]], None]
+) -> None:
+    """Register commands with their keys; ``decide`` carries out those that decide."""
+    for binding in bindings:
+        command = tab.client.gui.add_command(
+            binding.label, hotkey=binding.key, modifier=binding.modifier
+        )
+        carry_out = decide if binding.decides else tab.act
+        command.on_trigger(lambda _, run=carry_out, action=binding.action: run(action))
+
+
+class KeySheet:
+    """The sheet of keys, over the picture."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        self._modal: Any = None
+
+    def toggle(self) -> None:
+        """Show the sheet, or close it."""
+        if self.close():
+            return
+        gui = self._tab.client.gui
+        self._modal = gui.add_modal("Keys and mouse")
+        with self._modal:
+            close = gui.add_button("Close (Esc)", color="gray")
+            rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in KEYS)
+            gui.add_html(f'<div style="{_SHEET}">{rows}</div>')
+        close.on_click(lambda _: self._close_clicked())
+
+    def _close_clicked(self) -> None:
+        self.close()
+
+    def close(self) -> bool:
+        """Close the sheet; whether it was there."""
+        modal, self._modal = self._modal, None
+        if modal is not None:
+            modal.close()
+        return modal is not None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import viser
 
-from app.server import picking_tasks, tool_tasks
 from app.server.pointer_messages import (
     ArtiworldAnswerMessage,
     ArtiworldHoverMessage,
@@ -15,18 +16,18 @@ from app.server.pointer_messages import (
     ArtiworldToolMessage,
     tell_page,
 )
+from app.server.tool_tasks import ToolRequest
 from app.viewer.input.hover import Hover
+from app.viewer.input.queries import Point, PointerQueries
+from app.viewer.input.tools import Tools
+from app.viewer.picture.motion import Motion
+from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.tab import Step, Tab
 from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
-
-PICK_SECONDS = 30.0
-FRAME_SECONDS = 5.0
-Point = tuple[float, float, float]
 Armed = Literal["", "cut", "rectangle", "merge"]
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": "Cut", "rectangle": "Cut a rectangle"}
@@ -58,6 +59,25 @@ def shares_face(click: Click, earlier: list[Click], apart: float) -> bool:
     )
 
 
+@dataclass(frozen=True)
+class PointerActions:
+    """What the pointer and the page's own keys ask of the rest of the tab.
+
+    Attributes:
+        show_keys: shows the sheet of keys.
+        answer: gets the digit that was pressed together with Shift.
+        dismiss: closes what Escape closes; whether anything was open.
+        withdraw: takes back an acceptance that waits.
+        click_scene: gets a ray's origin and direction while the whole scene is shown; else False.
+    """
+
+    show_keys: Callable[[], None]
+    answer: Callable[[int], None]
+    dismiss: Callable[[], bool]
+    withdraw: Callable[[], None]
+    click_scene: Callable[[Point, Point], bool]
+
+
 class Pointing:
     """What a click or a drag in the picture means now.
 
@@ -65,21 +85,39 @@ class Pointing:
         armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part;
             "" for nothing.
         tool: what a drag draws.
+        hover: the preview of a click.
+        tools: that change the chosen part.
     """
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(
+        self, tab: Tab, picture: ObjectPicture, motion: Motion, queries: PointerQueries
+    ) -> None:
+        self._tab, self._picture, self._motion, self._queries = tab, picture, motion, queries
+        self._selection = tab.selection
         self.armed: Armed = ""
         self.tool: Tool = "click"
-        self.hover = Hover(app)
+        self.hover = Hover(tab, picture, queries, self._clicking)
+        self.tools = Tools(tab, self.hover.forget)
         self._places: list[tuple[Point, int]] = []
         self._shifted = False
         self._frame: dict[str, Point] | None = None
         self._told: dict[str, Any] = {}
+        self._actions: PointerActions | None = None
+        tab.selection.on_open(self.begin)
+        tab.selection.on_step(self._step_begins)
 
-    def listen(self) -> None:
+    def _clicking(self) -> bool:
+        """Whether a click would be a prompt."""
+        return self._selection.step == "Annotate" and not self.armed and self.tool == "click"
+
+    def _step_begins(self, step: Step) -> None:
+        if step != "Annotate":
+            self.disarm()
+
+    def listen(self, actions: PointerActions) -> None:
         """Hear what the browser sends."""
-        app, scene = self._app, self._app.client.scene
+        self._actions = actions
+        tab, scene = self._tab, self._tab.client.scene
 
         @scene.on_click()
         def _(event: viser.SceneClickEvent) -> None:
@@ -91,20 +129,20 @@ class Pointing:
 
         @scene.on_rect_select(modifier="alt")
         def _(event: viser.SceneRectSelectEvent) -> None:
-            camera = self.camera()
-            app.act(lambda: self.box_select(event.screen_min, event.screen_max, camera, True))
+            camera = self._queries.camera()
+            tab.act(lambda: self._box_drawn(event.screen_min, event.screen_max, camera, True))
 
         @scene.on_rect_select(modifier="alt+shift")
         def _(event: viser.SceneRectSelectEvent) -> None:
-            camera = self.camera()
-            app.act(lambda: self.box_select(event.screen_min, event.screen_max, camera, False))
+            camera = self._queries.camera()
+            tab.act(lambda: self._box_drawn(event.screen_min, event.screen_max, camera, False))
 
-        endpoint = app.client._websock_connection
+        endpoint = tab.client._websock_connection
         endpoint.register_handler(ArtiworldHoverMessage, lambda _, m: self.hover.moved(m))
         endpoint.register_handler(ArtiworldStrokeMessage, lambda _, m: self._stroked(m))
         endpoint.register_handler(ArtiworldToolMessage, lambda _, m: self._tool_key(m.tool))
         endpoint.register_handler(
-            ArtiworldAnswerMessage, lambda _, m: app.act(lambda: app.commands.answer(int(m.number)))
+            ArtiworldAnswerMessage, lambda _, m: tab.act(lambda: actions.answer(int(m.number)))
         )
 
     def begin(self, *, same: bool = False) -> None:
@@ -126,8 +164,8 @@ class Pointing:
 
     def tell_page(self) -> None:
         """Let the page's script know what a drag means, and what to write below the picture."""
-        app = self._app
-        drawing = app.stage == "Annotate" and app.object is not None
+        selection = self._selection
+        drawing = selection.step == "Annotate" and selection.object is not None
         hint = self._hint() if drawing else ""
         state = {
             "tool": self.tool,
@@ -140,7 +178,7 @@ class Pointing:
         news = {k: v for k, v in state.items() if self._told.get(k) != v}
         if news:
             self._told = state
-            tell_page(app.client, **news)
+            tell_page(self._tab.client, **news)
 
     def _hint(self) -> str:
         if self.armed == "merge":
@@ -161,9 +199,8 @@ class Pointing:
 
     def _mask_hint(self) -> str:
         """Which of the masks for the last click is shown, or what helps where clicks don't."""
-        app = self._app
-        obj = app.need_object()
-        shown = obj.segmenting.mask_shown(obj.document, app.part)
+        obj = self._selection.need_object()
+        shown = obj.segmenting.mask_shown(obj.document, self._selection.part)
         if shown is not None:
             return f"Mask {shown.number + 1} of {shown.total} · Tab: the next one · Shift+Tab: back"
         last = obj.document.prompts[-1] if obj.document.prompts else None
@@ -177,19 +214,21 @@ class Pointing:
         """What a drag draws; the same tool again goes back to clicks."""
         self.tool = "click" if tool == self.tool else tool
         self.armed, self._places, self._shifted = "", [], False
-        self._app.scene.overlays.show_places(())
-        self._app.invalidate()
+        self._show_places()
+        self._tab.invalidate()
+
+    def _show_places(self) -> None:
+        self._picture.overlays.show_places(tuple(p for p, _ in self._places))
 
     def arm(self, what: Armed) -> None:
         """Let the next clicks be places of a cut, or a part to merge."""
-        app = self._app
-        if app.stage != "Annotate":
-            app.set_stage("Annotate")
+        if self._selection.step != "Annotate":
+            self._selection.set_step("Annotate")
         self.armed = "" if what == self.armed else what
         self.tool, self._places, self._shifted = "click", [], False
-        app.scene.overlays.show_places(())
+        self._show_places()
         self.hover.forget()
-        app.invalidate()
+        self._tab.invalidate()
 
     def next_cut(self) -> None:
         """A cut along a line, then a rectangle, then none."""
@@ -199,63 +238,53 @@ class Pointing:
         """Back to plain clicks."""
         if self.armed or self.tool != "click":
             self.armed, self.tool, self._places, self._shifted = "", "click", [], False
-            self._app.scene.overlays.show_places(())
-            self._app.invalidate()
+            self._show_places()
+            self._tab.invalidate()
 
     def _tool_key(self, tool: str) -> None:
-        app = self._app
+        actions, act = self._actions, self._tab.act
+        assert actions is not None
         if tool == "help":
-            app.act(app.commands.show_keys)
+            act(actions.show_keys)
         elif tool in ("click", "lasso", "brush"):
             # The page has switched already: that is no news for it.
             self._told["tool"] = tool
+            act(lambda: self._switch(tool, actions))  # type: ignore[arg-type]
 
-            def switch() -> None:
-                ends = app.rejecting.asking or bool(self.armed) or self.tool != "click"
-                ends = app.commands.close_keys() or ends
-                app.rejecting.cancel()
-                self.disarm()
-                self.tool = tool  # type: ignore[assignment]
-                if tool == "click" and not ends:  # Escape, with nothing else to leave
-                    app.commands.take_back()
-
-            app.act(switch)
+    def _switch(self, tool: Tool, actions: PointerActions) -> None:
+        ends = actions.dismiss()
+        ends = ends or bool(self.armed) or self.tool != "click"
+        self.disarm()
+        self.tool = tool
+        if tool == "click" and not ends:  # Escape, with nothing else to leave
+            actions.withdraw()
 
     # --- clicks
 
     def clicked(self, event: Any, positive: bool) -> None:
-        """A click's ray came from the browser."""
+        """Take a click's ray from the browser."""
         origin = tuple(float(v) for v in event.ray_origin)
         direction = tuple(float(v) for v in event.ray_direction)
-        self._app.act(lambda: self.click(origin, direction, positive))  # type: ignore[arg-type]
+        self._tab.act(lambda: self.click(origin, direction, positive))  # type: ignore[arg-type]
 
     def click(self, origin: Point, direction: Point, positive: bool) -> None:
         """A click in the picture: a prompt while annotating, else the choice of a joint."""
-        app = self._app
-        if app.overview is not None:
-            app.overview.click(origin, direction)
+        selection = self._selection
+        if self._actions is not None and self._actions.click_scene(origin, direction):
             return
-        obj = app.need_object()
+        obj = selection.need_object()
         if obj.asset is None:
             return
-        if app.stage != "Annotate" and any(app.motion.q.values()):
+        if selection.step != "Annotate" and any(self._motion.q.values()):
             # What the workers pick from is at rest, which what is seen isn't.
-            part = app.scene.parts.pick(origin, direction, app.hidden)
-            app.commands.choose_joint_of(part)
+            self._choose_joint_of(self._picture.parts.pick(origin, direction, selection.hidden))
             return
-        hit = app.app_state.workers.geometry.submit(
-            picking_tasks.pick,
-            obj.asset.folder,
-            origin,
-            direction,
-            self.hidden_now(),
-            priority=20,
-        ).result(PICK_SECONDS)
+        hit = self._queries.pick(obj.asset, origin, direction)
         if hit is None:
-            tell_page(app.client, said="Nothing there")
+            self._tab.say("Nothing there")
             return
-        if app.stage != "Annotate":
-            app.commands.choose_joint_at(hit.element)
+        if selection.step != "Annotate":
+            self._choose_joint_at(hit.element)
             return
         self.hover.forget()
         position = tuple(float(v) for v in hit.position)
@@ -265,16 +294,33 @@ class Pointing:
         elif self.armed == "merge":
             self._merge_at(element)
         else:
-            click = Click(position, app.part, positive, element)  # type: ignore[arg-type]
+            click = Click(position, selection.part, positive, element)  # type: ignore[arg-type]
             if obj.asset.element_kind == "face":
                 self._tell_of_shared_face(click, _FACE_APART * obj.asset.diagonal)
-            app.do(cmd.AddClick(click))
+            self._tab.do(cmd.AddClick(click))
+
+    def _choose_joint_at(self, element: int) -> None:
+        """Choose the joint whose part holds an element of the source."""
+        part = self._selection.need_object().part_of(element)
+        if part is not None:
+            self._choose_joint_of(part)
+
+    def _choose_joint_of(self, part: int | None) -> None:
+        """Choose the joint that moves a part, where there is one."""
+        tree = self._selection.need_object().document.tree
+        link = f"link_{part}"
+        if tree is None or part is None:
+            self._tab.say("Nothing there" if part is None else "No joints yet")
+        elif link not in tree.joint_of:
+            self._tab.say("The base doesn't move")
+        else:
+            self._selection.choose_joint(link)
 
     def _tell_of_shared_face(self, click: Click, apart: float) -> None:
         """A triangle is all one part: who clicks it for two wants it cut."""
-        prompts = self._app.need_object().document.prompts
+        prompts = self._selection.need_object().document.prompts
         if shares_face(click, [p for p in prompts if isinstance(p, Click)], apart):
-            self._app.notify(
+            self._tab.notify(
                 "One triangle holds both clicks",
                 "It goes with the last one. To cut it along the border: K for a straight line, "
                 "K twice for a rectangle",
@@ -282,43 +328,39 @@ class Pointing:
             )
 
     def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
-        app = self._app
         self._shifted = self._shifted or not plain
         self._places.append((position, element))
-        app.scene.overlays.show_places(tuple(p for p, _ in self._places))
+        self._show_places()
         if len(self._places) < self._needed:
             self._frame = self._rectangle_frame(position, direction)
-            app.invalidate()
+            self._tab.invalidate()
             return
         places, self._places = self._places, []
         tool, exact, self._frame = self.armed, self._shifted, None
         self._shifted = False
         if tool == "cut":  # doors and drawers come in rows: the rectangle stays for the next one
             self.armed = ""
-        app.scene.overlays.show_places(())
-        request = tool_tasks.ToolRequest(
+        self._show_places()
+        request = ToolRequest(
             tool,
-            app.part,
+            self._selection.part,
             places=tuple(p for p, _ in places),
             element=places[0][1],
             view=direction,
             exact=exact,
         )
-        app.annotate_panel.use(request, _CUTS[tool])
-        app.invalidate()
+        self.tools.use(request, _CUTS[tool])
+        self._tab.invalidate()
 
     def _rectangle_frame(self, corner: Point, view: Point) -> dict[str, Point] | None:
         """What the page needs to draw the rectangle that the pointer spans."""
         if self.armed != "rectangle":
             return None
-        app_state, asset = self._app.app_state, self._app.need_object().need_asset()
-        try:
-            out, across = app_state.workers.segmentation.submit(
-                tool_tasks.frame_at, asset.folder, corner, view, priority=15, works_on=asset.folder
-            ).result(FRAME_SECONDS)
-        except TimeoutError:
+        asset = self._selection.need_object().need_asset()
+        found = self._queries.rectangle_frame(asset, corner, view)
+        if found is None:
             return None  # the workers are busy: the cut itself can wait for them
-        return {"corner": corner, "out": out, "across": across}
+        return {"corner": corner, "out": found[0], "across": found[1]}
 
     @property
     def _needed(self) -> int:
@@ -327,84 +369,47 @@ class Pointing:
 
     def _merge_at(self, element: int) -> None:
         self.armed = ""
-        part = self._app.need_object().part_of(element)
+        part = self._selection.need_object().part_of(element)
         if part is not None:
             self.merge(part)
         else:
-            self._app.notify("Merge", "There are no parts yet: click on one first", "gray")
+            self._tab.notify("Merge", "There are no parts yet: click on one first", "gray")
 
     def merge(self, other: int) -> None:
-        """Part ``other`` joins the chosen one."""
+        """Join part ``other`` to the chosen one."""
         self.armed = ""
-        app = self._app
-        app.annotate_panel.use(
-            tool_tasks.ToolRequest("merge", app.part, other=other), f"Merge with part {other}"
-        )
+        request = ToolRequest("merge", self._selection.part, other=other)
+        self.tools.use(request, f"Merge with part {other}")
 
     # --- boxes and strokes
 
-    def box_select(self, low: Any, high: Any, camera: Camera, positive: bool) -> None:
-        """Everything visible in a rectangle goes to the chosen part."""
-        app = self._app
-        obj = app.need_object()
-        if obj.asset is None or app.stage != "Annotate":
+    def _box_drawn(self, low: Any, high: Any, camera: Camera, positive: bool) -> None:
+        """Give everything visible in a rectangle to the chosen part, or take it away."""
+        selection = self._selection
+        obj = selection.need_object()
+        if obj.asset is None or selection.step != "Annotate":
             return
-        ref, count = app.app_state.workers.geometry.submit(
-            picking_tasks.select_box, obj.asset.folder, app.app_state.workspace, camera, low, high,
-            one_piece=positive and app.picking_out, hidden=self.hidden_now(), priority=20,
-        ).result(PICK_SECONDS)  # fmt: skip
+        ref, count = self._queries.box(
+            obj.asset, camera, low, high, one_piece=positive and selection.picking
+        )
         self._add_region(ref, count, positive, "box")
 
     def _stroked(self, message: ArtiworldStrokeMessage) -> None:
-        camera = self.camera()
-        self._app.act(lambda: self.stroke(message, camera))
+        camera = self._queries.camera()
+        self._tab.act(lambda: self._stroke_drawn(message, camera))
 
-    def stroke(self, message: ArtiworldStrokeMessage, camera: Camera) -> None:
-        """Everything visible in a lasso or under a brush goes to the chosen part.
-
-        Raises:
-            GeometryError: for a stroke that is none.
-        """
-        app = self._app
-        obj = app.need_object()
-        if obj.asset is None or app.stage != "Annotate":
+    def _stroke_drawn(self, message: ArtiworldStrokeMessage, camera: Camera) -> None:
+        """Give everything visible in a lasso or under a brush to the chosen part."""
+        obj = self._selection.need_object()
+        if obj.asset is None or self._selection.step != "Annotate":
             return
         stroke = Stroke(message.tool, message.path, message.radius)  # type: ignore[arg-type]
-        ref, count = app.app_state.workers.geometry.submit(
-            picking_tasks.select_stroke,
-            obj.asset.folder,
-            app.app_state.workspace,
-            camera,
-            stroke,
-            self.hidden_now(),
-            priority=20,
-        ).result(PICK_SECONDS)
+        ref, count = self._queries.stroke(obj.asset, camera, stroke)
         self._add_region(ref, count, message.positive, stroke.kind)
 
     def _add_region(self, ref: str, count: int, positive: bool, tool: str) -> None:
-        app = self._app
         if not count:
-            app.notify(f"Nothing under the {tool}", "Draw over the object", "gray")
+            self._tab.notify(f"Nothing under the {tool}", "Draw over the object", "gray")
             return
         self.hover.forget()
-        app.do(cmd.AddRegion(app.part, ref, positive, count, tool))
-
-    def hidden_now(self) -> picking_tasks.Hidden | None:
-        """What the pointer passes, being hidden; None where nothing is."""
-        app = self._app
-        labelled = app.need_object().document.segmentation
-        if labelled is None or not app.hidden:
-            return None
-        return picking_tasks.Hidden(
-            app.app_state.workspace, labelled.labels, tuple(sorted(app.hidden))
-        )
-
-    def camera(self) -> Camera:
-        """The camera of this tab now."""
-        view = self._app.client.camera
-        return Camera(
-            position=np.asarray(view.position, np.float64),
-            world_from_camera=np.asarray(view.wxyz, np.float64),
-            fov=float(view.fov),
-            aspect=float(view.aspect),
-        )
+        self._tab.do(cmd.AddRegion(self._selection.part, ref, positive, count, tool))

@@ -5,16 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from app.viewer.panels.widgets import put
 from app.viewer.picture.palette import CATEGORIES
+from app.viewer.tab import Tab
 from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.finders import read_lexicon
 from sessions.records import ObjectRecord
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 _LISTED: Final = {c.lower(): c for c in CATEGORIES}
 _KINDS: Final = {
@@ -93,34 +91,42 @@ def _kinds() -> dict[str, str]:
     return {word: kind.name for kind in reversed(read_lexicon().kinds) for word in kind.words}
 
 
-def guesses_of(app: ClientApp) -> tuple[str, ...]:
-    """For the object that a tab shows: :func:`category_guesses`."""
-    return category_guesses(app.need_object().record, app.app_state.queue.records(), app.who)
-
-
 class CategoryGuess:
     """A row of guesses; what is clicked is said."""
 
-    def __init__(self, app: ClientApp, said: Callable[[str], None]) -> None:
-        """Put the row where the panel is; ``said`` gets the category."""
-        self._said = said
+    def __init__(
+        self,
+        tab: Tab,
+        records: Callable[[], Sequence[ObjectRecord]],
+        said: Callable[[str], None],
+    ) -> None:
+        """Put the row where the panel is.
+
+        Args:
+            records: the queue.
+            said: gets the category.
+        """
+        self._tab, self._records, self._said = tab, records, said
         self._shown: tuple[str, ...] = ()
-        self._row = app.client.gui.add_button_group(
+        self._row = tab.client.gui.add_button_group(
             "Shift+0",
             (_MARK,),
             hint="Guesses, by the file's name and what was said last; the key takes the first one",
             visible=False,
         )
-        self._row.on_click(lambda e: app.act(lambda: said(e.target.value.removesuffix(_MARK))))
+        self._row.on_click(lambda e: tab.act(lambda: said(e.target.value.removesuffix(_MARK))))
 
     @property
     def first(self) -> str | None:
         """The likeliest of those that are shown."""
         return next(iter(self._shown), None)
 
-    def show(self, guesses: Sequence[str]) -> None:
-        """Show guesses; without any the row is away."""
-        self._shown = tuple(guesses)
+    def show(self, wanted: bool) -> None:
+        """Show guesses for the open object where they are wanted; without any the row is away."""
+        record = self._tab.selection.need_object().record if wanted else None
+        self._shown = (
+            () if record is None else category_guesses(record, self._records(), self._tab.user)
+        )
         if self._shown:
             put(self._row, "options", tuple(g + _MARK for g in self._shown))
         put(self._row, "visible", bool(self._shown))

@@ -5,24 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import viser
 
 from app.server import snapping_tasks
 from app.server.display_names import joint_title, part_title
-from app.server.jobs import EDITS
+from app.server.jobs import EDITS, WorkerProcess
 from app.server.open_object import OpenObject
 from app.viewer.panels.joint_text import joint_note, shown
 from app.viewer.panels.widgets import differs, put
+from app.viewer.picture.motion import Motion
+from app.viewer.tab import Tab
 from model.core.errors import CommandError
 from model.core.joint import JOINT_TYPES, Joint
 from model.core.tree import KinematicTree
 from sessions import commands as cmd
 from sessions.document import Document
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 SNAP_SECONDS = 30.0
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -42,9 +41,17 @@ class JointEditor:
         pose_box: the place for the slider that moves it.
     """
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
-        gui = app.client.gui
+    def __init__(
+        self, tab: Tab, motion: Motion, worker: WorkerProcess, forget: Callable[[], None]
+    ) -> None:
+        """Make the widgets.
+
+        Args:
+            worker: snaps joints to the geometry.
+            forget: lets the step draw its fields again, as they may hold what was refused.
+        """
+        self._tab, self._motion, self._worker, self._forget = tab, motion, worker, forget
+        gui = tab.client.gui
         self._child = gui.add_dropdown("Moves", ("—",))
         self.pose_box = gui.add_folder(None)
         self._note = gui.add_markdown("")
@@ -70,7 +77,7 @@ class JointEditor:
             "Keep it", False, hint="Predicting again leaves this joint as it is"
         )
         self._reset = gui.add_button("Reset to the prediction", color="gray")
-        app.on_update(self._child, self._child_chosen)
+        tab.on_update(self._child, self._child_chosen)
         self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
         self._on_edit(self._type, lambda: self.set_type(self._type.value))
         self._on_edit(self._parent, lambda: self._change(parent=self._link(self._parent.value)))
@@ -80,13 +87,13 @@ class JointEditor:
         )
         self._on_edit(self._lower, lambda: self._limit("lower", self._lower.value))
         self._on_edit(self._upper, lambda: self._limit("upper", self._upper.value))
-        app.on_update(self._locked, self._lock)
-        self._axis_to.on_click(lambda e: app.act(lambda: self._preset(e.target.value)))
-        self._axis_box.on_click(lambda e: app.act(lambda: self._snap(f"axis {e.target.value}")))
-        self._origin_to.on_click(lambda e: app.act(lambda: self._snap(e.target.value)))
-        self._free.on_click(lambda e: app.act(lambda: self._limits(e.target.value)))
-        self._gizmo.on_click(lambda _: app.act(app.motion.toggle_gizmo))
-        self._reset.on_click(lambda _: app.act(self._reset_joint))
+        tab.on_update(self._locked, self._lock)
+        self._axis_to.on_click(lambda e: tab.act(lambda: self._preset(e.target.value)))
+        self._axis_box.on_click(lambda e: tab.act(lambda: self._snap(f"axis {e.target.value}")))
+        self._origin_to.on_click(lambda e: tab.act(lambda: self._snap(e.target.value)))
+        self._free.on_click(lambda e: tab.act(lambda: self._limits(e.target.value)))
+        self._gizmo.on_click(lambda _: tab.act(motion.toggle_handles))
+        self._reset.on_click(lambda _: tab.act(self._reset_joint))
 
     # --- what a person does
 
@@ -97,22 +104,25 @@ class JointEditor:
             try:
                 edit()
             finally:
-                self._app.joints_panel.forget()
+                self._forget()
 
-        self._app.on_update(field, edited)
+        self._tab.on_update(field, edited)
 
     def _need_joint(self) -> Joint:
-        joint = self._app.joint
+        joint = self._tab.selection.joint
         if joint is None:
             raise CommandError("choose a joint first: click a part, or press Tab")
         return joint
 
+    def _set(self, joint: Joint) -> None:
+        self._tab.do(cmd.SetJoint(joint))
+
     def _child_chosen(self) -> None:
-        self._app.choose_joint(self._link(self._child.value, joint_title))
+        self._tab.selection.choose_joint(self._link(self._child.value, joint_title))
 
     def _link(self, title: str, called: Callable[[Document, str], str] = part_title) -> str:
         """The link that, or whose joint, people call so."""
-        doc = self._app.need_object().document
+        doc = self._tab.selection.need_object().document
         for link in () if doc.tree is None else doc.tree.links:
             if called(doc, link) == title:
                 return link
@@ -121,24 +131,24 @@ class JointEditor:
     def _change(self, **changes: Any) -> None:
         joint = self._need_joint()
         if any(_differs(getattr(joint, k), v) for k, v in changes.items()):
-            self._app.set_joint(replace(joint, **changes))
+            self._set(replace(joint, **changes))
 
     def set_type(self, kind: Any) -> None:
         """Give the chosen joint another type, with the axis, origin and limits that it then has:
         as predicted where the prediction was of that type, else as the geometry says."""
-        obj, joint = self._app.need_object(), self._need_joint()
+        obj, joint = self._tab.selection.need_object(), self._need_joint()
         doc = obj.document
         if kind == joint.type:
             return
         predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
         if predicted is not None and (predicted.type, predicted.parent) == (kind, joint.parent):
-            self._app.set_joint(replace(predicted, name=joint.name))
+            self._set(replace(predicted, name=joint.name))
             return
         assert doc.tree is not None
-        job = self._app.app_state.workers.prediction.submit(
+        job = self._worker.submit(
             snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
-        self._app.set_joint(job.result(SNAP_SECONDS))
+        self._set(job.result(SNAP_SECONDS))
 
     def next_type(self) -> None:
         """The next type in the list (T)."""
@@ -149,7 +159,7 @@ class JointEditor:
         """Turn the axis round; the limits stay, so the part opens to the other side (F)."""
         joint = self._need_joint()
         axis = tuple(-v if v else 0.0 for v in joint.axis)
-        self._app.set_joint(replace(joint, axis=axis))
+        self._set(replace(joint, axis=axis))
 
     def _preset(self, which: str) -> None:
         if which.startswith("Flip"):
@@ -158,17 +168,17 @@ class JointEditor:
             self._change(axis=AXES[which])
 
     def _snap(self, to: str) -> None:
-        obj = self._app.need_object()
+        obj = self._tab.selection.need_object()
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
-        job = self._app.app_state.workers.prediction.submit(
+        job = self._worker.submit(
             snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:
-            self._app.notify("Already there", _THERE.get(to, _ALONG), "gray")
+            self._tab.notify("Already there", _THERE.get(to, _ALONG), "gray")
         else:
-            self._app.set_joint(snapped)
+            self._set(snapped)
 
     def _limit(self, which: str, value: float) -> None:
         joint = self._need_joint()
@@ -184,7 +194,7 @@ class JointEditor:
         if what == "Free range":
             self._snap("free range")
         elif 0.0 in (joint.lower, joint.upper):
-            self._app.notify("Already there", "Zero is an end of the range", "gray")
+            self._tab.notify("Already there", "Zero is an end of the range", "gray")
         elif abs(joint.lower) < abs(joint.upper):
             self._change(lower=0.0)
         else:
@@ -192,12 +202,12 @@ class JointEditor:
 
     def _lock(self) -> None:
         joint = self._need_joint()
-        doc = self._app.need_object().document
+        doc = self._tab.selection.need_object().document
         if self._locked.value != (joint.child in doc.locked):
-            self._app.do(cmd.LockJoint(joint.child, self._locked.value))
+            self._tab.do(cmd.LockJoint(joint.child, self._locked.value))
 
     def _reset_joint(self) -> None:
-        self._app.do(cmd.ResetJoint(self._need_joint().child))
+        self._tab.do(cmd.ResetJoint(self._need_joint().child))
 
     # --- drawing
 
@@ -206,7 +216,7 @@ class JointEditor:
         doc = obj.document
         titles = tuple(joint_title(doc, j.child) for j in tree.joints) or ("—",)
         put(self._child, "options", titles)
-        joint = self._app.joint
+        joint = self._tab.selection.joint
         if joint is None:
             put(self._note, "content", "No joint.")
             return
@@ -238,7 +248,7 @@ class JointEditor:
         ):
             put(widget, "visible", joint.moves)
         put(self._free, "visible", joint.limited)
-        put(self._gizmo, "color", "pink" if self._app.motion.gizmo_on else "gray")
+        put(self._gizmo, "color", "pink" if self._motion.handles.on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
         whose = "prediction" if doc.joints_file is None else "file's joint"
         put(self._reset, "label", f"Reset to the {whose}")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from app.server.display_names import joint_title, moved_part
 from app.server.scene_rows import Work
 from app.viewer.panels.joint_text import range_text, sure_text, sureness
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
+from app.viewer.tab import Tab
 from sessions.document import Document
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 SHOWN = 12
 """Joints with buttons, the least sure ones; the others are counted."""
@@ -26,11 +24,12 @@ JointLine = tuple[str, str, palette.Rgb]
 class JointRows:
     """A button for each moving joint; a click plays it alone."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(self, tab: Tab, play: Callable[[str], None]) -> None:
+        """Make the folder; ``play`` gets the name of the joint that was clicked."""
+        self._tab, self._play = tab, play
         self._key: Any = None
         self._rows: list[Any] = []
-        self._folder = app.client.gui.add_folder("Joints", visible=False)
+        self._folder = tab.client.gui.add_folder("Joints", visible=False)
 
     def draw(self, work: Work | None) -> None:
         """Bring the rows up to date; nothing is sent where nothing changed."""
@@ -45,11 +44,11 @@ class JointRows:
         self._rows = []
         lines = [] if doc is None else joint_lines(doc)
         put(self._folder, "visible", bool(lines))
-        gui, app = self._app.client.gui, self._app
+        tab, gui = self._tab, self._tab.client.gui
         with self._folder:
             for name, line, color in [] if doc is None else least_sure(doc, lines):
                 button = gui.add_button(line, color=color, hint="Play it")
-                button.on_click(lambda _, name=name: app.act(lambda: app.in_scene.play_joint(name)))
+                button.on_click(lambda _, name=name: tab.act(lambda: self._play(name)))
                 self._rows.append(button)
             if len(lines) > SHOWN:
                 self._rows.append(gui.add_markdown(f"… and {len(lines) - SHOWN} surer ones."))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import viser
 
 from app.viewer.panels.widgets import put
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
+from app.viewer.tab import Tab
+from sessions import commands as cmd
 
 _HOW = (
     "**Pick an object out:** click it, once more where something is missing, Shift+click what is "
@@ -20,9 +19,10 @@ _HOW = (
 class PickPanel:
     """Above the usual tools while an object of the scene is there to be picked from."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
-        gui = app.client.gui
+    def __init__(self, tab: Tab, take_out: Callable[[str], None]) -> None:
+        """Make the widgets; ``take_out`` gets the new object's name."""
+        self._tab = tab
+        gui = tab.client.gui
         self._how = gui.add_markdown(_HOW, visible=False)
         self._back = gui.add_button(
             "Put floor and walls back", color="gray", visible=False,
@@ -34,20 +34,17 @@ class PickPanel:
         self._take = gui.add_button(
             "Take it out of the room", icon=viser.Icon.SCISSORS, color="green", visible=False
         )
-        self._back.on_click(lambda _: app.act(app.source_panel.put_back))
-        self._take.on_click(lambda _: app.act(lambda: app.in_scene.take_out(self._name.value)))
+        self._back.on_click(lambda _: tab.act(lambda: tab.do(cmd.LeaveOut(None))))
+        self._take.on_click(lambda _: tab.act(lambda: take_out(self._name.value)))
 
     def draw(self) -> None:
         """Bring it up to date."""
-        app = self._app
-        picking = app.in_scene.picking
+        picking, obj = self._tab.selection.picking, self._tab.selection.object
         for handle in (self._how, self._name, self._take):
             put(handle, "visible", picking)
-        doc = None if app.object is None else app.object.document
+        if not picking:  # the next object has another name
+            put(self._name, "value", "")
+        doc = None if obj is None else obj.document
         put(self._back, "visible", picking and doc is not None and doc.left_out is not None)
-        ready = picking and app.object is not None and app.object.document.segmentation is not None
+        ready = picking and doc is not None and doc.segmentation is not None
         put(self._take, "disabled", not ready)
-
-    def clear(self) -> None:
-        """The next object has another name."""
-        put(self._name, "value", "")

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import viser
 
 from app.server.tool_tasks import NEXT_MASK
+from app.viewer.panels.widgets import put
+from app.viewer.tab import Tab
 from model.segmentation.prompts import Click
-from sessions.document import RegionRef
+from sessions import commands as cmd
+from sessions.document import Document, RegionRef
 
+PROMPTS_SHOWN = 12
 Prompt = Click | RegionRef
 _LABELS = {"propose": "All parts", "cut": "Line", "source": "From the file"}
 """Tools that are recorded under another word than their button's."""
@@ -29,6 +36,58 @@ class PromptEntry:
     index: int
     count: int
     label: str
+
+
+class PromptList:
+    """The newest prompts of the chosen part; a click removes one."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        gui = tab.client.gui
+        with gui.add_folder("Prompts", expand_by_default=True):
+            self._note = gui.add_markdown("")
+            self._box = gui.add_folder(None)
+            self._buttons: list[tuple[Any, PromptEntry]] = []
+            actions = gui.add_button_group("Remove", ("Last", "Of this part", "All"))
+        actions.on_click(lambda e: tab.act(lambda: self.remove(e.target.value)))
+
+    def remove(self, which: str) -> None:
+        """Remove "Last" or "All" prompts, or those "Of this part"."""
+        tab, part = self._tab, self._tab.selection.part
+        prompts = tab.selection.need_object().document.prompts
+        mine = [entry for entry in prompt_entries(prompts) if entry.part == part]
+        if which == "All" and prompts:
+            tab.do(cmd.ClearPrompts())
+        elif not mine:
+            tab.notify("Remove", "This part has no prompts" if prompts else "None yet", "gray")
+        elif which == "Last":  # of those that are listed
+            tab.do(cmd.RemovePrompt(mine[-1].index, mine[-1].count))
+        else:
+            tab.do(cmd.ClearPrompts(part))
+
+    def draw(self, doc: Document, elements: str) -> None:
+        """Bring the list up to date.
+
+        Args:
+            elements: what one element of the object is, "face" or "point".
+        """
+        tab = self._tab
+        entries = prompt_entries(doc.prompts, elements)
+        mine = [entry for entry in entries if entry.part == tab.selection.part]
+        note = f"{len(mine)} on this part, {len(entries)} in all. Click one to remove it."
+        put(self._note, "content", note if doc.prompts else "None yet.")
+        wanted = mine[-PROMPTS_SHOWN:]
+        if [entry for _, entry in self._buttons] == wanted:
+            return
+        for button, _ in self._buttons:
+            button.remove()
+        self._buttons = []
+        for entry in wanted:
+            with self._box:
+                button = tab.client.gui.add_button(entry.label, icon=viser.Icon.X, color="gray")
+            remove = cmd.RemovePrompt(entry.index, entry.count)
+            button.on_click(lambda _, remove=remove: tab.act(lambda: tab.do(remove)))
+            self._buttons.append((button, entry))
 
 
 def prompt_entries(prompts: Sequence[Prompt], elements: str = "face") -> list[PromptEntry]:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import viser
 
+from app.server.app_state import AppState
 from app.server.pointer_messages import title_buttons
 from app.viewer.panels.queue_names import clipped, queue_names
 from app.viewer.panels.scene_list import page_buttons
+from app.viewer.panels.user_name import UserName
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
+from app.viewer.tab import Tab
 from app.viewer.text import plain
-from sessions import commands as cmd
 from sessions.records import ObjectRecord
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 PAGE = 14
 NAME_LENGTH = 22
@@ -34,13 +33,27 @@ _ICONS = {
 class QueuePanel:
     """A page of objects as buttons, a filter, and the person's name."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(
+        self,
+        tab: Tab,
+        app_state: AppState,
+        open_object: Callable[[int], None],
+        step: Callable[[int], None],
+        remember: Callable[[], None],
+    ) -> None:
+        """Make the panel.
+
+        Args:
+            open_object: gets the id of the object that was chosen.
+            step: goes to the next object (1) or to the one before (-1).
+            remember: is called once the user's name changed.
+        """
+        self._tab, self._app_state, self._open_object = tab, app_state, open_object
         self._first = 0
         self._shown: tuple[Any, ...] | None = None
         self._followed: int | None = None
         self._held = 0
-        gui = app.client.gui
+        gui = tab.client.gui
         panel = gui.add_panel()
         with panel.add_tab("Queue", viser.Icon.LIST_DETAILS):
             self._summary = gui.add_markdown("")
@@ -66,51 +79,39 @@ class QueuePanel:
                 hint="A mesh or a scan (GLB, PLY, STL, OBJ, PCD, XYZ); choose an OBJ together with "
                 "its materials and textures, or give a zip",
             )
-            self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
+            self.user_name = UserName(tab, remember)
         panel.dock_left()
         panel.set_width(230)
         self._ids: list[int] = []
         for k, button in enumerate(self._buttons):
-            button.on_click(lambda _, k=k: app.act(lambda: self._open(k)))
+            button.on_click(lambda _, k=k: tab.act(lambda: self._open(k)))
         self._filter.on_update(lambda _: self._turn(None))
         self._search.on_update(lambda _: self._turn(None))
         self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
         self._next.on_click(
-            lambda e: app.act(lambda: app.step(1 if e.target.value.startswith("Next") else -1))
+            lambda e: tab.act(lambda: step(1 if e.target.value.startswith("Next") else -1))
         )
-        self._again.on_click(lambda _: app.act(lambda: app.open(self._held)))
-        self._back.on_click(lambda _: app.act(lambda: app.open(app.app_state.queue.restore())))
-        app.on_update(self._name, self._renamed)
+        self._again.on_click(lambda _: tab.act(lambda: open_object(self._held)))
+        self._back.on_click(lambda _: tab.act(lambda: open_object(app_state.queue.restore())))
         self._upload.on_upload(lambda e: self._uploaded(e.target.value))
 
-    def show_user(self, who: str) -> None:
-        """Put the remembered name into its box."""
-        if self._name.value != who:
-            self._name.value = who
-
-    def _renamed(self) -> None:
-        who = cmd.clean_text(self._name.value, 60, "your name")
-        if who:
-            self._app.who = who
-            self._app.remember()
-
     def _uploaded(self, file: Any) -> None:
-        app = self._app
-        app.act(lambda: app.open(app.app_state.add_upload(file.name, file.content)))
+        add = self._app_state.add_upload
+        self._tab.act(lambda: self._open_object(add(file.name, file.content)))
 
     def _open(self, k: int) -> None:
         if k < len(self._ids):
-            self._app.open(self._ids[k])
+            self._open_object(self._ids[k])
 
     def _turn(self, by: int | None) -> None:
         self._first = 0 if by is None else self._first + by * PAGE
-        self._app.invalidate()
+        self._tab.invalidate()
 
     def draw(self) -> None:
         """Bring the page up to date; nothing is sent where nothing changed."""
-        app = self._app
-        records = app.app_state.queue.records()
-        current = None if app.object is None else app.object.record.id
+        app_state, obj = self._app_state, self._tab.selection.object
+        records = app_state.queue.records()
+        current = None if obj is None else obj.record.id
         words = palette.STATE_WORDS
         names = queue_names(records)
         chosen = [
@@ -127,18 +128,16 @@ class QueuePanel:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
 
-        at_it = {
-            r.id: "being judged, then accepted" for r in page if app.app_state.is_validating(r.id)
-        }
-        at_it |= {r.id: "being saved" for r in page if app.app_state.is_saving(r.id)}
-        held = [r.id for r in records if app.app_state.on_hold(r)]
+        at_it = {r.id: "being judged, then accepted" for r in page if app_state.is_validating(r.id)}
+        at_it |= {r.id: "being saved" for r in page if app_state.is_saving(r.id)}
+        held = [r.id for r in records if app_state.on_hold(r)]
         now = (
             tuple((r.id, names[r.id], r.state, self._alarm(r)) for r in page),
             current,
             len(chosen),
             self._first,
             tuple(r.state for r in records),
-            app.app_state.queue.removed,
+            app_state.queue.removed,
             at_it,
             held,
         )
@@ -153,10 +152,10 @@ class QueuePanel:
         self._summary.content = f"**{done} of {len(records)}** accepted"
         self._bar.value = round(100 * done / max(len(records), 1), 1)
         self._ids = [r.id for r in page]
-        off = app.app_state.queue.removed
+        off = app_state.queue.removed
         put(self._back, "visible", bool(off))
         if off:
-            name = app.app_state.store.object(off[-1]).name
+            name = app_state.store.object(off[-1]).name
             put(self._back, "label", f"Put {clipped(name, NAME_LENGTH - 6)} back")
         self._draw_held([i for i in held if i != current], names)
         put(self._pages, "visible", len(chosen) > PAGE)
@@ -178,7 +177,7 @@ class QueuePanel:
             button.hint = f"{plain(names[record.id])}: {stands(record)}"
             button.visible = True
         title_buttons(
-            app.client,
+            self._tab.client,
             {
                 button._impl.uuid: f"{names[record.id]}: {stands(record)}"
                 for button, record in zip(self._buttons, page, strict=False)
@@ -187,7 +186,7 @@ class QueuePanel:
 
     def _alarm(self, record: ObjectRecord) -> str:
         """What a person has to know of an object before all else, or ""."""
-        app_state = self._app.app_state
+        app_state = self._app_state
         if record.id in app_state.queue.unreadable:
             return "can't be read"
         if why := app_state.on_hold(record):

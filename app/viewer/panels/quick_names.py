@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from app.viewer.panels.widgets import put
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
+from app.viewer.tab import Tab
 
 ROWS: Final[tuple[tuple[str, ...], ...]] = (("door", "drawer", "lid"), ("knob", "button", "wheel"))
 """What most parts are; the list beside them has the rest."""
@@ -20,15 +18,15 @@ _CHOSEN = "● "
 class QuickNames:
     """One click or key names a part."""
 
-    def __init__(self, app: ClientApp, named: Callable[[str], None]) -> None:
+    def __init__(self, tab: Tab, named: Callable[[str], None]) -> None:
         """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
         first = [1 + NUMBERED.index(names[0]) for names in ROWS]
         self._rows = [
-            app.client.gui.add_button_group(f"Shift+{k}…{k + len(names) - 1}", names)
+            tab.client.gui.add_button_group(f"Shift+{k}…{k + len(names) - 1}", names)
             for k, names in zip(first, ROWS, strict=True)
         ]
         for row in self._rows:
-            row.on_click(lambda e: app.act(lambda: named(e.target.value.removeprefix(_CHOSEN))))
+            row.on_click(lambda e: tab.act(lambda: named(e.target.value.removeprefix(_CHOSEN))))
 
     def show(self, visible: bool, chosen: str | None = None) -> None:
         """Show or hide them; the ``chosen`` name is marked."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import viser
 
 from app.viewer.panels.widgets import put
+from app.viewer.tab import Tab
 from model.core.errors import CommandError
 from sessions.review import RejectReason
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 REASONS: dict[str, RejectReason] = {
     "range": "range",
@@ -35,9 +33,9 @@ class Rejecting:
     """
 
     def __init__(
-        self, app: ClientApp, about: Callable[[], Any], reject: Callable[[RejectReason], None]
+        self, tab: Tab, about: Callable[[], Any], reject: Callable[[RejectReason], None]
     ) -> None:
-        self._app, self._about, self._reject = app, about, reject
+        self._tab, self._about, self._reject = tab, about, reject
         self._asked: Any = None
         self._note: Any = None
 
@@ -54,10 +52,10 @@ class Rejecting:
             self.cancel()
             return
         self._asked = self._about()
-        self._note = self._app.client.add_notification(
+        self._note = self._tab.client.add_notification(
             "What is wrong?", f"{' · '.join(_NUMBERED)} · Esc: nothing", color="red"
         )
-        self._app.invalidate()
+        self._tab.invalidate()
 
     def answer(self, number: int) -> None:
         """Reject for the reason with that number, from 1.
@@ -75,31 +73,32 @@ class Rejecting:
         note, self._note, self._asked = self._note, None, None
         if note is not None:
             note.remove()
-            self._app.invalidate()
+            self._tab.invalidate()
 
 
 class RejectButtons:
     """A button that asks, and one for each reason while it is asked."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
-        gui = app.client.gui
+    def __init__(self, tab: Tab, rejecting: Rejecting, clicked: Callable[[], None]) -> None:
+        """Make the buttons; ``clicked`` is called where the question is wanted or off."""
+        self._tab, self._rejecting = tab, rejecting
+        gui = tab.client.gui
         self._reject = gui.add_button("Reject (X)", icon=viser.Icon.X, color="red")
         self._rows = [
             gui.add_button_group("What is wrong" if k == 0 else "", row, visible=False)
             for k, row in enumerate(_ROWS)
         ]
-        self._reject.on_click(lambda _: app.decide(app.commands.reject))
+        self._reject.on_click(lambda _: clicked())
         for row in self._rows:
             row.on_click(lambda e: self._chosen(e.target.value))
 
     def _chosen(self, label: str) -> None:
-        app, number = self._app, int(label.partition(" ")[0])
-        app.act(lambda: app.rejecting.answer(number) if app.rejecting.asking else None)
+        rejecting, number = self._rejecting, int(label.partition(" ")[0])
+        self._tab.act(lambda: rejecting.answer(number) if rejecting.asking else None)
 
     def draw(self, visible: bool) -> None:
         """Bring them up to date; ``visible`` where there is something to reject."""
-        asking = visible and self._app.rejecting.asking
+        asking = visible and self._rejecting.asking
         put(self._reject, "visible", visible)
         put(self._reject, "label", "Don't reject (Esc)" if asking else "Reject (X)")
         for row in self._rows:

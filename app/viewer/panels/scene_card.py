@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import viser
 
 from app.server.display_names import in_words
 from app.server.scene_accepting import Refusal
 from app.server.scene_rows import Row, Work, decided_text
-from app.server.scene_workspace import SceneDesk
+from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_rows import JointRows
-from app.viewer.panels.rejecting import RejectButtons
+from app.viewer.panels.rejecting import RejectButtons, Rejecting
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
+from app.viewer.tab import Tab
 from app.viewer.text import plain
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 _BUSY = {
     "read": "Reading the scene",
@@ -34,12 +32,46 @@ _BUSY = {
 _KIND = ("● Articulable", "Articulable", "● Static", "Static")
 
 
+Action = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class SceneActions:
+    """What the widgets of a scene ask for.
+
+    Attributes:
+        classify: gets "Articulable" or "Static" for the chosen object.
+        step: goes to the next object to decide (1) or to the one before (-1).
+        accept_above: accepts all predicted objects of at least that confidence, 0..1.
+        above: their sessions.
+        save: writes the scene; True also with what is only predicted.
+        play_joint: moves one joint of the chosen object.
+    """
+
+    undo: Action
+    redo: Action
+    accept: Action
+    reject: Action
+    enter: Action
+    pick: Action
+    play_all: Action
+    report: Action
+    classify: Callable[[str], None]
+    step: Callable[[int], None]
+    accept_above: Callable[[float], None]
+    above: Callable[[float], list[int]]
+    save: Callable[[bool], None]
+    play_joint: Callable[[str], None]
+
+
 class SceneCard:
     """Widgets for a scene; they are hidden while one of its objects is worked on."""
 
-    def __init__(self, app: ClientApp, desk: SceneDesk) -> None:
-        self._app, self._desk = app, desk
-        gui = app.client.gui
+    def __init__(
+        self, tab: Tab, desk: SceneWorkspace, rejecting: Rejecting, actions: SceneActions
+    ) -> None:
+        self._tab, self._desk, self._actions = tab, desk, actions
+        gui = tab.client.gui
         self._status = gui.add_markdown("")
         self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self._pause = gui.add_button("Stop predicting", icon=viser.Icon.PLAYER_PAUSE,
@@ -54,9 +86,9 @@ class SceneCard:
                                         color="gray", visible=False)  # fmt: skip
             self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green",
                                           visible=False)  # fmt: skip
-            self._reject = RejectButtons(app)
+            self._reject = RejectButtons(tab, rejecting, actions.reject)
             self._step = gui.add_button_group("To decide", ("Previous (B)", "Next (N)"))
-            self._joints = JointRows(app)
+            self._joints = JointRows(tab, actions.play_joint)
         with gui.add_folder("Accept the sure ones"):
             self._above = gui.add_slider("Above [%]", 0, 100, 1, 80)
             self._count = gui.add_markdown("")
@@ -74,43 +106,40 @@ class SceneCard:
         self._listen()
 
     def _listen(self) -> None:
-        app, scene = self._app, self._app.in_scene
-        self._pause.on_click(lambda _: app.act(lambda: self._desk.pause(not self._desk.paused)))
-        self._history.on_click(
-            lambda e: app.act(app.commands.undo if e.target.value == "Undo" else app.commands.redo)
-        )
-        self._play.on_click(lambda _: app.act(scene.play_all))
-        self._kind.on_click(lambda e: app.act(lambda: scene.say(e.target.value)))
-        self._work.on_click(lambda _: app.act(scene.enter))
-        self._pick.on_click(lambda _: app.act(scene.pick))
-        self._accept.on_click(lambda _: app.decide(app.commands.accept))
+        act, do = self._tab.act, self._actions
+        self._pause.on_click(lambda _: act(lambda: self._desk.pause(not self._desk.paused)))
+        self._history.on_click(lambda e: act(do.undo if e.target.value == "Undo" else do.redo))
+        self._play.on_click(lambda _: act(do.play_all))
+        self._kind.on_click(lambda e: act(lambda: do.classify(e.target.value)))
+        self._work.on_click(lambda _: act(do.enter))
+        self._pick.on_click(lambda _: act(do.pick))
+        self._accept.on_click(lambda _: do.accept())
         self._step.on_click(
-            lambda e: app.act(lambda: scene.step(1 if e.target.value.startswith("Next") else -1))
+            lambda e: act(lambda: do.step(1 if e.target.value.startswith("Next") else -1))
         )
-        self._above.on_update(lambda _: app.invalidate())
-        self._accept_all.on_click(lambda _: app.act(lambda: scene.accept_above(self.above)))
-        self._save.on_click(lambda _: app.act(lambda: scene.save(self._loose.value)))
-        self._report.on_click(lambda _: app.act(scene.report))
+        self._above.on_update(lambda _: self._tab.invalidate())
+        self._accept_all.on_click(lambda _: act(lambda: do.accept_above(self.above)))
+        self._save.on_click(lambda _: act(lambda: do.save(self._loose.value)))
+        self._report.on_click(lambda _: act(do.report))
 
     @property
     def above(self) -> float:
         """The confidence above which all are accepted, 0..1."""
         return self._above.value / 100
 
-    def draw(self) -> None:
-        """Bring the widgets up to date."""
-        desk, scene = self._desk, self._app.in_scene
+    def draw(self, rows: Sequence[Row], selected: str | None, moving: bool) -> None:
+        """Bring the widgets up to date; ``moving`` while joints play."""
+        desk = self._desk
         self._draw_status()
-        moving = scene.motion.playing
         put(self._play, "label", "Stop (Space)" if moving else "Play all joints (Shift+Space)")
         joints = any(w.document.tree is not None for w in desk.wanted())
         put(self._play, "color", "blue" if joints else "gray")
         put(self._play, "icon", viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
-        self._draw_chosen(scene.selected)
-        ready = scene.sure(self.above)
-        count = sum(r.work in ready for r in scene.rows)
-        coming = sum(desk.to_come(r) for r in scene.rows)
-        put(self._count, "content", count_text(scene.rows, count, self.above, coming))
+        self._draw_chosen(selected)
+        ready = self._actions.above(self.above)
+        count = sum(r.work in ready for r in rows)
+        coming = sum(desk.to_come(r) for r in rows)
+        put(self._count, "content", count_text(rows, count, self.above, coming))
         put(self._accept_all, "label", f"Accept {_number(count)}".rstrip())
         put(self._accept_all, "disabled", not ready)
         saved = desk.document.saved

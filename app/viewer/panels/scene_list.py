@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import viser
 
 from app.server.scene_rows import SHOWN, Row, Shown
-from app.server.scene_workspace import SceneDesk
+from app.server.scene_workspace import SceneWorkspace
+from app.viewer.panels.user_name import UserName
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
+from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.tab import Tab
 from app.viewer.text import plain
-from sessions import commands as cmd
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 PAGE = 13
 ALL = "all"
@@ -36,13 +35,26 @@ _ICONS = {
 class SceneList:
     """Legend with counts, and a page of objects as buttons."""
 
-    def __init__(self, app: ClientApp, desk: SceneDesk) -> None:
-        self._app, self._desk = app, desk
+    def __init__(
+        self,
+        tab: Tab,
+        desk: SceneWorkspace,
+        picture: ScenePicture,
+        choose: Callable[[str], None],
+        remember: Callable[[], None],
+    ) -> None:
+        """Make the panel.
+
+        Args:
+            choose: gets the id of the object that was clicked.
+            remember: is called once the user's name changed.
+        """
+        self._tab, self._desk, self._picture, self._choose_object = tab, desk, picture, choose
         self._first = 0
         self._shown: Any = None
         self._followed: str | None = None
         self._ids: list[str] = []
-        gui = app.client.gui
+        gui = tab.client.gui
         panel = gui.add_panel()
         with panel.add_tab("Scene", viser.Icon.HOME):
             self._title = gui.add_markdown("")
@@ -59,44 +71,30 @@ class SceneList:
             self._search = gui.add_text("Find", "", hint="Part of an object's id or description")
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
             self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
-            self._name = gui.add_text("Your name", app.who, hint="Written beside your decisions")
+            self.user_name = UserName(tab, remember)
         panel.dock_left()
         panel.set_width(250)
         for k, button in enumerate(self._buttons):
-            button.on_click(lambda _, k=k: app.act(lambda: self._choose(k)))
-        self._own.on_update(lambda _: app.act(self._recolor))
+            button.on_click(lambda _, k=k: tab.act(lambda: self._choose(k)))
+        self._own.on_update(lambda _: tab.act(self._recolor))
         self._filter.on_update(lambda _: self._turn(None))
         self._search.on_update(lambda _: self._turn(None))
         self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
-        app.on_update(self._name, self._renamed)
-
-    def show_user(self, who: str) -> None:
-        """Put the remembered name into its box."""
-        put(self._name, "value", who)
-
-    def _renamed(self) -> None:
-        who = cmd.clean_text(self._name.value, 60, "your name")
-        if who:
-            self._app.who = who
-            self._app.remember()
 
     def _recolor(self) -> None:
-        self._app.in_scene.picture.own = self._own.value
+        self._picture.own = self._own.value
 
     def _choose(self, k: int) -> None:
         if k < len(self._ids):
-            self._app.in_scene.choose(self._ids[k], look=True)
+            self._choose_object(self._ids[k])
 
     def _turn(self, by: int | None) -> None:
         self._first = 0 if by is None else self._first + by * PAGE
-        self._app.invalidate()
+        self._tab.invalidate()
 
-    def draw(self) -> None:
+    def draw(self, rows: Sequence[Row], current: str | None) -> None:
         """Bring the list up to date; nothing is sent where nothing changed."""
-        scene = self._app.in_scene
-        rows = scene.rows
         chosen = [r for r in rows if self._fits(r)]
-        current = scene.selected
         if current != self._followed:
             self._followed = current
             ids = [r.id for r in chosen]
@@ -105,7 +103,7 @@ class SceneList:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
         counts = Counter(r.shown for r in rows)
-        own = scene.picture.own
+        own = self._picture.own
         now = (tuple(page), current, len(chosen), self._first, tuple(counts.items()), own)
         if now == self._shown:
             return

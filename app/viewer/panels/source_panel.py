@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from app.server.cutting import cut_out, leave_out
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
+from app.viewer.tab import Tab
 from app.viewer.text import plain
 from model.core.errors import CommandError
 from model.geometry.units import UNITS
 from sessions import commands as cmd
 
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
-
 
 class SourcePanel:
     """Two folders below the annotation tools, closed until somebody needs them."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(self, tab: Tab, open_object: Callable[[int], None]) -> None:
+        """Make the folders; ``open_object`` gets the id of what was cut out.
+
+        Attributes:
+            touch: whether a tap adds a prompt.
+        """
+        self._tab, self._open = tab, open_object
         self._drawn: Any = None
-        gui = app.client.gui
+        self.touch = False
+        gui = tab.client.gui
         with gui.add_folder("Room or table top", expand_by_default=False):
             self._room_note = gui.add_markdown("")
             self._leave_out = gui.add_button_group(
@@ -35,7 +40,7 @@ class SourcePanel:
                 "Cut this part out as an object",
                 color="gray",
                 hint="It becomes an entry of the queue and keeps its place in this scan",
-                visible=app.app_state.scene is None,
+                visible=not tab.in_scene,
             )
         with gui.add_folder("Source", expand_by_default=False):
             self._source = gui.add_markdown("")
@@ -45,52 +50,61 @@ class SourcePanel:
             self._touch = gui.add_checkbox(
                 "Touch screen", False, hint="A tap adds a prompt; keys are not needed"
             )
-        self._leave_out.on_click(lambda e: app.act(lambda: self.leave_out(e.target.value)))
-        self._back.on_click(lambda _: app.act(self.put_back))
-        self._cut_out.on_click(lambda _: app.act(self.cut_out))
-        self._frame.on_click(lambda _: app.act(self._read_again))
-        app.on_update(self._touch, self._touched)
+        self._leave_out.on_click(lambda e: tab.act(lambda: self.leave_out(e.target.value)))
+        self._back.on_click(lambda _: tab.act(self.put_back))
+        self._cut_out.on_click(lambda _: tab.act(self.cut_out))
+        self._frame.on_click(lambda _: tab.act(self._read_again))
+        tab.on_update(self._touch, self._touched)
 
     def leave_out(self, what: str = "Floor, walls") -> None:
         """Look no more at the floor and the walls, or at the chosen part."""
-        app, obj = self._app, self._app.need_object()
-        if what == "This part" and not app.part:
+        tab, part = self._tab, self._tab.selection.part
+        obj = tab.selection.need_object()
+        if what == "This part" and not part:
             raise CommandError("choose the part to leave out; the base is what stays")
-        leave_out(obj, "part" if what == "This part" else "floor and walls", app.part, app.who)
+        leave_out(obj, "part" if what == "This part" else "floor and walls", part, tab.user)
 
     def put_back(self) -> None:
         """Look at the whole source again."""
-        self._app.do(cmd.LeaveOut(None))
+        self._tab.do(cmd.LeaveOut(None))
 
     def cut_out(self) -> None:
         """Make the chosen part an object of its own and open it."""
-        app = self._app
-        if app.app_state.scene is not None:
+        tab, part = self._tab, self._tab.selection.part
+        if tab.in_scene:
             raise CommandError("in a scene, go back and press “Pick an object out of it”")
-        if not app.part:
+        if not part:
             raise CommandError("choose the part to cut out; part 0 is the rest of the scan")
 
         def open_it(object_id: int) -> None:
-            app.act(lambda: app.open(object_id))
+            tab.act(lambda: self._open(object_id))
 
-        cut_out(app.need_object(), app.part, app.who, open_it)
+        cut_out(tab.selection.need_object(), part, tab.user, open_it)
 
     def _read_again(self) -> None:
-        app, obj = self._app, self._app.need_object()
-        app.do(cmd.SetFrame(self._up.value, UNITS[self._unit.value]))
+        obj = self._tab.selection.need_object()
+        self._tab.do(cmd.SetFrame(self._up.value, UNITS[self._unit.value]))
         obj.ensure_open()
 
     def _touched(self) -> None:
-        self._app.touch_wanted = self._touch.value
+        self.touch = self._touch.value
+        self._tab.invalidate()
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the folders up to date."""
         doc, asset = obj.document, obj.asset
-        now = (obj.record.id, id(asset), doc.left_out, doc.crops, doc.placement, self._app.part)
+        now = (
+            obj.record.id,
+            id(asset),
+            doc.left_out,
+            doc.crops,
+            doc.placement,
+            self._tab.selection.part,
+        )
         if now == self._drawn:
             return
         before, self._drawn = self._drawn, now
-        put(self._room_note, "content", _room_note(obj, in_scene=self._app.app_state.scene is not None))
+        put(self._room_note, "content", _room_note(obj, self._tab.in_scene))
         put(self._back, "visible", doc.left_out is not None)
         if before is not None and before[:2] == now[:2]:
             return
@@ -105,7 +119,7 @@ class SourcePanel:
         self._source.content = "\n\n".join(lines)
 
 
-def _room_note(obj: OpenObject, *, in_scene: bool) -> str:
+def _room_note(obj: OpenObject, in_scene: bool) -> str:
     doc = obj.document
     if doc.placement is not None:
         x, y, z = doc.placement.position

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
+from app.viewer.tab import Tab
 from model.geometry.units import UNITS, OddSize, odd_size
 from sessions import commands as cmd
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 
 class UnitHint:
     """A button that is there only where the size is odd and nothing was clicked yet."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
         self._odd: OddSize | None = None
-        self._button = app.client.gui.add_button("Set the unit", color="gray", visible=False)
-        self._button.on_click(lambda _: app.act(self._set))
+        self._button = tab.client.gui.add_button("Set the unit", color="gray", visible=False)
+        self._button.on_click(lambda _: tab.act(self._set))
 
     def draw(self, obj: OpenObject) -> str | None:
         """Bring the button up to date; the question, or None."""
@@ -34,7 +30,7 @@ class UnitHint:
         return None if self._odd is None else self._odd.question
 
     def _set(self) -> None:
-        obj = self._app.need_object()
+        obj = self._tab.selection.need_object()
         if self._odd is not None and self._odd.unit is not None and obj.asset is not None:
-            self._app.do(cmd.SetFrame(obj.asset.up_axis, UNITS[self._odd.unit]))
+            self._tab.do(cmd.SetFrame(obj.asset.up_axis, UNITS[self._odd.unit]))
             obj.ensure_open()

@@ -21,7 +21,7 @@ CLOUD_TINT = 0.55
 Labels = npt.NDArray[np.int16]
 
 
-class Tints:
+class LabelOverlay:
     """The tints of one object in one client's scene.
 
     Args:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import viser
 
 from app.viewer.picture.stage import LIGHT_ROOT
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
+from app.viewer.tab import Tab
 
 PLAIN = "plain"
 """What the browser remembers where there are no reflections."""
@@ -20,15 +18,16 @@ _ABOVE, _BESIDE = (0.0, 0.0, 1.0), (-2.0, -3.0, 2.0)
 class LightSwitch:
     """A checkbox for the light of one tab."""
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(self, tab: Tab, remember: Callable[[], None]) -> None:
+        """Make the checkbox; ``remember`` is called once it was switched."""
+        self._tab, self._remember = tab, remember
         self._lamps: list[viser.SceneNodeHandle] = []
-        self._box = app.client.gui.add_checkbox(
+        self._box = tab.client.gui.add_checkbox(
             "Plain light",
             False,
             hint="No reflections. Moves several times more smoothly where the browser has no GPU",
         )
-        self._box.on_update(lambda _: app.act(self._switched))
+        self._box.on_update(lambda _: tab.act(self._switched))
 
     @property
     def plain(self) -> bool:
@@ -41,14 +40,14 @@ class LightSwitch:
 
     def _switched(self) -> None:
         self._light(self.plain)
-        self._app.remember()
+        self._remember()
 
     def _light(self, plain: bool) -> None:
         """Plainly, or by viser's own map of surroundings.
 
         Looking up surroundings takes most of a frame's time where a processor draws it.
         """
-        scene = self._app.client.scene
+        scene = self._tab.client.scene
         for lamp in self._lamps:
             lamp.remove()
         self._lamps = []

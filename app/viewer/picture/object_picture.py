@@ -16,7 +16,7 @@ import viser
 from app.server.display_tasks import OpenedAsset, PartPayload
 from app.viewer.picture import palette
 from app.viewer.picture.joint_marks import JointMarks
-from app.viewer.picture.label_overlay import Tints
+from app.viewer.picture.label_overlay import LabelOverlay
 from app.viewer.picture.moving_parts import MovingParts
 from app.viewer.picture.overlays import Overlays
 from app.viewer.picture.stage import (
@@ -34,7 +34,7 @@ from model.segmentation.prompts import Click
 PROMPT_RADIUS = 0.0075
 
 
-class SceneView:
+class ObjectPicture:
     """The 3D scene of one client: the object as a whole, or its parts while joints move.
 
     Attributes:
@@ -54,7 +54,7 @@ class SceneView:
         """Nothing is drawn."""
         self._asset: OpenedAsset | None = None
         self._scan: Any = None
-        self._tints: Tints | None = None
+        self._tints: LabelOverlay | None = None
         self._prompts: dict[int, tuple[Click, Any]] = {}
         self._moving = False
         self.parts = MovingParts(self._client)
@@ -92,7 +92,7 @@ class SceneView:
                 point_shape="circle",
                 precision="float32",
             )
-        self._tints = Tints(self._client, asset, self._scan)
+        self._tints = LabelOverlay(self._client, asset, self._scan)
         self.parts = MovingParts(self._client, size)
         self.marks = JointMarks(self._client, asset.diagonal)
         self.overlays = Overlays(self._client, asset.diagonal)

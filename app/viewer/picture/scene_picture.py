@@ -20,7 +20,7 @@ from app.server.display_tasks import front_direction
 from app.server.scene_rows import Row
 from app.server.scene_shapes import Shape
 from app.server.scene_tasks import SceneItem
-from app.server.scene_workspace import SceneDesk
+from app.server.scene_workspace import SceneWorkspace
 from app.viewer.picture import palette
 from app.viewer.picture.ghosts import Ghosts
 from app.viewer.picture.scene_nodes import (
@@ -61,7 +61,7 @@ class ScenePicture:
         camera: where it was before that.
     """
 
-    def __init__(self, client: viser.ClientHandle, desk: SceneDesk) -> None:
+    def __init__(self, client: viser.ClientHandle, desk: SceneWorkspace) -> None:
         self._client = client
         self._desk = desk
         self._root: Any = None

@@ -3,65 +3,75 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
-
-import viser
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from app.server.display_names import joint_title, moved_part, part_title
+from app.server.jobs import WorkerProcess
 from app.server.open_object import OpenObject
-from app.viewer.panels.category_guess import CategoryGuess, guesses_of
+from app.viewer.panels.category_guess import CategoryGuess
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.panels.joint_text import shown, tree_text
+from app.viewer.panels.predict_buttons import PredictButtons, predict
 from app.viewer.panels.quick_names import NUMBERED, QuickNames
 from app.viewer.panels.widgets import NONE, put
+from app.viewer.picture.motion import Motion
 from app.viewer.picture.palette import CATEGORIES, PART_NAMES
+from app.viewer.tab import Tab
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
+from sessions.records import ObjectRecord
 
 
-class JointsPanel:
+class JointsStep:
     """The second step: how the parts move.
 
     Attributes:
         editor: of the chosen joint.
     """
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    def __init__(
+        self,
+        tab: Tab,
+        motion: Motion,
+        worker: WorkerProcess,
+        records: Callable[[], Sequence[ObjectRecord]],
+    ) -> None:
+        """Make the widgets.
+
+        Args:
+            worker: snaps joints to the geometry.
+            records: the queue.
+        """
+        self._tab, self._motion = tab, motion
         self._drawn: Any = None
         self._sliders: dict[str, Any] = {}
         self._motion_key: Any = None
         self._rows: list[Any] = []
         self._pose: tuple[Any, list[Any]] = None, []
-        gui = app.client.gui
+        gui = tab.client.gui
         self._empty = gui.add_markdown("")
-        self._again = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
-        self._here = gui.add_button(
-            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
-        )
+        self._predict = PredictButtons(tab)
         self._tree = gui.add_markdown("")
         self._what = gui.add_markdown("")
-        self._quick = QuickNames(app, self._named)
+        self._quick = QuickNames(tab, self._named)
         self._name = gui.add_dropdown("Part is a", (NONE, *PART_NAMES), initial_value=NONE)
-        self._guess = CategoryGuess(app, self._said)
+        self._guess = CategoryGuess(tab, records, self._said)
         self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
         self._folder = gui.add_folder("Joint")
         with self._folder:
-            self.editor = JointEditor(app)
-        self._motion = gui.add_folder("All joints")
-        app.on_update(self._name, self._name_chosen)
-        app.on_update(self._category, self._categorised)
-        self._again.on_click(lambda _: app.act(app.commands.predict))
-        self._here.on_click(lambda _: app.act(app.commands.predict_here))
+            self.editor = JointEditor(tab, motion, worker, self._forget)
+        self._all = gui.add_folder("All joints")
+        tab.on_update(self._name, self._name_chosen)
+        tab.on_update(self._category, self._categorised)
+        motion.on_move(self._show_q)
 
-    def show_q(self, q: dict[str, float], but: Any = None) -> None:
+    def _show_q(self, q: Mapping[str, float], but: Any = None) -> None:
         """Bring the sliders, ``but`` one, to ``q`` without moving anything."""
-        tree = None if self._app.object is None else self._app.object.document.tree
+        obj = self._tab.selection.object
+        tree = None if obj is None else obj.document.tree
         if tree is None:
             return
         mine = self._pose[1][:1]
@@ -79,16 +89,16 @@ class JointsPanel:
 
     # --- drawing
 
-    def forget(self) -> None:
+    def _forget(self) -> None:
         """Draw everything again, as fields may hold what was refused."""
         self._drawn = None
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
-        app, doc = self._app, obj.document
+        selection, doc = self._tab.selection, obj.document
         tree = doc.tree
         wanted = tree is None or doc.prediction_stale
-        put(self._here, "visible", obj.backend_away and wanted)
+        self._predict.show_here(obj.backend_away and wanted)
         checks = tuple((c.joint, c.where) for c in obj.checks)
         now = (
             obj.record.id,
@@ -97,9 +107,9 @@ class JointsPanel:
             doc.parts,
             doc.locked,
             doc.prediction,
-            app.child,
+            selection.child,
             checks,
-            app.motion.gizmo_on,
+            self._motion.handles.on,
             doc.category,
             doc.review.state,
         )
@@ -111,7 +121,7 @@ class JointsPanel:
             put(widget, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
         self._draw_names(doc, wanted)
-        put(self._again, "visible", wanted)
+        self._predict.show(wanted)
         if tree is None:
             text = "No joints yet. Click the moving parts, then predict."
             put(self._empty, "content", text)
@@ -120,19 +130,19 @@ class JointsPanel:
             return
         put(self._tree, "content", tree_text(tree, doc, obj.checks))
         self._draw_motion(tree, doc)
-        self._draw_pose(app.joint)
+        self._draw_pose(selection.joint)
         self.editor.draw(obj, tree)
 
     def _choose(self, doc: Document, wanted: bool) -> None:
         """Where no joint is chosen: the first whose part has no name, else the first that moves."""
-        app, tree = self._app, doc.tree
-        if tree is None or app.child in tree.joint_of:
+        selection, tree = self._tab.selection, doc.tree
+        if tree is None or selection.child in tree.joint_of:
             return
         unnamed = [] if wanted else self._unknown(doc)[0]
         moving = (j.child for j in tree.joints if j.moves)
-        app.child = unnamed[0].link if unnamed else next(moving, None)
-        if app.child is not None:
-            app.invalidate()  # the picture, which was drawn before, shows its axis
+        selection.child = unnamed[0].link if unnamed else next(moving, None)
+        if selection.child is not None:
+            self._tab.invalidate()  # the picture, which was drawn before, shows its axis
 
     def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
         """Parts without a name, the chosen joint's first, and whether there is no category."""
@@ -144,14 +154,14 @@ class JointsPanel:
 
     def _chosen_part(self, tree: KinematicTree) -> str | None:
         """The link of the part that the chosen joint moves: of several joints, all that move it."""
-        child = self._app.child
+        child = self._tab.selection.child
         return moved_part(tree, child) if child is not None and child in tree.joint_of else None
 
     def _draw_names(self, doc: Document, wanted: bool) -> None:
         unnamed, uncategorised = ([], False) if wanted else self._unknown(doc)
         put(self._what, "visible", bool(unnamed) or uncategorised)
         put(self._category, "visible", uncategorised)
-        self._guess.show(guesses_of(self._app) if uncategorised else ())
+        self._guess.show(uncategorised)
         put(self._category, "value", NONE)
         self._quick.show(bool(unnamed))
         put(self._name, "visible", bool(unnamed))
@@ -176,8 +186,18 @@ class JointsPanel:
             self._said(self._category.value)
 
     def _said(self, category: str) -> None:
-        self._app.do(cmd.SetCategory(category))
+        self._tab.do(cmd.SetCategory(category))
         self._predict_what_is_known()
+
+    def choose_next(self) -> None:
+        """Choose the next joint of the tree."""
+        selection = self._tab.selection
+        tree = selection.need_object().document.tree
+        if tree is None or not tree.joints:
+            return
+        children = [j.child for j in tree.joints]
+        at = children.index(selection.child) if selection.child in children else -1
+        selection.choose_joint(children[(at + 1) % len(children)])
 
     def answer(self, number: int) -> str:
         """What Shift and a number says to the question: 0 the guessed category, else a name.
@@ -188,7 +208,7 @@ class JointsPanel:
         if number == 0:
             category = self._guess.take_first()
             return f"The object is: {category}" if category else "There is no guess of the category"
-        doc = self._app.need_object().document
+        doc = self._tab.selection.need_object().document
         unnamed = [] if doc.prediction_stale else self._unknown(doc)[0]
         if not unnamed:
             return "Every part has a name: the Annotate step changes it"
@@ -199,13 +219,13 @@ class JointsPanel:
         return f"Part {unnamed[0].id} is: {name}"
 
     def _named(self, name: str) -> None:
-        unnamed, _ = self._unknown(self._app.need_object().document)
+        unnamed, _ = self._unknown(self._tab.selection.need_object().document)
         if unnamed:
-            self._app.do(cmd.NamePart(unnamed[0].id, name))
+            self._tab.do(cmd.NamePart(unnamed[0].id, name))
             # Others of the same shape have the name as well now.
-            unnamed, _ = self._unknown(self._app.need_object().document)
+            unnamed, _ = self._unknown(self._tab.selection.need_object().document)
             if unnamed:
-                self._app.choose_joint(unnamed[0].link)
+                self._tab.selection.choose_joint(unnamed[0].link)
             self._predict_what_is_known()
 
     def _predict_what_is_known(self) -> None:
@@ -213,9 +233,9 @@ class JointsPanel:
 
         Where a person has settled joints, they are not predicted in passing.
         """
-        doc = self._app.need_object().document
+        doc = self._tab.selection.need_object().document
         if self._unknown(doc) == ([], False) and not _settled(doc):
-            self._app.commands.predict()
+            predict(self._tab)
 
     def _draw_motion(self, tree: KinematicTree | None, doc: Document) -> None:
         moving = [] if tree is None else [j for j in tree.joints if j.moves and j.mimic is None]
@@ -227,9 +247,9 @@ class JointsPanel:
             row.remove()
         self._rows, self._sliders = [], {}
         sliders: dict[str, Any] = {}
-        gui = self._app.client.gui
-        put(self._motion, "visible", len(moving) > 1)
-        with self._motion:
+        gui = self._tab.client.gui
+        put(self._all, "visible", len(moving) > 1)
+        with self._all:
             for joint in moving:
                 unit = "°" if joint.rotates else "mm"
                 slider = self._slider(f"{joint_title(doc, joint.child)} [{unit}]", joint)
@@ -251,18 +271,18 @@ class JointsPanel:
         self._pose = key, []
         if joint is None:
             return
-        gui, app = self._app.client.gui, self._app
+        tab, gui = self._tab, self._tab.client.gui
         with self.editor.pose_box:
             slider = self._slider("Pose [°]" if joint.rotates else "Pose [mm]", joint)
             play = gui.add_button_group("", ("▶ / ■",))
-        play.on_click(lambda _: app.act(lambda: app.motion.play(joint.name)))
+        play.on_click(lambda _: tab.act(lambda: self._motion.play(joint.name)))
         self._pose = key, [slider, play]
 
     def _slider(self, label: str, joint: Joint) -> Any:
         """A slider that moves a joint."""
         low, high = _range(joint)
-        start = round(shown(joint, self._app.motion.q.get(joint.name, 0.0)), 1)
-        slider = self._app.client.gui.add_slider(
+        start = round(shown(joint, self._motion.q.get(joint.name, 0.0)), 1)
+        slider = self._tab.client.gui.add_slider(
             label,
             min=low,
             max=high,
@@ -276,23 +296,23 @@ class JointsPanel:
     def _slid(self, event: Any, joint: Joint) -> None:
         if event.client is None:
             return
-        value, slider, app = event.target.value, event.target, self._app
+        value, slider = event.target.value, event.target
         q = math.radians(value) if joint.rotates else value / 1000
         if joint.lower is not None and joint.upper is not None:  # the slider's ends are rounded
             q = min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))
 
         def moved() -> None:
-            app.motion.set_q(joint.name, q)
-            self.show_q(app.motion.q, but=slider)
+            self._motion.set_q(joint.name, q)
+            self._show_q(self._motion.q, but=slider)
 
-        app.act(moved)
+        self._tab.act(moved)
 
     def _row_clicked(self, which: str, joint: Joint) -> None:
-        app = self._app
+        tab = self._tab
         if which == "Edit":
-            app.act(lambda: app.choose_joint(joint.child))
+            tab.act(lambda: tab.selection.choose_joint(joint.child))
         else:
-            app.act(lambda: app.motion.play(joint.name))
+            tab.act(lambda: self._motion.play(joint.name))
 
 
 def _settled(doc: Document) -> bool:

@@ -2,55 +2,85 @@
 
 from __future__ import annotations
 
+import datetime
 import io
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import viser
 
+from app.server.accepting import accept, take_back
 from app.server.display_names import in_words, joint_title, part_title
 from app.server.open_object import INTERRUPTED, OpenObject
+from app.server.validating import LookFirstError
 from app.viewer.panels.joint_text import range_text, sure_text
 from app.viewer.panels.prompt_list import tool_label
-from app.viewer.panels.rejecting import RejectButtons
-from app.viewer.panels.validation_list import GateView
+from app.viewer.panels.rejecting import RejectButtons, Rejecting
+from app.viewer.panels.validation_list import ValidationList
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
+from app.viewer.picture.motion import Motion
+from app.viewer.tab import Tab
 from app.viewer.text import plain
 from model.core.errors import CommandError
 from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.describe import describe
 from sessions.document import Document
+from sessions.review import RejectReason
+from sessions.store import Entry, ObjectRecord
 from sessions.tool_commands import ApplyTool
-
-if TYPE_CHECKING:
-    from app.viewer.client_app import ClientApp
 
 HISTORY_SHOWN = 12
 DOWNLOAD_BYTES = 400_000_000
 DECIDED = ("accepted", "rejected")
 
 
-class ReviewPanel:
-    """The third step: is it right?"""
+@dataclass(frozen=True)
+class ReviewActions:
+    """What the review asks of the rest of the tab.
 
-    def __init__(self, app: ClientApp) -> None:
-        self._app = app
+    Attributes:
+        accept, reject: what the buttons do, once the object has been seen.
+        go_on: goes to the next object after a decision.
+        history: the newest commands of an object, by its id.
+        name_of: an object's name on the screens.
+        drawn: whether the open object's picture was sent.
+    """
+
+    accept: Callable[[], None]
+    reject: Callable[[], None]
+    go_on: Callable[[], None]
+    history: Callable[[int], Sequence[Entry]]
+    name_of: Callable[[ObjectRecord], str]
+    drawn: Callable[[], bool]
+
+
+class ReviewStep:
+    """The third step: is it right?
+
+    Attributes:
+        gate: what the checks say of the joints.
+    """
+
+    def __init__(
+        self, tab: Tab, motion: Motion, rejecting: Rejecting, actions: ReviewActions
+    ) -> None:
+        self._tab, self._rejecting, self._actions = tab, rejecting, actions
         self._drawn: Any = None
         self._asked: tuple[int, int] | None = None  # the object, and its state at that time
-        gui = app.client.gui
-        self.gate = GateView(app)
+        gui = tab.client.gui
+        self.gate = ValidationList(tab, motion, actions.drawn)
         self._override = gui.add_text(
             "Right all the same, because", "", visible=False,
             hint="The gate calls a joint broken: say why it may be accepted",
         )  # fmt: skip
         self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green")
-        self._reject = RejectButtons(app)
+        self._reject = RejectButtons(tab, rejecting, actions.reject)
         self.gate.build_list()
         self._summary = gui.add_markdown("")
         self._comment = gui.add_text("Comment", "", multiline=True)
@@ -64,9 +94,9 @@ class ReviewPanel:
         )
         with gui.add_folder("History", expand_by_default=False):
             self._history = gui.add_markdown("")
-        self._accept.on_click(lambda _: app.decide(app.commands.accept))
-        self._reopen.on_click(lambda _: app.act(lambda: app.do(cmd.Reopen(self.comment_text))))
-        self._download.on_click(lambda _: app.act(self._send))
+        self._accept.on_click(lambda _: actions.accept())
+        self._reopen.on_click(lambda _: tab.act(lambda: tab.do(cmd.Reopen(self.comment_text))))
+        self._download.on_click(lambda _: tab.act(self._send))
 
     @property
     def comment_text(self) -> str:
@@ -78,13 +108,68 @@ class ReviewPanel:
         """Why the object is right although the gate calls a joint broken."""
         return self._override.value if self._override.visible else ""
 
+    # --- decisions
+
+    def accept(self) -> None:
+        """Accept the object; its asset is written first."""
+        tab, selection = self._tab, self._tab.selection
+        self._rejecting.cancel()
+        selection.set_step("Review")  # where a reason is asked for, and the next object follows
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        obj = selection.need_object()
+        if obj.document.review.state == "accepted":
+            tab.notify("Accepted", "It is already; Reopen lets it be changed", "gray")
+            return
+
+        def refused(error: CommandError) -> None:
+            tab.act(lambda: self._refused(obj, error))
+
+        try:
+            with self._deciding():
+                accept(
+                    obj, self.comment_text, tab.user, now, self.override_text,
+                    looked_at=self.gate.looked_at(obj), refused=refused,
+                )  # fmt: skip
+        except LookFirstError as error:
+            self._refused(obj, error)
+
+    def _refused(self, obj: OpenObject, error: CommandError) -> None:
+        """Say why, and show what the gate wants to be looked at."""
+        tab, name = self._tab, self._actions.name_of(obj.record)
+        self._forget_decision(obj)
+        shown = tab.selection.object is obj
+        if isinstance(error, LookFirstError) and shown:
+            tab.selection.set_step("Review")
+            self.gate.show_worst()
+            tab.notify("Look at it first", str(error), "yellow")
+        elif not shown and obj.held:
+            tab.notify("Look again", f"{name}: {obj.held}", "yellow", seconds=None)
+        else:
+            tab.notify("Not accepted", f"{name}: {error}", "yellow")
+
+    def withdraw(self) -> None:
+        """Don't accept the object once its joints are judged. May be called on any thread."""
+        obj = self._tab.selection.object
+        if obj is not None and take_back(obj):
+            self._forget_decision(obj)
+
+    def reject(self, reason: RejectReason) -> None:
+        """Send the object back to its annotator."""
+        tab = self._tab
+        name = self._actions.name_of(tab.selection.need_object().record)
+        with self._deciding():
+            tab.do(cmd.Reject(reason, self.comment_text))
+        self._clear()
+        # The next object is shown by now.
+        tab.notify("Rejected", f"{name}: it is back with its annotator", "orange")
+
     @contextmanager
-    def deciding(self) -> Iterator[None]:
+    def _deciding(self) -> Iterator[None]:
         """Go on once what is asked for within is decided; not where it is refused.
 
         Told beforehand: the tab may draw the decision before asking for it returns.
         """
-        obj = self._app.need_object()
+        obj = self._tab.selection.need_object()
         self._asked = (obj.record.id, obj.state.seq)
         try:
             yield
@@ -92,12 +177,12 @@ class ReviewPanel:
             self._asked = None
             raise
 
-    def refused(self, obj: OpenObject) -> None:
+    def _forget_decision(self, obj: OpenObject) -> None:
         """What was asked for isn't decided: another one's decision later is none to go on after."""
         if self._asked is not None and self._asked[0] == obj.record.id:
             self._asked = None
 
-    def clear(self) -> None:
+    def _clear(self) -> None:
         """Empty what was typed."""
         self._comment.value = ""
         self._override.value = ""
@@ -110,7 +195,7 @@ class ReviewPanel:
             self._override.value = begun.override
 
     def _send(self) -> None:
-        saved = self._app.need_object().document.saved
+        saved = self._tab.selection.need_object().document.saved
         if saved is None or not Path(saved.folder).is_dir():
             raise CommandError("the saved asset isn't on this server's disk; accept again")
         folder = Path(saved.folder)
@@ -121,7 +206,7 @@ class ReviewPanel:
         with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in files:
                 archive.write(path, Path(folder.name) / path.relative_to(folder))
-        self._app.client.send_file_download(f"{folder.name}.zip", buffer.getvalue())
+        self._tab.client.send_file_download(f"{folder.name}.zip", buffer.getvalue())
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
@@ -146,7 +231,7 @@ class ReviewPanel:
             return
         if self._drawn is None or self._drawn[0] != obj.record.id:
             if self._drawn is not None:
-                self.clear()
+                self._clear()
             self._say_again(obj)
         self._drawn = now
         begun = ""
@@ -184,12 +269,11 @@ class ReviewPanel:
         if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
             if self._go_on.value:
-                self._app.act(self._app.commands.go_on)
+                self._tab.act(self._actions.go_on)
 
     def _draw_history(self) -> None:
-        app = self._app
-        obj = app.need_object()
-        entries = app.app_state.store.history(obj.record.id)[-HISTORY_SHOWN:]
+        obj = self._tab.selection.need_object()
+        entries = self._actions.history(obj.record.id)[-HISTORY_SHOWN:]
         lines = [
             f"- {plain(e.at[11:19])} {plain(e.who, 24)}: "
             f"{plain(what_happened(obj.document, e.command), 80)}"

@@ -1,0 +1,255 @@
+"""What keys and buttons ask for, in an object as in the scene around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from app.viewer.input.keys import Binding, KeySheet
+from app.viewer.input.pointing import Pointing
+from app.viewer.navigation import Navigation
+from app.viewer.panels.predict_buttons import predict
+from app.viewer.panels.quick_names import NUMBERED
+from app.viewer.panels.rejecting import Rejecting
+from app.viewer.picture.motion import Motion
+from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.steps.annotate import AnnotateStep
+from app.viewer.steps.joints import JointsStep
+from app.viewer.steps.review import ReviewStep
+from app.viewer.steps.scene import SceneStep
+from app.viewer.tab import STEPS, Tab
+from sessions import commands as cmd
+from sessions.review import RejectReason
+
+_CANCELLED = ("predict", "save", "segment", "room", "tool")
+
+TOOL_KEYS: Final[tuple[tuple[str, str | None], ...]] = (
+    ("Merge", "M"),
+    ("Connected", "O"),
+    ("Grow", "U"),
+    ("Shrink", "J"),
+    ("Same shape", "Z"),
+    ("Mirror", None),
+    ("Split", None),
+    ("Leftovers", None),
+    ("All parts", None),
+    # The page itself hears L and I, since the drag may begin before a message is here.
+    ("Lasso", None),
+    ("Brush", None),
+)
+
+
+class Commands:
+    """One tab's commands. Where no object is open they are for the chosen ones of the scene.
+
+    Attributes:
+        rejecting: asks why something is rejected.
+    """
+
+    def __init__(self, tab: Tab, navigation: Navigation) -> None:
+        self._tab, self._navigation = tab, navigation
+        self.rejecting = Rejecting(tab, self._subject, self._reject_because)
+
+    def connect(
+        self, steps: tuple[AnnotateStep, JointsStep, ReviewStep], scene: SceneStep | None
+    ) -> None:
+        """Set what the commands are for; widgets that give them are made before."""
+        self._annotate, self._joints, self._review = steps
+        self._scene = scene
+
+    @property
+    def _overview(self) -> SceneStep | None:
+        """The scene while none of its objects is worked on, else None."""
+        return self._scene if self._tab.selection.object is None else None
+
+    # --- decisions
+
+    def undo(self) -> None:
+        """Take back the last decision."""
+        if self._overview is not None:
+            self._overview.review.undo()
+        elif self._tab.selection.need_object().state.can_undo:
+            self._tab.do(cmd.Undo())
+        else:
+            self._tab.notify("Nothing to undo", "", "gray")
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        if self._overview is not None:
+            self._overview.review.redo()
+        elif self._tab.selection.need_object().state.can_redo:
+            self._tab.do(cmd.Redo())
+        else:
+            self._tab.notify("Nothing to redo", "", "gray")
+
+    def cancel(self) -> None:
+        """Stop what runs, and don't accept what waits for it. May be called on any thread."""
+        obj = self._tab.selection.object
+        if obj is not None:
+            self._review.withdraw()
+            for what in _CANCELLED:
+                obj.jobs.cancel(what)
+
+    def accept(self) -> None:
+        """Accept the object, or the chosen one of the scene."""
+        if self._overview is not None:
+            self.rejecting.cancel()
+            self._overview.review.accept()
+        else:
+            self._review.accept()
+
+    def _subject(self) -> tuple[Any, ...]:
+        """What a decision made now would be about."""
+        scene, obj = self._overview, self._tab.selection.object
+        if scene is not None:
+            return "scene", scene.choice.selected
+        return "object", None if obj is None else obj.record.id
+
+    def reject(self) -> None:
+        """Ask why the object goes back to its annotator."""
+        if self._overview is not None:
+            self._overview.choice.need_work()
+        else:
+            self._tab.selection.need_object()
+            self._tab.selection.set_step("Review")
+        self.rejecting.ask()
+
+    def _reject_because(self, reason: RejectReason) -> None:
+        """Send the object back to its annotator."""
+        if self._overview is not None:
+            self._overview.review.reject(reason)
+        else:
+            self._review.reject(reason)
+
+    def go_on(self) -> None:
+        """Go to the object that wants a decision most, after one was made."""
+        if self._scene is None:
+            self._navigation.go_on()
+        else:
+            self._scene.edit.leave()
+            self._scene.choice.step(1)
+
+    # --- numbers and choices
+
+    def number(self, number: int) -> None:
+        """A number key: the reason that is asked for, else the part for the next clicks."""
+        if self.rejecting.asking:
+            self.rejecting.answer(number)
+        else:
+            self._tab.selection.choose_part(number)
+
+    def answer(self, number: int) -> None:
+        """Shift and a number: what a part, or with 0 the object, is. Says what came of it."""
+        selection = self._tab.selection
+        if selection.object is None or selection.picking:
+            return
+        step = {"Annotate": self._annotate, "Joints": self._joints}.get(selection.step)
+        said = "Names are given in the steps before" if step is None else step.answer(number)
+        if said:
+            self._tab.say(said)
+
+    def next_choice(self) -> None:
+        """The next mask for the part, the next joint, or the next one to look at (Tab)."""
+        step = self._tab.selection.step
+        if step == "Annotate":
+            self._annotate.next_mask(1)
+        elif step == "Review":
+            self._review.gate.show_next()
+        else:
+            self._joints.choose_next()
+
+    def choice_before(self) -> None:
+        """The mask before this one (Shift+Tab)."""
+        if self._tab.selection.step == "Annotate":
+            self._annotate.next_mask(-1)
+
+    def step(self, by: int) -> None:
+        """Go to the next object (1) or to the one before (-1)."""
+        if self._scene is None:
+            self._navigation.step(by)
+        else:
+            self._scene.choice.step(by)
+
+
+def bindings(
+    tab: Tab,
+    commands: Commands,
+    steps: tuple[AnnotateStep, JointsStep, ReviewStep],
+    scene: SceneStep | None,
+    view: tuple[Pointing, Motion, ObjectPicture, KeySheet],
+) -> Iterator[Binding]:
+    """The commands of the palette (Ctrl+K) with their keys, in the palette's order."""
+    annotate, joints, _ = steps
+    pointing, motion, picture, sheet = view
+    for part in range(10):
+        name = "the base" if part == 0 else f"part {part}"
+        yield Binding(f"Choose {name}", str(part), _with(commands.number, part))
+    yield Binding("Undo", "Z", commands.undo, "cmd/ctrl")
+    yield Binding("Redo", "Z", commands.redo, "cmd/ctrl+shift")
+    yield Binding("Predict joints", "P", _with(predict, tab))
+    yield Binding("Play the joints", "space", _playing(tab, scene, motion, False))
+    yield Binding(
+        "Play all joints of the scene", "space", _playing(tab, scene, motion, True), "shift"
+    )
+    yield Binding("Reset the pose", "R", motion.reset)
+    yield Binding("Next joint or mask", "tab", commands.next_choice)
+    yield Binding("Mask before this one", "tab", commands.choice_before, "shift")
+    yield Binding("Next joint type", "T", joints.editor.next_type)
+    yield Binding("Flip the axis", "F", joints.editor.flip)
+    yield Binding("Axis handles", "G", motion.toggle_handles)
+    yield Binding("Hide or show the part", "H", annotate.parts.toggle_hidden)
+    # The page hears Shift and a number: which sign that writes depends on the keyboard.
+    for number, name in enumerate(NUMBERED, 1):
+        yield Binding(f"Name: {name}", None, _with(commands.answer, number))
+    yield Binding("Take the guessed category", None, _with(commands.answer, 0))
+    yield Binding("Delete the part", "delete", annotate.parts.delete)
+    for label, key in TOOL_KEYS:
+        yield Binding(f"Tool: {label}", key, _with(annotate.tools.use, label))
+    yield Binding("Tool: Cut along a line, or a rectangle", "K", pointing.next_cut)
+    yield Binding("Preview under the pointer", "V", annotate.tools.toggle_preview)
+    yield Binding("Leave out floor and walls", None, annotate.source.leave_out)
+    yield Binding("Cut this part out as an object", None, annotate.source.cut_out)
+    yield Binding("Keys and mouse", None, sheet.toggle)
+    yield Binding("Accept", "Y", commands.accept, decides=True)
+    yield Binding("Reject", "X", commands.reject, decides=True)
+    yield Binding("Next object", "N", _with(commands.step, 1))
+    yield Binding("Previous object", "B", _with(commands.step, -1))
+    yield Binding("Frame the object", "C", _framing(tab, scene, picture))
+    if scene is not None:
+        yield Binding("Work on the chosen object", "enter", scene.edit.enter)
+        yield Binding("Back to the scene", "backspace", scene.edit.leave)
+    for step in STEPS:
+        yield Binding(f"Step: {step}", None, _with(tab.selection.set_step, step))
+
+
+def _with(action: Callable[[Any], None], value: Any) -> Callable[[], None]:
+    return lambda: action(value)
+
+
+def _playing(
+    tab: Tab, scene: SceneStep | None, motion: Motion, everything: bool
+) -> Callable[[], None]:
+    """Start or stop moving the joints of the object, or of the scene around it."""
+
+    def play() -> None:
+        if scene is None or tab.selection.object is not None:
+            motion.play()
+        elif everything:
+            scene.play_all()
+        else:
+            scene.play()
+
+    return play
+
+
+def _framing(tab: Tab, scene: SceneStep | None, picture: ObjectPicture) -> Callable[[], None]:
+    """Aim at the open object, at the chosen one of the scene, or at all of it."""
+
+    def frame() -> None:
+        if scene is None or tab.selection.object is not None:
+            picture.frame_camera()
+        else:
+            chosen = scene.choice.selected
+            scene.picture.frame(None if chosen is None else [chosen])
+
+    return frame

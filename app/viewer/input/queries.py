@@ -1,0 +1,115 @@
+"""Questions to the workers about places in the picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.server import picking_tasks, tool_tasks
+from app.server.display_tasks import OpenedAsset
+from app.server.jobs import PREVIEWS, WorkerProcess
+from app.server.segmenting import stored_prompts
+from app.viewer.tab import Tab
+from model.geometry.picking import Camera
+from model.geometry.strokes import Stroke
+from model.segmentation.prompts import Click
+from sessions.document import Document
+
+Point = tuple[float, float, float]
+PICK_SECONDS = 30.0
+FRAME_SECONDS = 5.0
+PREVIEW_SECONDS = 10.0
+PICK_PRIORITY, FRAME_PRIORITY = 20, 15
+
+
+class PointerQueries:
+    """Asks for one tab what a ray, a box or a stroke meets.
+
+    Args:
+        geometry, segmentation: the workers that answer.
+        workspace: where arrays are stored.
+        segmenter: answers previews.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        geometry: WorkerProcess,
+        segmentation: WorkerProcess,
+        workspace: Path,
+        segmenter: str,
+    ) -> None:
+        self._tab = tab
+        self._geometry, self._segmentation = geometry, segmentation
+        self._workspace, self._segmenter = workspace, segmenter
+
+    def camera(self) -> Camera:
+        """The camera of this tab now."""
+        view = self._tab.client.camera
+        return Camera(
+            position=np.asarray(view.position, np.float64),
+            world_from_camera=np.asarray(view.wxyz, np.float64),
+            fov=float(view.fov),
+            aspect=float(view.aspect),
+        )
+
+    def pick(self, asset: OpenedAsset, origin: Point, direction: Point) -> Any:
+        """The first visible element on a ray, or None."""
+        return self._geometry.submit(
+            picking_tasks.pick, asset.folder, origin, direction, self._hidden(),
+            priority=PICK_PRIORITY,
+        ).result(PICK_SECONDS)  # fmt: skip
+
+    def pick_preview(self, asset: OpenedAsset, place: tuple[float, float]) -> Any:
+        """The same under the pointer, at (x, y) of the picture; only the newest one is answered."""
+        origin, direction = self.camera().ray(place)
+        return self._geometry.submit(
+            picking_tasks.pick, asset.folder, tuple(origin), tuple(direction), self._hidden(),
+            key=("hover", self._tab.client.client_id), priority=PREVIEWS,
+        ).result(PREVIEW_SECONDS)  # fmt: skip
+
+    def preview(self, asset: OpenedAsset, doc: Document, click: Click) -> Any:
+        """What a click would give to its part and take from others."""
+        return self._segmentation.submit(
+            tool_tasks.hover, asset.folder, self._workspace, self._segmenter, stored_prompts(doc),
+            click, key=("hover", self._tab.client.client_id), priority=PREVIEWS,
+            works_on=asset.folder,
+        ).result(PREVIEW_SECONDS)  # fmt: skip
+
+    def box(
+        self, asset: OpenedAsset, camera: Camera, low: Any, high: Any, *, one_piece: bool
+    ) -> tuple[str, int]:
+        """The visible elements in a rectangle of the picture: reference and count."""
+        return self._geometry.submit(
+            picking_tasks.select_box, asset.folder, self._workspace, camera, low, high,
+            one_piece=one_piece, hidden=self._hidden(), priority=PICK_PRIORITY,
+        ).result(PICK_SECONDS)  # fmt: skip
+
+    def stroke(self, asset: OpenedAsset, camera: Camera, stroke: Stroke) -> tuple[str, int]:
+        """The visible elements in a lasso or under a brush: reference and count."""
+        return self._geometry.submit(
+            picking_tasks.select_stroke, asset.folder, self._workspace, camera, stroke,
+            self._hidden(), priority=PICK_PRIORITY,
+        ).result(PICK_SECONDS)  # fmt: skip
+
+    def rectangle_frame(self, asset: OpenedAsset, corner: Point, view: Point) -> Any:
+        """Normal and first side of a rectangle to cut, or None while the workers are busy."""
+        try:
+            return self._segmentation.submit(
+                tool_tasks.frame_at, asset.folder, corner, view, priority=FRAME_PRIORITY,
+                works_on=asset.folder,
+            ).result(FRAME_SECONDS)  # fmt: skip
+        except TimeoutError:
+            return None
+
+    def _hidden(self) -> picking_tasks.Hidden | None:
+        """The parts that rays pass through; None where nothing is hidden."""
+        selection = self._tab.selection
+        labelled = selection.need_object().document.segmentation
+        if labelled is None or not selection.hidden:
+            return None
+        return picking_tasks.Hidden(
+            self._workspace, labelled.labels, tuple(sorted(selection.hidden))
+        )

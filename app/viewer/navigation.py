@@ -1,0 +1,193 @@
+"""Which object a tab shows, and what is remembered of that."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from app.server.app_state import AppState
+from app.server.display_names import in_words
+from app.server.open_object import OpenObject
+from app.viewer.tab import Tab
+from model.core.errors import ArtiworldError
+from sessions import commands as cmd
+
+log = logging.getLogger(__name__)
+_STORED = "artiworld"
+_WAITING = ("todo", "in_progress", "rejected")
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a browser remembers of its tab; each field is a line.
+
+    Attributes:
+        user: the name that signs decisions.
+        object: id of the open object, or "".
+        inside: the object of a scene that is worked on, or "".
+        light: "plain" where there are no reflections.
+        chosen: the chosen object of a scene, or "".
+    """
+
+    user: str = ""
+    object: str = ""
+    inside: str = ""
+    light: str = ""
+    chosen: str = ""
+
+    def store(self, tab: Tab) -> None:
+        """Keep it in the browser."""
+        lines = (self.user, self.object, self.inside, self.light, self.chosen)
+        tab.client.local_storage.set_item(_STORED, "\n".join(lines))
+
+    @classmethod
+    def load(cls, tab: Tab) -> Memory:
+        """Get it from the browser; empty where that has none."""
+        try:
+            stored = tab.client.local_storage.get_item(_STORED, timeout=3.0)
+        except (RuntimeError, TimeoutError):
+            log.info("tab %s has no memory of its own", tab.client.client_id)
+            return cls()
+        memory = cls(*(stored or "").split("\n")[:5])
+        try:
+            return replace(memory, user=cmd.clean_text(memory.user, 60, "your name") or "")
+        except ArtiworldError:
+            return cls()
+
+
+class Navigation:
+    """Opens the objects of the queue or of a scene in one tab.
+
+    Args:
+        opened: gets the object that was just opened.
+        remember: keeps in the browser which one that is.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        app_state: AppState,
+        opened: Callable[[OpenObject], None],
+        remember: Callable[[], None],
+    ) -> None:
+        self._tab, self._app_state = tab, app_state
+        self._opened, self._remember = opened, remember
+        self._skipped: set[int] = set()
+        self._heard: set[OpenObject] = set()
+        self._unwatch: Callable[[], None] = lambda: None
+
+    def close(self) -> None:
+        """End what belongs to the tab."""
+        self._unwatch()
+
+    def start(self, wanted: str) -> None:
+        """Open the object of that id, else the first one that isn't done."""
+        records = self._app_state.queue.records()
+        if not records:
+            self._tab.notify("The queue is empty", "Start with: artiworld serve PATH", "yellow")
+            return
+        ids = [r.id for r in records]
+        if wanted.isdigit() and int(wanted) in ids:
+            self.open(int(wanted))
+        else:
+            self.open(([r.id for r in records if r.state in _WAITING] or ids)[0])
+
+    def open(self, object_id: int) -> None:
+        """Show another object."""
+        tab = self._tab
+        self._skipped.discard(object_id)
+        self._leave(tab.selection.object)
+        obj = self._app_state.object(object_id)
+        tab.selection.open(obj)
+        self._unwatch = obj.watch(tab.invalidate, tab.notify)
+        tab.selection.set_step("Joints" if obj.document.tree is not None else "Annotate")
+        self._opened(obj)
+        self._remember()
+        if obj.problem:
+            tab.notify("Can't open this file", obj.problem, "red")
+
+    def close_object(self) -> None:
+        """Show no object."""
+        self._leave(self._tab.selection.object)
+        self._tab.selection.open(None)
+
+    def _leave(self, obj: OpenObject | None) -> None:
+        self._unwatch()
+        self._unwatch = lambda: None
+        if (
+            obj is not None
+            and obj not in self._heard
+            and self._app_state.is_accepting(obj.record.id)
+        ):
+            self._hear_out(obj)
+
+    def _hear_out(self, obj: OpenObject) -> None:
+        """Tell here, too, what comes of an acceptance once another object is looked at."""
+        tab = self._tab
+
+        def over() -> bool:
+            return not obj.judging.waiting and "save" not in obj.jobs
+
+        def end() -> None:
+            self._heard.discard(obj)
+            stop()
+
+        def tell(title: str, body: str, color: str) -> None:
+            if over():
+                end()
+            if tab.selection.object is obj:  # come back to, it tells so by itself
+                return
+            name = self._app_state.display_name(obj.record)
+            said = in_words(obj.document, body).removeprefix(f"{name}: ")
+            tab.notify(title, f"{name}: {said}", color)
+
+        def changed() -> None:
+            tab.invalidate()
+            if over() and obj.document.review.state != "accepted":
+                end()  # why it was refused is told by whoever asked for it
+
+        self._heard.add(obj)
+        stop = obj.watch(changed, tell)
+
+    def step(self, by: int) -> None:
+        """Open the next object of the queue, or with -1 the one before; passing one skips it."""
+        ids = [r.id for r in self._app_state.queue.records()]
+        obj = self._tab.selection.object
+        if obj is None or not ids:
+            return
+        current = obj.record.id
+        if by > 0:
+            self._skipped.add(current)
+        if current in ids:
+            self.open(ids[(ids.index(current) + by) % len(ids)])
+        else:  # another tab took it off the list
+            self.open(ids[0 if by > 0 else -1])
+
+    def remove(self) -> None:
+        """Remove what can't be read from the queue, and go on with the next object."""
+        ids = [r.id for r in self._app_state.queue.records()]
+        current = self._tab.selection.need_object().record.id
+        self._app_state.queue.remove(current)
+        left = [i for i in ids if i != current]
+        if left:
+            self.open(left[ids.index(current) % len(left)] if current in ids else left[0])
+        else:
+            self.close_object()
+
+    def go_on(self) -> None:
+        """Open the object that wants a decision most, after one was made."""
+        app_state, selection = self._app_state, self._tab.selection
+        current = selection.need_object().record
+        waiting = [
+            r
+            for r in app_state.queue.records()
+            if r.id == current.id or not app_state.is_accepting(r.id)
+        ]
+        again = {r.id for r in waiting if app_state.on_hold(r) or app_state.was_interrupted(r)}
+        following = app_state.review_order.next(waiting, current.id, self._skipped, again)
+        if following is None:
+            return
+        self.open(following)
+        if selection.need_object().document.tree is not None:
+            selection.set_step("Review")

@@ -1,0 +1,135 @@
+"""The parts: a button for each, and the name of the chosen one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from app.viewer.input.pointing import Pointing
+from app.viewer.panels.choice import Choice
+from app.viewer.panels.quick_names import QuickNames
+from app.viewer.picture import palette
+from app.viewer.tab import Tab
+from app.viewer.text import percent
+from model.segmentation.prompts import BASE
+from sessions import commands as cmd
+from sessions.document import Document
+
+PARTS_SHOWN = 200
+
+
+class PartList:
+    """Chooses, names, hides and deletes parts."""
+
+    def __init__(self, tab: Tab, pointing: Pointing) -> None:
+        self._tab, self._pointing = tab, pointing
+        gui = tab.client.gui
+        with gui.add_folder("Parts"):
+            self._box = gui.add_folder(None)
+            self._buttons: dict[int, Any] = {}
+            actions = gui.add_button_group("Part", ("Add", "Hide", "Delete"))
+            self._name = Choice(
+                tab, ("Part is a", "Other name"), palette.PART_NAMES, self._chosen_name, self.rename
+            )
+            self._quick = QuickNames(tab, self.rename)
+        actions.on_click(lambda e: tab.act(lambda: self._act(e.target.value)))
+
+    def _document(self) -> Document:
+        return self._tab.selection.need_object().document
+
+    def _chosen_name(self) -> str | None:
+        return _part_name(self._document(), self._tab.selection.part)
+
+    def rename(self, name: str | None) -> None:
+        """Name the chosen part; parts of the same shape get the name too."""
+        part = self._tab.selection.part
+        if name == self._chosen_name():
+            return
+        if part and part not in {p.id for p in self._document().parts}:
+            self._tab.do(cmd.AddPart(part, name))
+            return
+        before = len(self._document().part_names)
+        self._tab.do(cmd.NamePart(part, name))
+        more = len(self._document().part_names) - before - 1
+        if name and more > 0:
+            what = f"{more} more part{'s'[: more != 1]} of the same shape; undo takes all back"
+            self._tab.notify(f"{name.capitalize()}, too", what, "green")
+
+    def _clicked(self, part: int) -> None:
+        if self._pointing.armed == "merge":
+            self._pointing.merge(part)
+        else:
+            self._tab.selection.choose_part(part)
+
+    def _act(self, action: str) -> None:
+        if action == "Add":
+            self._tab.selection.choose_part(self._document().next_part)
+        elif action == "Hide":
+            self.toggle_hidden()
+        else:
+            self.delete()
+
+    def delete(self) -> None:
+        """Delete the chosen part with all its prompts, and choose another one."""
+        tab, selection = self._tab, self._tab.selection
+        if selection.step != "Annotate":
+            tab.notify("Delete", "Parts are deleted in the Annotate step", "gray")
+            return
+        if not selection.part:
+            tab.notify("Delete", "Part 0 is the base, which stays", "gray")
+            return
+        if self._document().part(selection.part) is not None:
+            tab.do(cmd.DeletePart(selection.part))
+        selection.choose_part(min((p.id for p in self._document().parts if p.id), default=1))
+
+    def toggle_hidden(self) -> None:
+        """Hide the chosen part (its joint's part in the other steps), or show it again."""
+        selection = self._tab.selection
+        part = selection.part
+        if selection.step != "Annotate" and selection.child is not None:
+            digits = selection.child.removeprefix("link_")
+            part = int(digits) if digits.isdigit() else part
+        selection.hidden = selection.hidden ^ {part}
+        self._pointing.hover.forget()
+        self._tab.invalidate()
+
+    def draw(self, doc: Document, shares: dict[int, float]) -> None:
+        """Bring the list up to date; ``shares`` of the surface by part, 0..1."""
+        selection = self._tab.selection
+        ids = parts_listed((p.id for p in doc.parts), selection.part)
+        for part in [p for p in self._buttons if p not in ids]:
+            self._buttons.pop(part).remove()
+        for part in ids:
+            if part not in self._buttons:
+                self._buttons[part] = self._add_button(part)
+            name = _part_name(doc, part)
+            if name in (None, f"link_{part}"):  # as read from a folder of parts: no name at all
+                name = "part" if part else "base"
+            share = f" · {percent(shares[part])}" if part in shares else ""
+            mark = "▸ " if part == selection.part else ""
+            hidden = " (hidden)" if part in selection.hidden else ""
+            label = f"{mark}{part} · {name[:24]}{share}{hidden}"
+            if self._buttons[part].label != label:
+                self._buttons[part].label = label
+        name, picking = _part_name(doc, selection.part), selection.picking
+        self._name.show(name, not picking)
+        self._quick.show(selection.part != BASE and not picking, name)
+
+    def _add_button(self, part: int) -> Any:
+        tab = self._tab
+        with self._box:
+            button = tab.client.gui.add_button(
+                "", color=palette.part_color(part), order=float(part)
+            )
+        button.on_click(lambda _: tab.act(lambda: self._clicked(part)))
+        return button
+
+
+def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:
+    """The parts that have a button: the first ``PARTS_SHOWN``, always with the chosen one."""
+    ids = sorted({BASE, chosen, *parts})
+    return ids if len(ids) <= PARTS_SHOWN else sorted({*ids[: PARTS_SHOWN - 1], chosen})
+
+
+def _part_name(doc: Document, part: int) -> str | None:
+    return next((p.name for p in doc.parts if p.id == part), None)

@@ -1,0 +1,134 @@
+"""Brings the picture of the open object up to date with its state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from app.server.display_names import moved_part
+from app.server.open_object import OpenObject
+from app.viewer.picture import palette
+from app.viewer.picture.joint_marks import AxisMark, axis_length
+from app.viewer.picture.motion import Motion
+from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.tab import Tab
+from model.core.joint import Joint
+from model.segmentation.prompts import Click
+from sessions.document import Document
+
+
+class ObjectDrawing:
+    """Sends to one tab what changed of the open object.
+
+    Args:
+        shown: gets, once another asset was sent, whether it lies where the last one did.
+        tapped: gets what a finger taps.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        picture: ObjectPicture,
+        motion: Motion,
+        shown: Callable[[bool], None],
+        tapped: Callable[[Any], None],
+    ) -> None:
+        self._tab, self._picture, self._motion = tab, picture, motion
+        self._shown, self._tapped = shown, tapped
+        self._asset: Any = None
+        self._id: int | None = None
+        tab.selection.on_open(self._forget)
+
+    def _forget(self) -> None:
+        self._asset = None
+
+    @property
+    def drawn(self) -> bool:
+        """Whether the open object's picture was sent."""
+        obj = self._tab.selection.object
+        return obj is not None and self._asset is obj.asset is not None
+
+    @property
+    def shows_labels(self) -> bool:
+        """Whether the newest labels were sent."""
+        obj = self._tab.selection.object
+        return obj is not None and self._picture.labels is obj.labels
+
+    def draw(self, obj: OpenObject, *, touch: bool) -> None:
+        """Send what changed; ``touch`` where fingers are to be heard."""
+        if obj.asset is not None and obj.asset is not self._asset:
+            before = self._asset if self._id == obj.record.id else None
+            stays = before is not None and np.array_equal(before.bounds, obj.asset.bounds)
+            self._picture.show_asset(obj.asset, keep_view=stays)
+            self._id, self._asset = obj.record.id, obj.asset
+            self._motion.forget()
+            self._shown(stays)
+        elif obj.asset is None and self._id is not None and not self._read_again(obj):
+            self.clear()
+        if obj.asset is not None:
+            self._draw(obj, obj.document, touch)
+
+    def clear(self) -> None:
+        """Clear the picture: it is of another object, or of a file that can't be read now."""
+        if self._id is not None:
+            self._picture.clear()
+            self._asset = self._id = None
+            self._motion.forget()
+
+    def _read_again(self, obj: OpenObject) -> bool:
+        """Whether what is shown is the same object, whose faces are numbered anew just now."""
+        return self._id == obj.record.id and not obj.problem
+
+    def _draw(self, obj: OpenObject, doc: Document, touch: bool) -> None:
+        selection, picture = self._tab.selection, self._picture
+        assert obj.asset is not None
+        moving = selection.step != "Annotate" and doc.tree is not None
+        payloads = obj.part_payloads() if moving else None
+        selection.hidden &= {p.id for p in doc.parts}  # a new part of the same number is seen
+        picture.show_labels(obj.labels, selection.hidden)
+        clicks = [
+            (i, p)
+            for i, p in enumerate(doc.prompts)
+            if isinstance(p, Click) and p.part not in selection.hidden
+        ]
+        picture.show_prompts(clicks, visible=selection.step == "Annotate")
+        picture.show_parts(payloads, moving, selection.hidden)
+        picture.marks.show_axes(self._axis_marks(obj, doc) if moving else ())
+        choosing = moving and selection.step == "Joints"
+        picture.marks.show_directions(obj.asset.bounds[0] if choosing else None)
+        picture.marks.show_contacts(obj.checks, doc.tree if moving else None)
+        self._motion.pose()
+        self._motion.handles.draw()
+        pad = picture.touch
+        new = picture.show_touch_pad(touch)
+        if new is not None and new is not pad:
+            new.on_click(self._tapped)
+
+    def _axis_marks(self, obj: OpenObject, doc: Document) -> list[AxisMark]:
+        assert doc.tree is not None and obj.asset is not None
+        payloads, marks = obj.part_payloads(), []
+        for joint in doc.tree.joints:
+            if not joint.moves:
+                continue
+            chosen = joint.child == self._tab.selection.child
+            moved = moved_part(doc.tree, joint.child)
+            length = axis_length(payloads, moved, joint.axis, obj.asset.diagonal)
+            part = moved.removeprefix("link_")
+            color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
+            color = palette.SELECTED if chosen else color
+            marks.append(_mark(joint.name, joint, length, color, chosen))
+            predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
+            if predicted is not None and predicted.moves and _axis_differs(predicted, joint):
+                marks.append(_mark(f"ghost-{joint.name}", predicted, length, palette.GHOST, False))
+        return marks
+
+
+def _mark(key: str, joint: Joint, length: float, color: palette.Rgb, thick: bool) -> AxisMark:
+    return AxisMark(key, joint.parent, joint.origin, joint.axis, length, color, thick)
+
+
+def _axis_differs(a: Joint, b: Joint) -> bool:
+    off = np.abs(np.subtract(a.origin, b.origin)).max() > 1e-9
+    return bool(off or np.abs(np.subtract(a.axis, b.axis)).max() > 1e-9)

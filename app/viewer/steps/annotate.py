@@ -1,0 +1,176 @@
+"""The first step: which parts are there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import viser
+
+from app.server.open_object import OpenObject
+from app.viewer.input.pointing import Pointing
+from app.viewer.panels.category_guess import CategoryGuess
+from app.viewer.panels.choice import Choice
+from app.viewer.panels.part_list import PartList
+from app.viewer.panels.predict_buttons import PredictButtons
+from app.viewer.panels.prompt_list import PromptList
+from app.viewer.panels.quick_names import NUMBERED
+from app.viewer.panels.source_panel import SourcePanel
+from app.viewer.panels.tool_buttons import ToolButtons
+from app.viewer.panels.unit_hint import UnitHint
+from app.viewer.panels.widgets import put
+from app.viewer.picture import palette
+from app.viewer.picture.stage import may_be_a_room
+from app.viewer.tab import Tab
+from model.segmentation.prompts import BASE, Click
+from sessions import commands as cmd
+from sessions.document import Document
+from sessions.records import ObjectRecord
+
+LEAVE_OUT = "Leave out floor and walls"
+
+
+class AnnotateStep:
+    """What the annotate step shows.
+
+    Args:
+        records: the queue.
+        open_object: gets the id of an object that was cut out.
+
+    Attributes:
+        parts: the list of parts.
+        tools: the buttons of the tools.
+        source: how the source is read, and what of it is left out.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        pointing: Pointing,
+        records: Callable[[], Sequence[ObjectRecord]],
+        open_object: Callable[[int], None],
+    ) -> None:
+        self._tab, self._pointing = tab, pointing
+        self._drawn: Any = None
+        gui = tab.client.gui
+        self._hint = gui.add_markdown("")
+        self._unit = UnitHint(tab)
+        self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
+        # Above the parts: however many these are, it stays where it is.
+        self._predict = PredictButtons(tab)
+        self._category = Choice(
+            tab, ("Category", "Other category"), palette.CATEGORIES,
+            lambda: tab.selection.need_object().document.category,
+            lambda category: tab.do(cmd.SetCategory(category)),
+        )  # fmt: skip
+        self._guess = CategoryGuess(
+            tab, records, lambda category: tab.do(cmd.SetCategory(category))
+        )
+        self.parts = PartList(tab, pointing)
+        self.tools = ToolButtons(tab, pointing)
+        self._prompts = PromptList(tab)
+        self.source = SourcePanel(tab, open_object)
+        self._room.on_click(lambda _: tab.act(self._room_clicked))
+
+    def _room_clicked(self) -> None:
+        if self._room.label == LEAVE_OUT:
+            self.source.leave_out()
+        else:
+            self.source.cut_out()
+
+    def next_mask(self, step: int) -> None:
+        """Take another mask for the last click: the next one, or with -1 the one before."""
+        self._pointing.tools.next_mask(step)
+
+    def answer(self, number: int) -> str:
+        """What Shift and a number says: 0 the guessed category, else a name of the chosen part.
+
+        Returns:
+            What came of it, for people.
+        """
+        if number == 0:
+            category = self._guess.take_first()
+            return f"The object is: {category}" if category else "There is no guess of the category"
+        if number > len(NUMBERED):
+            return ""
+        part, name = self._tab.selection.part, NUMBERED[number - 1]
+        if part == BASE:
+            return "Part 0 is the base: choose another one"
+        self.parts.rename(name)
+        return f"Part {part} is: {name}"
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the widgets up to date."""
+        selection, doc = self._tab.selection, obj.document
+        self._predict.show_here(obj.backend_away and not selection.picking)
+        shares = obj.segmenting.shares
+        now = (
+            obj.record.id,
+            doc.parts,
+            doc.prompts,
+            doc.category,
+            doc.review.state,
+            doc.left_out,
+            tuple(shares.items()),
+            selection.part,
+            selection.hidden,
+            id(obj.asset),
+            selection.picking,
+            doc.segmentation is None,
+        )
+        if now != self._drawn:
+            self._drawn = now
+            self._draw_hint(obj, doc)
+            ready = doc.segmentation is not None and not self._room.visible
+            self._predict.show(not selection.picking, "blue" if ready else "gray")
+            self.parts.draw(doc, shares)
+            picking = selection.picking  # what is taken out is named above
+            self._category.show(doc.category, not picking)
+            asked = doc.category is None and not picking and doc.review.state != "accepted"
+            self._guess.show(asked)
+            self._prompts.draw(doc, "face" if obj.asset is None else obj.asset.element_kind)
+        self.source.draw(obj)
+
+    def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
+        selection = self._tab.selection
+        wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
+        room = wide and not self._tab.in_scene and doc.placement is None
+        whole = room and doc.left_out is None and not doc.prompts
+        odd = self._unit.draw(obj)
+        mine = [p for p in doc.prompts if p.part == selection.part]
+        put(self._room, "label", LEAVE_OUT if whole else "Cut this part out as an object")
+        put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")
+        put(self._room, "visible", room and odd is None)
+        if selection.picking:
+            text = (
+                f"**Part {selection.part}** is what is taken out. Things side by side with one "
+                "front: **K**, then two clicks, one above the other, cut them apart."
+            )
+        elif odd is not None:
+            text = f"**{odd}**"
+        elif doc.review.state == "accepted":
+            text = "**Accepted.** To change it, reopen it in the Review step."
+        elif whole:
+            text = (
+                "**A room?** Leave out the floor and the walls first. "
+                "Then click or box one thing and cut it out as an object."
+            )
+        elif room:
+            text = (
+                "**Click or box (Alt+drag) one thing** and cut it out as an object. "
+                "Shift+click says *not this*; **Tab** shows other masks."
+            )
+        elif not mine and (selection.part or not doc.prompts):
+            text = (
+                "**Click a part that moves** (a door, a drawer, a knob). "
+                "Press **2**, **3**, … for the next part; Shift+click says *not this*."
+            )
+        elif not any(isinstance(p, Click) for p in mine):
+            text = "Tint wrong? Click what is missing, Shift+click what is too much."
+            text += " **Delete** takes the part away." if selection.part else ""
+        else:
+            text = (
+                "Tint wrong? **Tab** shows other masks; or click what is missing, Shift+click what "
+                "is too much."
+            )
+        put(self._hint, "content", text)

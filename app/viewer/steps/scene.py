@@ -1,0 +1,199 @@
+"""A whole scene in one tab: its list, its picture, and the card of the chosen object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import viser
+
+from app.server.scene_rows import Work
+from app.server.scene_workspace import SceneWorkspace
+from app.viewer.panels.pick_panel import PickPanel
+from app.viewer.panels.rejecting import Rejecting
+from app.viewer.panels.scene_card import SceneActions, SceneCard
+from app.viewer.panels.scene_list import SceneList
+from app.viewer.panels.widgets import put
+from app.viewer.picture.scene_motion import SceneMotion
+from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.steps.scene_edit import SceneEdit
+from app.viewer.steps.scene_review import SceneReview
+from app.viewer.tab import Tab
+
+
+@dataclass(frozen=True)
+class SceneHost:
+    """What a scene asks of the rest of the tab.
+
+    Attributes:
+        show: gets the session of an object to open, or None to close it, and whether its worst
+            finding is shown.
+        remember: keeps in the browser where its user is.
+        accept, reject: what the buttons do, once the object has been seen.
+    """
+
+    show: Callable[[int | None, bool], None]
+    remember: Callable[[], None]
+    accept: Callable[[], None]
+    reject: Callable[[], None]
+
+
+class SceneStep:
+    """What a tab shows of a scene, and what its user does with it.
+
+    Attributes:
+        edit: opens objects in place; its ``choice`` is the chosen one.
+        review: decides about them.
+        picture: what is drawn.
+        motion: joints that play.
+        list: the left side.
+        card: the right side.
+    """
+
+    def __init__(
+        self, tab: Tab, desk: SceneWorkspace, rejecting: Rejecting, host: SceneHost
+    ) -> None:
+        self._tab, self._desk, self._host = tab, desk, host
+        self._wanted: tuple[str, str] | None = None
+        self._was_read = False
+        self._moment: Any = None
+        self.picture = ScenePicture(tab.client, desk)
+        self.motion = SceneMotion(self.picture.pose)
+        self.edit = SceneEdit(tab, desk, self.picture, host.show, host.remember, self.motion.stop)
+        self.choice = self.edit.choice
+        self.review = SceneReview(tab, desk, self.choice)
+        self.list = SceneList(tab, desk, self.picture, self._choose, host.remember)
+        self._folder = tab.client.gui.add_folder(None)
+        with self._folder:
+            self.card = SceneCard(tab, desk, rejecting, self._actions())
+        self._pick_panel: PickPanel | None = None
+        self._unwatch = desk.watch(tab.invalidate, tab.notify)
+
+    def _actions(self) -> SceneActions:
+        return SceneActions(
+            undo=self.review.undo,
+            redo=self.review.redo,
+            accept=self._host.accept,
+            reject=self._host.reject,
+            enter=self.edit.enter,
+            pick=self.edit.pick,
+            play_all=self.play_all,
+            report=self._report,
+            classify=self.review.classify,
+            step=self.choice.step,
+            accept_above=self.review.accept_above,
+            above=self.review.above,
+            save=lambda loose: self._desk.saving.save(loose, self._tab.user),
+            play_joint=self._play_joint,
+        )
+
+    def build_object_widgets(self) -> None:
+        """Make the widgets above everything else about one object."""
+        back = self._tab.client.gui.add_button(
+            "Back to the scene (Backspace)", icon=viser.Icon.ARROW_LEFT, color="dark"
+        )
+        back.on_click(lambda _: self._tab.act(self.edit.leave))
+        self._pick_panel = PickPanel(self._tab, self.edit.take_out)
+
+    def _choose(self, id: str) -> None:
+        self.choice.choose(id, look=True)
+
+    @property
+    def in_front(self) -> bool:
+        """Whether the scene is shown, and none of its objects is worked on."""
+        return self._tab.selection.object is None
+
+    @property
+    def subject(self) -> Any:
+        """What a decision made now would be about, as far as a person can see it."""
+        selected, desk = self.choice.selected, self._desk
+        work = None if selected is None else desk.work(selected)
+        if work is None:
+            return selected
+        return selected, work.document.review, desk.accepting.why_refused(work)
+
+    def draw(self) -> None:
+        """Bring picture and panels up to date."""
+        desk, choice = self._desk, self.choice
+        choice.refresh()
+        if desk.scene is not None and not self._was_read:
+            self._was_read = True
+            if len(desk.items) == 1:  # a room: there is nothing else to choose
+                choice.selected = next(iter(desk.items))
+        if self._wanted is not None and desk.scene is not None:
+            (inside, chosen), self._wanted = self._wanted, None
+            if inside in desk.items and desk.work(inside) is not None:
+                choice.selected = inside
+                self._tab.act(self.edit.enter)
+            elif chosen in desk.items:
+                self._tab.act(lambda: choice.choose(chosen))
+        self.picture.draw(choice.rows, choice.selected)
+        self._show_moment()
+        self.list.draw(choice.rows, choice.selected)
+        if self._pick_panel is not None:
+            self._pick_panel.draw()
+        put(self._folder, "visible", self.in_front)
+        if self.edit.inside is None:
+            self.card.draw(choice.rows, choice.selected, self.motion.playing)
+
+    def _show_moment(self) -> None:
+        """Pose the chosen object as the gate objects to it; everything else rests."""
+        desk, selected = self._desk, self.choice.selected
+        work = None if selected is None or self.edit.inside else desk.work(selected)
+        refusal = None if work is None else desk.accepting.refusal(work)
+        if self.motion.playing:
+            self._moment = None
+            return
+        if refusal is self._moment:
+            return
+        self._moment = refusal
+        report, tree = None, None
+        if refusal is not None:
+            report, tree = refusal.report, refusal.document.tree
+        worst = None if report is None else report.joints[0].worst
+        if work is None or worst is None or tree is None:
+            self.picture.pose({})
+        else:
+            self.picture.pose({work.id: tree.pose(worst.q)})
+
+    def come_back(self, inside: str, chosen: str) -> None:
+        """Work on an object again, or choose one, once the scene is read: the page was loaded
+        again."""
+        self._wanted = inside, chosen
+
+    def close(self) -> None:
+        """End what belongs to the tab."""
+        self._unwatch()
+        self.motion.stop()
+        self.picture.close()
+
+    # --- motion and files
+
+    def play(self) -> None:
+        """Start or stop moving the joints of the chosen object; of all where none is chosen."""
+        selected = self.choice.selected
+        work = None if selected is None else self._desk.work(selected)
+        self._play(None if work is None or work.document.tree is None else work)
+
+    def play_all(self) -> None:
+        """Start or stop moving all joints of the scene."""
+        self._play(None)
+
+    def _play_joint(self, name: str) -> None:
+        """Move one joint of the chosen object, whatever moved before."""
+        self.motion.stop()
+        self._play(self.choice.need_work(), name)
+
+    def _play(self, work: Work | None, joint: str | None = None) -> None:
+        works = [w for w in self._desk.wanted() if w.drawn is not None and work in (None, w)]
+        if self.motion.playing:
+            self.motion.stop()
+        elif not self.motion.play(works, joint):
+            self._tab.notify("No joints yet", "They move once objects are predicted", "gray")
+        self._tab.invalidate()
+
+    def _report(self) -> None:
+        """Write the report and send it to the browser."""
+        send = self._tab.client.send_file_download
+        self._desk.saving.report(lambda path: send(path.name, path.read_bytes()))

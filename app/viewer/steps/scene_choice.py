@@ -1,0 +1,113 @@
+"""The chosen object of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from app.server.scene_rows import Row, Work, decided_text
+from app.server.scene_workspace import SceneWorkspace
+from app.viewer.panels.scene_list import order
+from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.tab import Tab
+from model.core.errors import CommandError
+
+
+def _at_the_end(desk: SceneWorkspace) -> tuple[str, str, str]:
+    """What is told where nothing waits for a decision: title, words, colour."""
+    if desk.scene is None:
+        if desk.problem:
+            return "Nothing could be read", desk.problem, "red"
+        return "Not yet", "The scene is still being read", "gray"
+    rows = [r for r in desk.rows() if r.work is not None]
+    if not desk.items:
+        return "Nothing could be read", "The scene holds no object", "yellow"
+    if not rows:
+        return "Nothing to decide", "No object of the scene counts as articulable", "gray"
+    going = sum(r.mark == "judging" for r in rows)
+    if going:
+        return "Nothing else to decide", f"{going} being judged", "gray"
+    return "Everything is decided", f"{decided_text(rows)}. Save the scene", "green"
+
+
+class SceneChoice:
+    """Chooses objects of a scene, by a click, from the list, or one after the other.
+
+    Args:
+        leave_other: gets each choice first; leaves what is worked on where that is another object.
+        remember: keeps the choice in the browser.
+
+    Attributes:
+        selected: the chosen object, or None.
+        rows: all objects as they were drawn last.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        desk: SceneWorkspace,
+        picture: ScenePicture,
+        leave_other: Callable[[str | None], None],
+        remember: Callable[[], None],
+    ) -> None:
+        self._tab, self._desk, self._picture = tab, desk, picture
+        self._leave_other, self._remember = leave_other, remember
+        self.selected: str | None = None
+        self.rows: list[Row] = []
+
+    def refresh(self) -> None:
+        """Take in what changed in the scene."""
+        self.rows = self._desk.rows()
+        if self.selected not in self._desk.items:
+            self.selected = None
+
+    def click(self, origin: Any, direction: Any) -> None:
+        """Choose the object under a ray, or none."""
+        self.choose(self._picture.pick(np.asarray(origin, float), np.asarray(direction, float)))
+
+    def choose(self, id: str | None, *, look: bool = False) -> None:
+        """Choose an object, or none; ``look`` turns the camera to it."""
+        self._leave_other(id)
+        self.selected = id
+        self._remember()
+        self._desk.prefer(id)
+        if look and id is not None and self._tab.selection.object is None:
+            self._picture.frame([id], front=True)
+        self._tab.invalidate()
+
+    def step(self, by: int) -> None:
+        """Choose the next object that wants a decision, or with -1 the one before."""
+        ids = order(self._desk.rows())
+        if not ids:
+            self.say_end()
+        elif self.selected in ids:
+            self.choose(ids[(ids.index(self.selected) + by) % len(ids)], look=True)
+        else:
+            self.choose(ids[0 if by > 0 else -1], look=True)
+
+    def say_end(self) -> None:
+        """Say why no object wants a decision."""
+        self._tab.notify(*_at_the_end(self._desk))
+
+    def need(self) -> str:
+        """The chosen object.
+
+        Raises:
+            CommandError: where none is chosen.
+        """
+        if self.selected is None:
+            raise CommandError("choose an object first: click it, or press N")
+        return self.selected
+
+    def need_work(self) -> Work:
+        """The chosen object's working copy.
+
+        Raises:
+            CommandError: where there is none.
+        """
+        work = self._desk.work(self.need())
+        if work is None:
+            raise CommandError(f"{self.selected} counts as static: there is nothing to decide")
+        return work

@@ -1,0 +1,105 @@
+"""Decisions about objects of a scene, without opening them."""
+
+from __future__ import annotations
+
+from app.server.scene_workspace import SceneWorkspace
+from app.viewer.panels.scene_list import order
+from app.viewer.steps.scene_choice import SceneChoice
+from app.viewer.tab import Tab
+from model.core.errors import CommandError
+from sessions import commands as cmd
+from sessions.review import RejectReason
+from sessions.scene_commands import DecideObjects
+from sessions.state import review_problems
+
+LABEL = "● "
+
+
+class SceneReview:
+    """Accepts and rejects the chosen object, or all above a confidence."""
+
+    def __init__(self, tab: Tab, desk: SceneWorkspace, choice: SceneChoice) -> None:
+        self._tab, self._desk, self._choice = tab, desk, choice
+
+    def classify(self, label: str) -> None:
+        """Say whether the chosen object is articulable."""
+        articulable = label.removeprefix(LABEL) == "Articulable"
+        self._desk.set_articulable(self._choice.need(), articulable, self._tab.user)
+
+    def accept(self) -> None:
+        """Accept the chosen object, and go to the next one."""
+        work, id, accepting = self._choice.need_work(), self._choice.need(), self._desk.accepting
+        if work.document.tree is None:
+            raise CommandError(f"{id} has no joints yet: press Enter to work on it")
+        if work.document.review.state == "accepted":
+            raise CommandError(f"{id} is accepted already")
+        if accepting.mark(work) == "judging":
+            raise CommandError(f"{id} is being judged already")
+        problems = review_problems(work.document)
+        if problems:
+            raise CommandError(f"{id}: {'; '.join(problems)}. Enter opens it")
+        refusal = accepting.refusal(work)
+        if refusal is not None and refusal.report is not None and not refusal.wants_a_look:
+            raise CommandError(
+                f"{id}, {refusal.why} Enter shows where: mend it, or say why it is right"
+            )
+        looked = refusal is not None and refusal.wants_a_look
+        self._decide(DecideObjects("accept", (work.id,), looked=looked))
+
+    def reject(self, reason: RejectReason) -> None:
+        """Reject the chosen object, and go to the next one."""
+        work = self._choice.need_work()
+        self._decide(DecideObjects("reject", (work.id,), reason=reason))
+
+    def _decide(self, command: DecideObjects) -> None:
+        tab, desk, choice = self._tab, self._desk, self._choice
+        ids = order(desk.rows())
+        at = ids.index(choice.selected) if choice.selected in ids else -1
+        mine = set(desk.twins(choice.need()))
+        desk.do(command, tab.user, tab.notify)
+        ahead = [i for i in [*ids[at + 1 :], *ids[: max(at, 0)]] if i not in mine]
+        following = next((i for i in ahead if self._waits(i)), None)
+        if following is not None:
+            choice.choose(following, look=True)
+        elif ahead:
+            coming = sum(desk.to_come(r) for r in desk.rows() if r.id in ahead)
+            left = len(ahead) - coming
+            said = [f"{coming} still to be predicted"] if coming else []
+            if left:
+                said.append(f"{left} {'wants' if left == 1 else 'want'} you: N, then Enter")
+            tab.notify("Nothing else is predicted", "; ".join(said), "gray")
+        else:
+            choice.say_end()
+
+    def _waits(self, id: str) -> bool:
+        work = self._desk.work(id)
+        return work is not None and work.document.review.state == "predicted" and (
+            self._desk.accepting.mark(work) != "judging")  # fmt: skip
+
+    def above(self, confidence: float) -> list[int]:
+        """Sessions of predicted objects of at least that confidence, 0..1, each once."""
+        found = [
+            r.work for r in self._choice.rows
+            if r.shown == "predicted" and r.work is not None and r.confidence >= confidence
+        ]  # fmt: skip
+        return list(dict.fromkeys(found))
+
+    def accept_above(self, confidence: float) -> None:
+        """Accept all of at least that confidence, 0..1, that pass the checks."""
+        ids = self.above(confidence)
+        if not ids:
+            raise CommandError("no predicted object is so sure")
+        command = DecideObjects("accept", tuple(ids), above=confidence)
+        self._desk.do(command, self._tab.user, self._tab.notify)
+
+    def undo(self) -> None:
+        """Take back the last decision about the scene."""
+        undone = self._desk.undo(self._tab.user)
+        self._tab.notify(f"Undone: {undone}" if undone else "Nothing to undo", "", "gray")
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        if self._desk.live.state.can_redo:
+            self._desk.do(cmd.Redo(), self._tab.user)
+        else:
+            self._tab.notify("Nothing to redo", "", "gray")

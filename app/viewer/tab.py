@@ -1,0 +1,174 @@
+"""What the screens of one browser tab share: the browser, its user, and what is selected.
+
+This is the lowest layer of the viewer; it knows no panel. viser's callbacks only queue actions
+here, so its event loop never waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
+
+import viser
+
+from app.server.display_names import in_words
+from app.server.open_object import OpenObject
+from app.server.pointer_messages import tell_page
+from app.viewer.tab_threads import TabThreads
+from model.core.errors import ArtiworldError
+from model.core.joint import Joint
+from model.segmentation.prompts import MAX_PARTS
+from sessions import commands as cmd
+
+Step = Literal["Annotate", "Joints", "Review"]
+STEPS: tuple[Step, ...] = ("Annotate", "Joints", "Review")
+
+
+class Panel(Protocol):
+    """Widgets that show something of the open object."""
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the widgets up to date; send nothing where nothing changed."""
+        ...
+
+
+class Selection:
+    """What is open and chosen in one tab.
+
+    Args:
+        changed: called after each change; draws.
+        where: names the place where an object is chosen, for errors.
+
+    Attributes:
+        object: the open object, or None.
+        part: the part that the next clicks belong to.
+        child: child link of the joint that the editor shows, or None.
+        step: what is worked on.
+        hidden: parts that aren't drawn.
+        picking: whether the object is open to have another one picked out of it.
+    """
+
+    def __init__(self, changed: Callable[[], None], where: str) -> None:
+        self.object: OpenObject | None = None
+        self.part = 1
+        self.child: str | None = None
+        self.step: Step = "Annotate"
+        self.hidden: frozenset[int] = frozenset()
+        self.picking = False
+        self._changed = changed
+        self._where = where
+        self._open_listeners: list[Callable[[], None]] = []
+        self._step_listeners: list[Callable[[Step], None]] = []
+
+    def on_open(self, listener: Callable[[], None]) -> None:
+        """Call ``listener`` before another object, or none, is shown."""
+        self._open_listeners.append(listener)
+
+    def on_step(self, listener: Callable[[Step], None]) -> None:
+        """Call ``listener`` with the step before it begins."""
+        self._step_listeners.append(listener)
+
+    def open(self, obj: OpenObject | None) -> None:
+        """Select another object, or none."""
+        for listener in self._open_listeners:
+            listener()
+        self.object, self.child = obj, None
+        if obj is not None:
+            self.part, self.hidden = 1, frozenset()
+        self._changed()
+
+    def need_object(self) -> OpenObject:
+        """The open object.
+
+        Raises:
+            ArtiworldError: where none is open.
+        """
+        if self.object is None:
+            raise ArtiworldError(f"no object is open: choose one in {self._where}")
+        return self.object
+
+    def set_step(self, step: Step) -> None:
+        """Begin a step."""
+        for listener in self._step_listeners:
+            listener(step)
+        self.step = step
+        self._changed()
+
+    def choose_part(self, part: int) -> None:
+        """Choose the part that the next clicks belong to; a click makes a new one."""
+        if not 0 <= part < MAX_PARTS:
+            return
+        self.need_object()
+        if self.step != "Annotate":
+            self.set_step("Annotate")
+        self.part = part
+        self._changed()
+
+    def choose_joint(self, child: str) -> None:
+        """Choose the joint that the editor shows."""
+        self.child = child
+        self._changed()
+
+    @property
+    def joint(self) -> Joint | None:
+        """The chosen joint."""
+        tree = None if self.object is None else self.object.document.tree
+        return None if tree is None or self.child is None else tree.joint_of.get(self.child)
+
+
+class Tab:
+    """The browser, the user and the selection of one tab.
+
+    Args:
+        user: the name that signs decisions until the browser gives another one.
+        in_scene: whether the objects belong to a scene, else to the queue.
+    """
+
+    def __init__(self, client: viser.ClientHandle, user: str, *, in_scene: bool = False) -> None:
+        self.client = client
+        self.user = user
+        self.in_scene = in_scene
+        where = "the scene and press Enter" if in_scene else "the queue"
+        self.selection = Selection(self.invalidate, where)
+        self._threads = TabThreads(f"tab-{client.client_id}", self.notify)
+
+    def start(self, draw: Callable[[], None]) -> None:
+        """Begin to carry out actions and to draw."""
+        self._threads.start(draw)
+
+    def close(self) -> bool:
+        """End both; False where the tab is closed already."""
+        if self._threads.closed:
+            return False
+        self._threads.close()
+        return True
+
+    def act(self, action: Callable[[], None]) -> None:
+        """Carry out ``action`` after those before it, off viser's threads."""
+        self._threads.act(action)
+
+    def on_update(self, handle: Any, action: Callable[[], None]) -> None:
+        """Carry out ``action`` when a person changes a widget, not when we do."""
+        handle.on_update(lambda event: self.act(action) if event.client is not None else None)
+
+    def invalidate(self) -> None:
+        """Draw again soon."""
+        self._threads.invalidate()
+
+    def notify(
+        self, title: str, body: str, color: Any = "blue", seconds: float | None = 5.0
+    ) -> None:
+        """Show a note in the corner; where ``seconds`` is None it stays until it is closed."""
+        if not self._threads.closed:
+            obj = self.selection.object  # another thread may close it
+            body = body if obj is None else in_words(obj.document, body)
+            seconds = 10.0 if color == "red" else seconds
+            self.client.add_notification(title, body[:400], auto_close_seconds=seconds, color=color)
+
+    def say(self, text: str) -> None:
+        """Show a line below the picture for a moment."""
+        tell_page(self.client, said=text)
+
+    def do(self, command: cmd.Command) -> None:
+        """Carry out one decision about the open object."""
+        self.selection.need_object().do(command, self.user)
