@@ -11,7 +11,9 @@ from .core.errors import ArtiworldError
 from .core.joint import Joint
 from .core.mesh import Mesh
 from .core.point_cloud import PointCloud
+from .core.progress import no_progress
 from .core.tree import KinematicTree
+from .data.protocol import GroundTruth
 from .data.registry import DatasetOptions, open_dataset
 from .geometry.parts import split
 from .io.assets.asset_folder import write_asset
@@ -30,6 +32,7 @@ __all__ = [
     "Asset",
     "Click",
     "DatasetOptions",
+    "GroundTruth",
     "Joint",
     "KinematicTree",
     "Mesh",
@@ -46,6 +49,7 @@ __all__ = [
     "load_object",
     "load_predictor",
     "load_segmenter",
+    "no_progress",
     "open_asset",
     "open_dataset",
     "predictor_names",

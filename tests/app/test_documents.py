@@ -101,6 +101,9 @@ def test_plug_ins_of_the_documents_segment_predict_and_export(
     tree = load_object(tmp_path / "made").tree
     assert [r["joint"] for r in rows] == [j.name for j in tree.joints] and rows
     assert {r["axis"] for r in rows} == {"0 -1 0"}
+    artiworld("evaluate", "--data", "saved-assets", "--root", ".", "--predictor", "drawers",
+              "--out", "run")  # fmt: skip
+    assert (tmp_path / "run" / "report.json").is_file()
     # A format that nothing can read back doesn't spoil what can be.
     artiworld("check", "made", "--no-collision", "--allow-broken")
     with pytest.raises(subprocess.CalledProcessError) as refused:
@@ -211,6 +214,15 @@ def test_paths_and_names_in_documents_are_there(document: Path) -> None:
         if not (ROOT / name).exists() and ("/" in name or not is_there(name))
     ]
     assert not missing
+
+
+def test_the_picture_of_the_layers_shows_those_that_are_held() -> None:
+    shown = re.findall(r'class="name"[^>]*>([\w/]+)<', (ROOT / "docs/architecture.svg").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    contracts = project["tool"]["importlinter"]["contracts"]
+    packages, app, inside = (c["layers"] for c in contracts if c["type"] == "layers")
+    assert packages == ["app", "sessions", "model"]
+    assert shown == [layer.replace(".", "/") for layer in [*app, "sessions", *inside]]
 
 
 def test_each_convention_takes_one_line() -> None:
