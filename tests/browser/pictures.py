@@ -304,15 +304,16 @@ def demo(taking: Taking) -> None:
     wait_until(lambda: not tab.object.busy, "the sweeps are done", LONG)
     free_of_notes(tab)
     film.take(caption, 1200)
-    joints = [joint for joint in tab.document.tree.joints if joint.moves]
-    for open_share in (1 - np.cos(np.linspace(0, 2 * np.pi, 25))) / 2:
+    chosen = tab.selection.joint
+    others = [joint for joint in tab.document.tree.joints if joint.moves and joint != chosen]
+    for share in 0.45 * (1 - np.cos(np.linspace(0, 2 * np.pi, 25))):
 
-        def pose(share: float = 0.9 * float(open_share)) -> None:
-            for joint in joints:
+        def pose(share: float = float(share)) -> None:
+            for joint in others:
                 tab.app.motion.set_q(joint.name, share * (joint.upper or 0.0))
-            tab.app.joints_panel.show_q(tab.app.motion.q)
 
         tab.app.tab.act(pose)
+        tab.set_slider("Pose [°]", round(float(share * np.degrees(chosen.upper)), 1))
         film.take("3. The joints move at once: correct, review, export", 90)
     path = taking.save_film(film, "demo")
     print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
