@@ -54,7 +54,7 @@ pictures: $(VENV)/.test
 	$(BIN)/python -m model.data.procedural.gallery --out docs/gallery
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis .cache
 	find app model sessions tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A stamp says what was installed; it is newer than what it was installed from.

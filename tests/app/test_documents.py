@@ -11,6 +11,7 @@ import sys
 import tomllib
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -132,6 +133,16 @@ def test_settled_joints_stay_in_the_predictor_of_the_documents(plug_ins: Path) -
 
 
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+
+
+def test_the_panel_of_the_documents_draws() -> None:
+    (code,) = (b for b in blocks("docs/architecture.md", "python") if "panels" in b)
+    names: dict[str, Any] = {}
+    exec(compile(code, "part_count.py", "exec"), names)
+    tab = MagicMock()
+    panel = names["PartCount"](tab)
+    panel.draw(MagicMock(document=MagicMock(parts=(1, 2, 3))))
+    assert tab.client.gui.add_markdown().content == "3 parts"
 
 
 def headings(document: Path) -> set[str]:
