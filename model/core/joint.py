@@ -158,6 +158,14 @@ class Joint:
         """Whether q is an angle in radians (else metres)."""
         return self.type in ("revolute", "continuous")
 
+    @property
+    def motion_range(self) -> tuple[float, float]:
+        """Lower and upper limit; ∓π where the joint has none."""
+        if not self.limited:
+            return -math.pi, math.pi
+        assert self.lower is not None and self.upper is not None
+        return self.lower, self.upper
+
     def flipped(self) -> Joint:
         """The same motion with the axis pointing the other way."""
         lower = None if self.upper is None else -self.upper

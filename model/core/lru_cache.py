@@ -64,6 +64,11 @@ class LruCache(Generic[K, V]):
         self._total += weight
         return value
 
+    def clear(self) -> None:
+        """Drop all values."""
+        self._values.clear()
+        self._total = 0.0
+
     def _make_room(self, weight: float) -> None:
         while self._values and (
             len(self._values) >= self._size or weight + self._total > self._most

@@ -13,11 +13,11 @@ FloatArray = npt.NDArray[np.float64]
 Kind = Literal["box", "cylinder", "sphere", "capsule"]
 
 FLAT = 1e-6
-"""Volume below which points count as flat, in the cube of their extent."""
+"""Volume below which points count as flat, over the cube of half their extent."""
 SIDES = 32
-"""Of the polyhedron that stands for a round primitive."""
+"""Sides of the polyhedron that encloses a round primitive."""
 MOST_CORNERS = 64
-"""Of the hull that stands for a mesh where shapes are measured; PhysX takes no more either."""
+"""Vertices of the hull that replaces a mesh in measurements; PhysX takes no more either."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,13 @@ class Hull:
 
     @cached_property
     def edges(self) -> FloatArray:
-        """(E, 3) distinct unit directions of the edges, signs left out."""
+        """(E, 3) distinct unit directions of the edges, up to sign."""
         turned = np.roll(self.faces, -1, axis=1)
-        way = self.vertices[turned.reshape(-1)] - self.vertices[self.faces.reshape(-1)]
-        way = way[np.linalg.norm(way, axis=1) > 0]
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        lead = way[np.arange(len(way)), np.abs(way).argmax(axis=1)]
-        return np.unique(np.round(way * np.sign(lead)[:, None], 4), axis=0)
+        edge = self.vertices[turned.reshape(-1)] - self.vertices[self.faces.reshape(-1)]
+        edge = edge[np.linalg.norm(edge, axis=1) > 0]
+        edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+        lead = edge[np.arange(len(edge)), np.abs(edge).argmax(axis=1)]
+        return np.unique(np.round(edge * np.sign(lead)[:, None], 4), axis=0)
 
     @cached_property
     def bounds(self) -> FloatArray:
@@ -59,13 +59,13 @@ class Hull:
 
     @cached_property
     def thickness(self) -> float:
-        """Metres: the smallest distance between two parallel planes along the faces' normals."""
+        """Smallest extent along a face normal, metres."""
         reach = self.vertices @ self.planes[:, :3].T
         return float((reach.max(axis=0) - reach.min(axis=0)).min())
 
     @property
     def measured(self) -> tuple[FloatArray, ...]:
-        """All that overlaps are worked out from."""
+        """The arrays that overlaps are computed from."""
         return self.vertices, self.normals, self.edges, self.bounds
 
     def contains(self, points: FloatArray, margin: float = 0.0) -> npt.NDArray[np.bool_]:
@@ -82,13 +82,13 @@ class Hull:
         normals = self.planes[:, :3] @ rotation.T
         planes = np.column_stack([normals, self.planes[:, 3] - normals @ shift])
         out = Hull(self.vertices @ rotation.T + shift, self.faces, planes, self.volume)
-        for name in ("normals", "edges"):  # found once: finding them takes longer than turning them
+        for name in ("normals", "edges"):  # rotating them is faster than finding them
             vars(out)[name] = getattr(self, name) @ rotation.T
         return out
 
 
 def hull_of(points: FloatArray) -> Hull | None:
-    """The convex hull of (N, 3) points; None where they are flat."""
+    """Return the convex hull of (N, 3) points; None where they are flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
@@ -120,7 +120,7 @@ def hull_of(points: FloatArray) -> Hull | None:
 
 @lru_cache(maxsize=4)
 def directions(count: int) -> FloatArray:
-    """(count, 3) unit directions spread evenly: a Fibonacci lattice, the six axes first."""
+    """Return (count, 3) evenly spread unit directions: the six axes, then a Fibonacci lattice."""
     number = np.arange(count - 6) + 0.5
     polar, turn = np.arccos(1 - 2 * number / (count - 6)), np.pi * (1 + np.sqrt(5)) * number
     ring = np.sin(polar)
@@ -129,18 +129,18 @@ def directions(count: int) -> FloatArray:
 
 
 def coarse(hull: Hull, vertices: int) -> Hull:
-    """With at most ``vertices`` corners, quickly: those that lie farthest in as many directions."""
+    """Keep at most ``vertices`` vertices, quickly: the farthest ones in as many directions."""
     if len(hull.vertices) <= vertices:
         return hull
     middle = hull.bounds.mean(axis=0)
-    # Directions are spread over the body's own proportions, so that flat bodies keep their rim.
+    # Directions are spread in the body's proportions, so that flat bodies keep their rim.
     scaled = (hull.vertices - middle) / np.maximum(np.ptp(hull.bounds, axis=0), 1e-12)
     chosen = np.unique((scaled @ directions(vertices).T).argmax(axis=0))
     return hull_of(hull.vertices[chosen]) or hull
 
 
 def simplified(hull: Hull, vertices: int) -> Hull:
-    """With at most ``vertices`` corners: those that stand out most, one after the other."""
+    """Keep at most ``vertices`` vertices, adding the farthest one in turn."""
     if len(hull.vertices) <= vertices:
         return hull
     at = coarse(hull, 3 * vertices).vertices  # one by one is slow for hundreds
@@ -180,7 +180,7 @@ class Primitive:
 
     @cached_property
     def hull(self) -> Hull:
-        """A polyhedron that holds the primitive."""
+        """A polyhedron that encloses the primitive."""
         found = hull_of(self._corners() @ self.object_from_shape[:3, :3].T
                         + self.object_from_shape[:3, 3])  # fmt: skip
         assert found is not None
@@ -209,8 +209,9 @@ class Primitive:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A mesh that a source has for collisions, convex or not; simulators that need convex shapes
-    take its hull.
+    """A collision mesh declared by a source, convex or not.
+
+    Simulators that need convex shapes take its hull.
 
     Attributes:
         vertices: (V, 3) metres.
@@ -222,14 +223,14 @@ class Solid:
 
     @cached_property
     def hull(self) -> Hull:
-        """Its convex hull, whole."""
+        """The convex hull, not simplified."""
         found = hull_of(self.vertices)
         assert found is not None, "a mesh without a volume is no collision shape"
         return found
 
     @cached_property
     def rough(self) -> Hull:
-        """Its hull with at most :data:`MOST_CORNERS` corners."""
+        """The hull with at most :data:`MOST_CORNERS` vertices."""
         return simplified(self.hull, MOST_CORNERS)
 
 
@@ -237,14 +238,14 @@ Shape: TypeAlias = Primitive | Hull | Solid
 
 
 def hull_of_shape(shape: Shape) -> Hull:
-    """The polyhedron of a shape; of a primitive one that holds it, of a mesh a rough one."""
+    """Return the hull, a primitive's enclosing polyhedron, or a mesh's simplified hull."""
     if isinstance(shape, Hull):
         return shape
     return shape.rough if isinstance(shape, Solid) else shape.hull
 
 
 def moved_shape(shape: Shape, target_from_shape: FloatArray) -> Shape:
-    """Under (4, 4): a rotation, a uniform scale above 0, a translation."""
+    """Transform by (4, 4): a rotation, a uniform scale above 0, a translation."""
     linear, shift = target_from_shape[:3, :3], target_from_shape[:3, 3]
     if isinstance(shape, Solid):
         return Solid(shape.vertices @ linear.T + shift, shape.faces)

@@ -105,8 +105,7 @@ def sweep_joint(
         KinematicsError: for a joint that isn't there or doesn't move.
     """
     tree, moving = _tree_with(obj, joint)
-    lower, upper = (moving.lower, moving.upper) if moving.limited else (-math.pi, math.pi)
-    assert lower is not None and upper is not None
+    lower, upper = moving.motion_range
     q = np.linspace(lower, upper, samples)
     surfaces = surfaces_of(obj, points)
     scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9

@@ -1,9 +1,9 @@
-"""Mass and inertia, so that every simulator takes the asset and moves it plausibly.
+"""Plausible mass and inertia, which every simulator accepts.
 
-A closed shell of the mesh is filled with its material, or hollow with the wall that things of that
-material have, whichever is lighter: a board is solid, a refrigerator is not. Open surfaces and
-scans are shells. What has no surface to speak of is taken as its convex hull. The values are always
-valid (positive definite, within the triangle inequality); who needs the real ones must weigh it.
+A closed shell of the mesh is solid, or hollow with the wall thickness of its material, whichever is
+lighter: a board is solid, a refrigerator is not. Open surfaces and scans are hollow. A part without
+surface area is replaced by its convex hull. The values are always valid (positive definite, within
+the triangle inequality); the real ones need a balance.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from model.physics.materials import PartMaterial
 from model.physics.part_mesh import part_mesh
 
 DENSITY = 300.0
-"""kg/m³ of a filled convex hull, between hollow furniture and wood."""
+"""kg/m³ of a solid convex hull: between hollow furniture and wood, a choice."""
 MIN_MASS = 1e-3
-"""kg. Lighter links upset solvers."""
+"""kg: lighter links destabilise solvers."""
 MIN_RADIUS = 1e-3
-"""Metres: nothing turns more easily than a ball of this radius and the same mass."""
+"""Metres: no inertia is below that of a ball of this radius and the same mass."""
 SHEET = 0.005
-"""Volume of a closed shell, in area times wall, below which it is a sheet seen from both sides."""
+"""Volume over area times wall below which a closed shell is a sheet with two sides."""
 HELPER = Inertial(1e-2, np.zeros(3), np.eye(3) * 1e-5)
-"""For links without geometry, which simulators want to have mass where they move."""
+"""For moving links without geometry: simulators need mass there."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,21 +45,19 @@ def inertials_of(
     density: float = DENSITY,
     *,
     material_of: Callable[[Part], PartMaterial] | None = None,
-    told: bool = True,
+    declared: bool = True,
 ) -> dict[str, Inertial]:
-    """Link → mass properties. A root without geometry has none: it stands still.
-
-    Those that the object's source tells are taken as they are.
+    """Return link → mass properties, but for a root without geometry, which stands still.
 
     Args:
-        density: kg/m³ of the filled hull, where no material is told.
-        material_of: what a part is made of; with it mass comes from volume and surface.
-        told: whether those of ``obj.inertials`` count.
+        density: kg/m³ of the solid hull, without ``material_of``.
+        material_of: material of a part; mass comes from volume and surface then.
+        declared: whether ``obj.inertials``, which the source declares, are used as they are.
     """
     parts = {p.link: p for p in obj.parts}
     out: dict[str, Inertial] = {}
     for link in obj.tree.links:
-        if told and link in obj.inertials:
+        if declared and link in obj.inertials:
             out[link] = obj.inertials[link]
             continue
         part = parts.get(link)
@@ -78,7 +76,7 @@ def inertials_of(
 
 
 def _of_material(part: Part, points: FloatArray, material: PartMaterial) -> Inertial | None:
-    """From the part's surface; None where it has no mesh with an area."""
+    """Mass properties from the part's surface; None where it has no area or no mass."""
     mesh = part_mesh(part)
     area = float(mesh.face_areas.sum())
     if not area > 0:
@@ -90,7 +88,7 @@ def _of_material(part: Part, points: FloatArray, material: PartMaterial) -> Iner
     most = mass if hull is None else material.density * hull[0]
     if not mass > 0:
         return None
-    if mass > most:  # a wall thicker than the thing itself
+    if mass > most:  # a wall thicker than the part itself
         first, second, mass = first * (most / mass), second * (most / mass), most
     scale = max(mass, MIN_MASS) / mass
     mass, first, second = mass * scale, first * scale, second * scale
@@ -116,7 +114,7 @@ def _moments(
     closed = _closed(ids[mesh.faces], shell)
     sheet = closed & (np.abs(volume) < SHEET * area * wall)
     filled = closed & ~sheet & (np.abs(volume) < area * wall)
-    # Each face carries its share: a tetrahedron to the origin, or a piece of wall.
+    # Each face adds its tetrahedron to the origin, or its piece of wall.
     solid = volumes * np.sign(volume)[shell] * filled[shell]
     walls = mesh.face_areas * wall * np.where(sheet, 0.5, 1.0)[shell] * ~filled[shell]
     weight = solid + walls
@@ -130,8 +128,7 @@ def _moments(
 
 
 def _closed(corners: npt.NDArray[np.int32], shell: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-    """(S,) whether each shell is closed and wound one way: every edge is run as often one way as
-    the other."""
+    """(S,) whether each shell is closed and oriented: as many half-edges run each way."""
     tail, head = corners.reshape(-1), np.roll(corners, -1, axis=1).reshape(-1)
     low, high = np.minimum(tail, head).astype(np.int64), np.maximum(tail, head).astype(np.int64)
     _, edge = np.unique(low * (int(corners.max()) + 1) + high, return_inverse=True)
@@ -151,7 +148,7 @@ def part_points(part: Part) -> FloatArray:
 
 
 def hull_inertial(points: npt.ArrayLike, density: float = DENSITY) -> Inertial:
-    """Mass properties of the filled convex hull of (N, 3) points; of their box where it is flat.
+    """Mass properties of the solid convex hull of (N, 3) points, or of their box if flat.
 
     Args:
         points: metres; at least one.
@@ -162,7 +159,7 @@ def hull_inertial(points: npt.ArrayLike, density: float = DENSITY) -> Inertial:
     volume, center, tensor = found if found is not None else _thick_box(at)
     mass = max(density * volume, MIN_MASS)
     tensor = tensor * (mass / volume)
-    # A small ball at the centre of mass: keeps slivers turning like something real.
+    # A small ball at the centre of mass keeps the inertia of slivers plausible.
     tensor = tensor + np.eye(3) * 0.4 * mass * MIN_RADIUS**2
     return Inertial(mass, center, (tensor + tensor.T) / 2)
 
@@ -183,7 +180,7 @@ def _hull(points: FloatArray) -> tuple[float, FloatArray, FloatArray] | None:
         return None
     inside = hull.points[hull.vertices].mean(axis=0)
     corners = hull.points[hull.simplices] - inside
-    # Fans from a point inside: each tetrahedron counts positive.
+    # From a point inside, all tetrahedra are positive.
     cross = np.cross(corners[:, 1], corners[:, 2])
     volumes = np.abs(np.einsum("fi,fi->f", corners[:, 0], cross)) / 6
     volume = float(volumes.sum())
@@ -200,7 +197,7 @@ def _hull(points: FloatArray) -> tuple[float, FloatArray, FloatArray] | None:
 
 
 def _thick_box(points: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """As :func:`_hull`, of the principal box, given a least thickness."""
+    """As :func:`_hull`, of the principal box with a minimal thickness."""
     mean = points.mean(axis=0)
     axes = np.linalg.svd(points - mean, full_matrices=True)[2] if len(points) > 1 else np.eye(3)
     local = (points - mean) @ axes.T

@@ -1,4 +1,4 @@
-"""What parts are made of: a table of densities and wall thicknesses that people can edit."""
+"""Materials of parts: an editable table of densities and wall thicknesses."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class PartMaterial:
-    """What a part is made of.
+    """The material of a part.
 
     Attributes:
-        density: kg/m³ of the material itself.
-        thickness: metres of the walls that things of it have.
+        density: kg/m³.
+        thickness: metres, of the walls of hollow parts.
     """
 
     density: float
@@ -30,9 +30,9 @@ class PartMaterial:
 
 @dataclass(frozen=True)
 class MaterialTable:
-    """Materials by name, and which one goes with a part's name or an object's category.
+    """Materials by name, and the material of part names and categories.
 
-    A part's own name counts first (any word of it), then the category, then ``default``.
+    The words of a part's name count first, then the object's category, then ``default``.
     """
 
     materials: Mapping[str, PartMaterial]
@@ -41,34 +41,34 @@ class MaterialTable:
     default: str
 
     def of(self, part: Part, category: str | None) -> PartMaterial:
-        """The material of a part."""
+        """Return the material of a part."""
         words = (part.name or "").lower().replace("_", " ").split()
         named = next((self.parts[w] for w in words if w in self.parts), None)
         known = {k.lower(): v for k, v in self.categories.items()}
         return self.materials[named or known.get((category or "").lower(), self.default)]
 
     def with_density(self, density: float) -> MaterialTable:
-        """All materials at one density in kg/m³."""
+        """Replace the density of all materials, kg/m³."""
         made = {k: replace(m, density=density) for k, m in self.materials.items()}
         return replace(self, materials=made)
 
     def only(self, material: str) -> MaterialTable:
-        """Everything of one material.
+        """Use one material for everything.
 
         Raises:
-            ConfigurationError: where there is none of that name.
+            ConfigurationError: for an unknown material.
         """
         if material not in self.materials:
             known = ", ".join(self.materials)
-            raise ConfigurationError(f"no material {material!r}; there are {known}")
+            raise ConfigurationError(f"no material {material!r}; known are {known}")
         return replace(self, categories={}, parts={}, default=material)
 
 
 def read_materials(path: str | Path | None = None) -> MaterialTable:
-    """The table that ships, or one of the user's in the same form.
+    """Read the bundled table, or one of the same format.
 
     Raises:
-        InputFileError: naming what is wrong in the file.
+        InputFileError: naming the problem in the file.
     """
     path = static_assets() / "physics" / "materials.json" if path is None else Path(path)
     try:
@@ -87,7 +87,7 @@ def read_materials(path: str | Path | None = None) -> MaterialTable:
     used = {table.default, *table.categories.values(), *table.parts.values()}
     unknown = sorted(used - set(table.materials))
     if unknown:
-        raise InputFileError(path, f"names materials that it hasn't: {', '.join(unknown)}")
+        raise InputFileError(path, f"uses undefined materials: {', '.join(unknown)}")
     return table
 
 

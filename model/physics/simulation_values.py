@@ -1,8 +1,7 @@
-"""All that a simulator needs beside shapes and joints, worked out once for every format."""
+"""Mass, collision shapes and joint dynamics of an object, the same for every export format."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -24,34 +23,34 @@ from model.physics.materials import MaterialTable, read_materials
 from model.physics.part_mesh import part_mesh
 
 TURNING = JointDynamics(damping=0.05, friction=0.02)
-"""N m s/rad and N m: a door that a finger moves and that comes to rest."""
+"""N m s/rad and N m: a door that a finger moves and that comes to rest, a choice."""
 SLIDING = JointDynamics(damping=2.0, friction=0.5)
-"""N s/m and N: a drawer on rails."""
+"""N s/m and N: a drawer on rails, a choice."""
 GRAVITY = 9.81
-"""m/s², against UP."""
+"""m/s², against :data:`UP`."""
 UP = (0.0, 0.0, 1.0)
-"""Where an asset that stands alone has its up."""
+"""Up direction of an asset outside of a scene."""
 HOLD = 1.5
-"""Friction of a joint that holds itself, over what gravity asks for."""
+"""Holding friction over the load of gravity."""
 INNER = 0.05
-"""Share of its range that a joint must be away from both ends to stand somewhere in between."""
+"""Share of its range up to which a joint counts as at its limit."""
 NAMED = 5
-"""Links that are named before "…"."""
+"""Links that are listed before "…"."""
 
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """What people may change of it.
+    """How physics is computed.
 
     Attributes:
         collision: how shapes are made; None leaves them out.
-        materials: densities and walls; None is the table that ships.
+        materials: densities and wall thicknesses; None is the bundled table.
         turning, sliding: dynamics of revolute and of prismatic joints.
-        hold: whether a joint that gravity would move out of the scanned pose has the friction to
-            hold itself, as a laptop's hinge has.
-        fixed_base: whether the root stands still, in formats that say so (MJCF, SDF, USD).
-        declared_masses, declared_dynamics, declared_shapes: whether what the object's source tells of masses,
-            joint dynamics and collision shapes counts.
+        hold: whether a joint that gravity would move out of the scanned pose gets holding
+            friction, as a laptop's hinge has.
+        fixed_base: whether the root is fixed, in formats that have this (MJCF, SDF, USD).
+        declared_masses, declared_dynamics, declared_shapes: whether masses, joint dynamics and
+            collision shapes that the source declares are used.
     """
 
     collision: CollisionSettings | None = field(default_factory=CollisionSettings)
@@ -67,16 +66,16 @@ class PhysicsSettings:
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """What exporters write.
+    """Values that exporters write.
 
     Attributes:
         inertials: link → mass properties.
         collision: link → shapes; empty where they were left out.
-        dynamics: joint → damping, friction, effort and velocity of those that move.
-        touching: pairs of links whose shapes overlap at rest all the same; formats that can tell
-            the simulator to let them pass.
-        fixed_base: whether the root stands still.
-        declared_shapes: links whose shapes are those of the object's source.
+        dynamics: moving joint → damping, friction, effort and velocity.
+        overlapping: pairs of links whose shapes still overlap at rest; formats that can exclude
+            contacts exclude theirs.
+        fixed_base: whether the root is fixed.
+        declared_shapes: links whose shapes the source declares.
     """
 
     inertials: Mapping[str, Inertial]
@@ -94,14 +93,12 @@ def physics_of(
     store: Path | None = None,
     progress: Progress = no_progress,
 ) -> Physics:
-    """Work out mass, collision shapes and joint dynamics.
+    """Compute mass, collision shapes and joint dynamics.
 
-    What the object's source tells of masses, dynamics and collision shapes is taken as it is, also
-    where a joint would not hold itself by its friction then.
+    Declared values are used unchanged, even where they give a joint too little holding friction.
 
     Args:
-        store: where collision shapes, and surfaces through clouds, are kept between runs; None
-            keeps none.
+        store: folder that keeps collision shapes and surfaces of clouds between runs, or None.
 
     Raises:
         ArtiworldError: for a part without geometry.
@@ -109,31 +106,33 @@ def physics_of(
     settings = settings or PhysicsSettings()
     table = settings.materials or read_materials()
     collision: Collision = {}
-    told: tuple[str, ...] = ()
+    declared: tuple[str, ...] = ()
     if settings.collision is not None:
         shaped = obj if settings.declared_shapes else replace(obj, shapes={})
         collision = collision_of(shaped, settings.collision, store=store, progress=progress)
-        told = tuple(sorted(collision.keys() & shaped.shapes.keys()))
+        declared = tuple(sorted(collision.keys() & shaped.shapes.keys()))
     progress(1.0, "weighing the parts")
     for part in obj.parts if store is not None else ():
         if part.cloud is not None and len(part.cloud):
             part_mesh(part, store)
     inertials = inertials_of(
-        obj, material_of=lambda part: table.of(part, obj.category), told=settings.declared_masses
+        obj,
+        material_of=lambda part: table.of(part, obj.category),
+        declared=settings.declared_masses,
     )
     return Physics(
         inertials, collision, _dynamics(obj.tree, inertials, settings),
-        overlapping_pairs(obj, collision), settings.fixed_base, told,
+        overlapping_pairs(obj, collision), settings.fixed_base, declared,
     )  # fmt: skip
 
 
 def plain_physics(obj: ArticulatedObject) -> Physics:
-    """Masses by the table that ships, no collision shapes, the usual dynamics."""
+    """Masses by the bundled table, no collision shapes, default dynamics."""
     return physics_of(obj, PhysicsSettings(collision=None))
 
 
 def rough_physics(obj: ArticulatedObject) -> Physics:
-    """Masses of filled hulls, no collision shapes, the usual dynamics: for driving joints alone."""
+    """Masses of solid hulls, no collision shapes, default dynamics: for driving joints alone."""
     settings = PhysicsSettings(collision=None)
     inertials = inertials_of(obj)
     return Physics(inertials, {}, _dynamics(obj.tree, inertials, settings))
@@ -149,8 +148,8 @@ def _dynamics(
         made = settings.turning if joint.rotates else settings.sliding
         if settings.hold:
             made = resisting(tree, inertials, joint, made)
-        told = asdict(joint.dynamics) if settings.declared_dynamics and joint.dynamics else {}
-        out[joint.name] = replace(made, **{k: v for k, v in told.items() if v is not None})
+        own = asdict(joint.dynamics) if settings.declared_dynamics and joint.dynamics else {}
+        out[joint.name] = replace(made, **{k: v for k, v in own.items() if v is not None})
     return out
 
 
@@ -161,17 +160,17 @@ def resisting(
     usual: JointDynamics | None = None,
     up: npt.ArrayLike = UP,
 ) -> JointDynamics:
-    """The dynamics of a joint that holds itself against gravity.
+    """Return the dynamics of a joint with holding friction against gravity.
 
     Args:
-        usual: what it has anyway; None is what its type has.
+        usual: its dynamics without; by default those of its type.
         up: see :func:`holding_load`.
     """
     usual = usual or (TURNING if joint.rotates else SLIDING)
-    asked = HOLD * holding_load(tree, inertials, joint, up)
-    if asked <= usual.friction:
+    needed = HOLD * holding_load(tree, inertials, joint, up)
+    if needed <= usual.friction:
         return usual
-    return replace(usual, friction=asked, effort=max(usual.effort, 2 * asked))
+    return replace(usual, friction=needed, effort=max(usual.effort, 2 * needed))
 
 
 def holding_load(
@@ -180,20 +179,18 @@ def holding_load(
     joint: Joint,
     up: npt.ArrayLike = UP,
 ) -> float:
-    """N or N m that a joint resists so that gravity doesn't move it out of the scanned pose; 0
-    where nothing does, or its limit is in the way.
+    """Return the load in N or N m that keeps a joint in the scanned pose against gravity.
 
-    What stands somewhere within its range (a laptop's lid, the arms of a lamp) is made to stay
-    where it is put, so all of the range counts; what rests at an end of it (an oven's door) is
-    only held there.
+    A joint scanned within its range (a laptop's lid, the arms of a lamp) is to stay wherever it is
+    put, so all of the range counts; one scanned at its limit (an oven's door) is held only there.
+    0 where gravity doesn't move it, or moves it against its limit.
 
     Args:
         up: (3,) unit, against gravity, object frame.
     """
     if joint.mimic is not None:
         return 0.0
-    low, high = (joint.lower, joint.upper) if joint.limited else (-math.pi, math.pi)
-    assert low is not None and high is not None
+    low, high = joint.motion_range
     against = np.asarray(up, np.float64)
     load = _load(tree, inertials, joint, 0.0, against)
     edge = INNER * (high - low)
@@ -212,8 +209,7 @@ def _load(
     q: float,
     up: npt.NDArray[np.float64],
 ) -> float:
-    """Gravity's energy over the joint's value, at ``q``, in N or N m; above 0 where it falls
-    towards lower values."""
+    """Derivative of the potential energy by the joint value at ``q``, N or N m."""
     step = 1e-4
     energy: list[float] = []
     for value in (q - step, q + step):
@@ -227,8 +223,7 @@ def _load(
 
 
 def whose_shapes(obj: ArticulatedObject, physics: Physics) -> str:
-    """Which collision shapes are the source's and which are made, for people; "" where all are
-    made."""
+    """Say which collision shapes are declared and which are made; "" where all are made."""
     if not physics.declared_shapes:
         return ""
     made = [p.link for p in obj.parts if p.link not in physics.declared_shapes]
@@ -243,7 +238,7 @@ def _listed(links: Sequence[str]) -> str:
 
 
 def overlapping_pairs(obj: ArticulatedObject, collision: Collision) -> tuple[tuple[str, str], ...]:
-    """Pairs of links that move against each other and whose shapes overlap at rest."""
-    bodies = {link: [hull_of_shape(s) for s in held] for link, held in collision.items()}
+    """Pairs of links that move against each other and overlap at rest."""
+    bodies = {link: [hull_of_shape(s) for s in shapes] for link, shapes in collision.items()}
     found = overlaps(bodies, moving_pairs(obj.tree), obj.tree.pose({}))
     return tuple(dict.fromkeys((t.a, t.b) for t in found))

@@ -12,7 +12,7 @@ from model.core.progress import Progress, no_progress
 from model.kinematics.joint_path import tree_poses
 from model.kinematics.sweep import sweep_path
 from model.validation import messages
-from model.validation.examine import Scene, between, limits_of
+from model.validation.examine import Scene, between
 from model.validation.report import Finding, Severity
 
 POSES = 12
@@ -83,7 +83,7 @@ def _by_joint(scene: Scene, found: dict[frozenset[str], list[Finding]]) -> dict[
 
 def _poses(joints: list[Joint], seed: int) -> Iterator[dict[str, float]]:
     # Additive recurrence of low discrepancy (M. Roberts, 2018), shifted at random.
-    low, high = np.array([limits_of(j) for j in joints]).T
+    low, high = np.array([j.motion_range for j in joints]).T
     root = 2.0
     for _ in range(40):
         root = (1.0 + root) ** (1.0 / (len(joints) + 1))

@@ -72,18 +72,10 @@ class Scene:
         return replace(self, obj=replace(self.obj, tree=tree))
 
 
-def limits_of(joint: Joint) -> tuple[float, float]:
-    """Lower and upper limit; ∓π for a continuous joint."""
-    if not joint.limited:
-        return -math.pi, math.pi
-    assert joint.lower is not None and joint.upper is not None
-    return joint.lower, joint.upper
-
-
 def examine(scene: Scene, joint: Joint) -> list[Finding]:
     """Run all checks of ``joint``, the other joints at rest."""
     found = limit_findings(scene, joint)
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     if upper - lower < _empty(scene, joint):
         return found
     sweep = sweep_joint(
@@ -102,7 +94,7 @@ def limit_findings(scene: Scene, joint: Joint) -> list[Finding]:
     """Check for ranges that are empty or impossible for the type."""
     if not joint.limited:
         return []
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     span, text = upper - lower, interval(joint, lower, upper)
     if span < _empty(scene, joint):
         message = messages.EMPTY_RANGE.format(range=text)
@@ -148,7 +140,7 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
     if opened is not None:
         name = scene.display_name(opened.child)
         return finding(Severity.OK, messages.FREE_AFTER.format(other=name))
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     span = upper - lower
     reach = min(sweep.free[1], upper) - max(sweep.free[0], lower)
     shallow = depth <= SHALLOW * scene.diagonal
@@ -209,7 +201,7 @@ def first_open(scene: Scene, joint: Joint, sweep: Sweep, other: str | None) -> J
     for first in between(tree, hit, other):
         if first.name == joint.name or first.name not in tree.by_name:
             continue
-        low, high = limits_of(first)
+        low, high = first.motion_range
         for end in sorted({low, high, 0.5 * (low + high)} - {0.0}, key=lambda v: -abs(v)):
             if _clears(scene, joint, sweep, first, end, other):
                 return first
@@ -234,7 +226,7 @@ def _clears(scene: Scene, joint: Joint, sweep: Sweep, first: Joint, end: float, 
 
 def detached_finding(scene: Scene, joint: Joint) -> Finding | None:
     """Check whether the part leaves its support within the range."""
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     support = support_gap(scene.obj.tree, joint, scene.surfaces, lower, upper)
     if support is None or support.rest > OFF * scene.diagonal:
         return None  # a gap at rest is reported as floating
@@ -284,7 +276,7 @@ def _both_oriented(scene: Scene, joint: Joint, support: str) -> bool:
 
 def attached_range(scene: Scene, joint: Joint) -> tuple[float, float]:
     """The part of the range, about 0, in which the part stays at its support."""
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     support = support_gap(scene.obj.tree, joint, scene.surfaces, lower, upper)
     if support is None:
         return lower, upper

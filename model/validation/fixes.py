@@ -24,7 +24,6 @@ from model.validation.examine import (
     attached_range,
     collision_finding,
     detached_finding,
-    limits_of,
 )
 from model.validation.report import Finding, Fix, Severity
 
@@ -88,7 +87,7 @@ def _is_fixed(scene: Scene, joint: Joint) -> bool:
 
 def _flip(scene: Scene, joint: Joint) -> list[Fix]:
     """Reverse the axis, with the same limits."""
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     if not joint.limited or math.isclose(-lower, upper, rel_tol=0.02):
         return []
     x, y, z = (-v if v else 0.0 for v in joint.axis)
@@ -160,7 +159,7 @@ def _contact_edges(
 
 def _limits(scene: Scene, joint: Joint) -> list[Fix]:
     """Set the range in which the part is free and stays at its support."""
-    lower, upper = limits_of(joint)
+    lower, upper = joint.motion_range
     least = LEAST_ANGLE if joint.rotates else LEAST_SLIDE * scene.diagonal
     wide = math.pi if joint.rotates else scene.diagonal
     empty = upper - lower < 1e-9 + 0.1 * least

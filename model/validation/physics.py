@@ -170,7 +170,7 @@ class _Run:
         self.data = mujoco.MjData(model)
         self.place = np.array([model.joint(f"j{k}").qposadr[0] for k in range(len(joints))])
         self.driven = [k for k, j in enumerate(joints) if j.mimic is None]
-        limits = np.array([_limits(j) for j in joints])
+        limits = np.array([j.motion_range for j in joints])
         self.low, self.high = limits.T
         self.span = self.high - self.low
         self.slack = np.where([j.rotates for j in joints], 2 * SAG, SAG)
@@ -355,9 +355,3 @@ class _Run:
             share = (abs(q[k] - before[k]) - self.slack[k]) / self.span[k]
             if share > DRIFT:
                 self._result.drifted.append((k, float(share)))
-
-
-def _limits(joint: Joint) -> tuple[float, float]:
-    if not joint.limited:
-        return -math.pi, math.pi
-    return joint.lower or 0.0, joint.upper or 0.0

@@ -1,1 +1,1 @@
-"""Collision shapes: few convex bodies a part that leave its hollows open."""
+"""Collision shapes: few convex bodies per part that keep its hollows open."""

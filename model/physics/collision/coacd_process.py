@@ -1,7 +1,7 @@
-"""Runs coacd in a process of its own: it may crash, and it can't be asked to stop.
+"""Run coacd in its own process: it may crash and can't be interrupted.
 
 ``python -m model.physics.collision.coacd_process IN.npz OUT.npz`` reads ``vertices``, ``faces`` and
-``options`` (JSON) and writes ``count`` and the corners of each hull.
+``options`` (JSON) and writes ``count`` and the vertices of each hull.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from model.core.shapes import FloatArray, Hull, hull_of
 
 
 def coacd_installed() -> bool:
-    """Whether the extra ``artiworld[collision]`` is there."""
+    """Whether coacd (``artiworld[collision]``) is installed."""
     return find_spec("coacd") is not None
 
 
 def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None:
-    """CoACD's decomposition (Wei et al., 2022); None where it fails or takes longer.
+    """Decompose a mesh by CoACD (Wei et al., 2022); None where it fails or takes too long.
 
     Args:
         seconds: time limit of the process.
-        options: of ``coacd.run_coacd``; its defaults where they are left out.
+        options: of ``coacd.run_coacd``.
     """
-    root = str(Path(__file__).resolve().parents[2])
+    root = str(Path(__file__).resolve().parents[3])
     with tempfile.TemporaryDirectory(prefix="artiworld-") as folder:
         source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
         np.savez(source, vertices=mesh.vertices, faces=mesh.faces, options=json.dumps(options),
@@ -56,12 +56,12 @@ def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None
 
 
 def main(source: str, target: str) -> None:
-    """The child's side."""
+    """Run in the child process."""
     import coacd  # type: ignore[import-not-found]
 
     coacd.set_log_level("off")
     with np.load(source, allow_pickle=False) as data:
-        signal.alarm(int(data["seconds"]) + 1)  # ends it too where the parent was killed meanwhile
+        signal.alarm(int(data["seconds"]) + 1)  # in case the parent was killed meanwhile
         mesh = coacd.Mesh(data["vertices"], data["faces"])
         found = coacd.run_coacd(mesh, **json.loads(str(data["options"])))
     corners = {str(i): np.asarray(vertices) for i, (vertices, _) in enumerate(found)}

@@ -1,8 +1,8 @@
-"""Cutting a part's surface into pieces that cover no free space.
+"""Convex decomposition: cut a part's surface into patches whose bodies cover no free space.
 
-Top down: the whole, its connected shells, their smooth and flat regions, then halves by place and
-direction, and each is cut further only while its body covers free voxels. No step needs a closed,
-oriented or clean mesh.
+Top down: the whole, its connected shells, their smooth and flat regions, then halves by position
+and direction. A patch is cut further only while its body covers free voxels. No step needs a
+closed, oriented or clean mesh.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from scipy.sparse.csgraph import connected_components
 
 from model.core.mesh import Mesh
 from model.geometry.topology import connected_shells, face_adjacency, weld
-from model.physics.collision.dops import FloatArray, Surface
+from model.physics.collision.dops import FaceExtents, FloatArray
 
 SMOOTH = 0.5
-"""Radians between faces of one smooth region."""
+"""Largest angle between faces of one smooth region, radians."""
 FLAT = 0.05
-"""The same of one flat region."""
-MOST_PIECES = 192
+"""The same for flat regions."""
+MOST_PATCHES = 192
 CORNERS = 64
-"""Of the hulls that tell whether a piece is convex."""
+"""Vertices of the hulls that decide whether a patch is convex."""
 DIRECTION = 0.3
-"""Weight of the faces' normals against their places, in the piece's extent, where it is halved."""
+"""Weight of normals against positions where a patch is halved, in the patch's extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Patch:
 
     Attributes:
         faces: (N,) indices.
-        extent: (2, K), see :class:`~model.physics.collision.dops.Surface`.
+        extent: (2, K), see :class:`~model.physics.collision.dops.FaceExtents`.
         covers: free voxels in it.
     """
 
@@ -46,24 +46,24 @@ class Patch:
     covers: float
 
 
-def decompose(surface: Surface, tolerance: float, most: int = MOST_PIECES) -> list[Patch]:
-    """Pieces that cover at most ``tolerance`` free voxels each, as far as ``most`` pieces allow.
+def decompose(surface: FaceExtents, tolerance: float, most: int = MOST_PATCHES) -> list[Patch]:
+    """Cut into at most ``most`` patches, so that each covers at most ``tolerance`` free voxels.
 
     Faces without area are left out.
     """
     levels = _Levels(surface.mesh)
     order = count()
 
-    def piece(faces: npt.NDArray[np.int64]) -> Patch:
+    def patch(faces: npt.NDArray[np.int64]) -> Patch:
         extent = surface.extent(faces)
         return Patch(faces, extent, surface.covers(extent))
 
-    first = piece(np.flatnonzero(surface.mesh.face_areas > 0))
+    first = patch(np.flatnonzero(surface.mesh.face_areas > 0))
     queue = [(-first.covers, next(order), 0, first)]
     done: list[Patch] = []
     while queue and len(queue) + len(done) < most:
         covers, _, level, worst = heapq.heappop(queue)
-        if -covers > tolerance and len(worst.faces) > 1:  # its true hull may be tighter
+        if -covers > tolerance and len(worst.faces) > 1:  # its convex hull may be tighter
             hull = surface.hull(worst.faces, CORNERS)
             covers = -surface.space.count_inside(surface.space.free, hull.planes, hull.bounds)
         if -covers <= tolerance or len(worst.faces) < 2:
@@ -71,13 +71,13 @@ def decompose(surface: Surface, tolerance: float, most: int = MOST_PIECES) -> li
             continue
         level, groups = levels.split(worst.faces, level)
         for faces in groups:
-            made = piece(faces)
+            made = patch(faces)
             heapq.heappush(queue, (-made.covers, next(order), level, made))
     return done + [entry[3] for entry in queue]
 
 
 class _Levels:
-    """How a set of faces is cut: by shell, by smooth region, by flat region, then in halves."""
+    """Cuts faces by shell, by smooth region, by flat region, then in halves."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -92,7 +92,7 @@ class _Levels:
     def split(
         self, faces: npt.NDArray[np.int64], level: int
     ) -> tuple[int, list[npt.NDArray[np.int64]]]:
-        """The level that the groups are at, and the groups."""
+        """Return the level of the groups, and the groups."""
         for i in range(level, len(self.regions)):
             _, group = np.unique(self.regions[i][faces], return_inverse=True)
             if group.max() > 0:
@@ -102,7 +102,7 @@ class _Levels:
     def _groups_halved(
         self, faces: npt.NDArray[np.int64], group: npt.NDArray[np.int64]
     ) -> list[npt.NDArray[np.int64]]:
-        """Cut by the groups' middles, none of them cut through."""
+        """Split between groups, by their centres."""
         weight = self.mesh.face_areas[faces]
         total: FloatArray = np.bincount(group, weight).astype(np.float64)
         at = [np.bincount(group, weight * c) / total for c in self.centers[faces].T]
@@ -118,10 +118,10 @@ class _Levels:
 
 
 def _two_sides(features: FloatArray, weight: FloatArray) -> npt.NDArray[np.bool_]:
-    """(N,) which side of the middle (N, K) rows are on along their longest direction."""
+    """(N,) side of the mean of (N, K) rows along their principal axis."""
     centred = features - weight @ features / weight.sum()
-    way = np.linalg.eigh((centred * weight[:, None]).T @ centred)[1][:, -1]
-    side = centred @ way > 0
+    axis = np.linalg.eigh((centred * weight[:, None]).T @ centred)[1][:, -1]
+    side = centred @ axis > 0
     if side.all() or not side.any():
         side = np.arange(len(features)) < len(features) // 2
     return side

@@ -1,4 +1,4 @@
-"""Primitives in place of polyhedra, where they are as good: simulators are faster with them."""
+"""Replace polyhedra by similar primitives, which simulators collide faster."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy.typing as npt
 from model.core.shapes import Hull, Kind, Primitive
 
 BOX = 0.97
-"""Least share of its box that a hull must fill."""
+"""Smallest share of its box that a box-like hull fills."""
 ROUND = 0.03
-"""Largest deviation of corners from a round surface, in its radius."""
+"""Largest deviation of vertices from a round surface, over its radius."""
 CORNERS = 20
-"""Least corners of what may be called round."""
+"""Fewest vertices of a round hull."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 def primitive_of(hull: Hull) -> Primitive | None:
-    """A box, sphere, capsule or cylinder that is nearly the same body, or None."""
+    """Fit a box, sphere, cylinder or capsule; None where none is similar enough."""
     found = _box(hull)
     if found is not None or len(hull.vertices) < CORNERS:
         return found
@@ -53,13 +53,13 @@ def _box(hull: Hull) -> Primitive | None:
 
 
 def _heaviest(normals: FloatArray, areas: FloatArray) -> int:
-    """The face whose direction, of either sign, has the most area."""
+    """Face whose normal, up to sign, has the largest total area."""
     same = np.abs(normals @ normals.T) > 0.999
     return int((same @ areas * (areas > 0)).argmax())
 
 
 def _axes(hull: Hull) -> list[FloatArray]:
-    """Where a body of revolution may have its axis: the largest flat faces, then the principal."""
+    """Candidate axes of revolution: of the largest flat faces, then the principal axes."""
     a, b, c = np.moveaxis(hull.vertices[hull.faces], 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     flat = hull.planes[_heaviest(hull.planes[:, :3], areas), :3]
@@ -81,7 +81,7 @@ def _sphere(hull: Hull) -> Primitive | None:
 
 
 def _along(hull: Hull, axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Frame (3, 3) with z along the axis, a point on it, and the corners' heights and radii."""
+    """Frame (3, 3) with z along the axis, a point on it, and the vertices' heights and radii."""
     helper = np.eye(3)[np.abs(axis).argmin()]
     x = np.asarray(np.cross(axis, helper), np.float64)
     x /= np.linalg.norm(x)

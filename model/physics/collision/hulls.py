@@ -1,4 +1,4 @@
-"""Convex hulls that are grown to a least thickness or cut by a plane."""
+"""Convex hulls grown to a minimal thickness or cut by a plane."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from model.core.shapes import FloatArray, Hull, hull_of
 
 DUST = 1e-6
-"""Share of the thickness up to which points are a single place."""
+"""Extent, as a share of the thickness, up to which points count as a single one."""
 
 
 def thick_hull(points: FloatArray, thickness: float) -> Hull:
-    """The hull of (N, 3) points; where they are thinner than ``thickness``, grown to it."""
-    # What is far smaller than that has no directions to grow in: they drown in rounding.
+    """Return the hull of (N, 3) points, grown to ``thickness`` metres where it is thinner."""
+    # Far smaller points have no reliable directions to grow in.
     if float(np.ptp(points, axis=0).max()) < DUST * thickness:
-        return _box_round(points, thickness)
+        return _box_around(points, thickness)
     found = hull_of(points)
     if found is not None and found.thickness >= 0.99 * thickness:
         return found
     middle = points.mean(axis=0)
     axes = np.linalg.svd(points - middle, full_matrices=True)[2] if len(points) > 1 else np.eye(3)
-    if found is not None:  # its thinnest direction is a face's normal, not a principal axis
+    if found is not None:  # the thinnest direction is a face normal, not a principal axis
         reach = found.vertices @ found.planes[:, :3].T
         axes = found.planes[np.ptp(reach, axis=0).argmin(), None, :3]
     grown = points
@@ -28,10 +28,10 @@ def thick_hull(points: FloatArray, thickness: float) -> Hull:
         half = (thickness - float(np.ptp(grown @ axis))) / 2
         if half > 0:
             grown = np.concatenate([grown - half * axis, grown + half * axis])
-    return hull_of(grown) or found or _box_round(grown, thickness)
+    return hull_of(grown) or found or _box_around(grown, thickness)
 
 
-def _box_round(points: FloatArray, thickness: float) -> Hull:
+def _box_around(points: FloatArray, thickness: float) -> Hull:
     low, high = points.min(axis=0) - thickness / 2, points.max(axis=0) + thickness / 2
     box = hull_of(np.array([[x, y, z] for x, y, z in np.ndindex(2, 2, 2)]) * (high - low) + low)
     assert box is not None
@@ -39,7 +39,7 @@ def _box_round(points: FloatArray, thickness: float) -> Hull:
 
 
 def clipped(hull: Hull, normal: FloatArray, offset: float) -> Hull | None:
-    """The half where ``normal·x <= offset``; None where nothing with volume is left."""
+    """Return the half where ``normal·x <= offset``; None where it has no volume."""
     height = hull.vertices @ normal - offset
     if (height <= 0).all():
         return hull
@@ -47,8 +47,8 @@ def clipped(hull: Hull, normal: FloatArray, offset: float) -> Hull | None:
     if not kept.any():
         return None
     pairs = np.stack([hull.faces.reshape(-1), np.roll(hull.faces, -1, axis=1).reshape(-1)], 1)
-    crossing = pairs[kept[pairs[:, 0]] & ~kept[pairs[:, 1]]]
-    a, b = hull.vertices[crossing[:, 0]], hull.vertices[crossing[:, 1]]
-    ha, hb = height[crossing[:, 0], None], height[crossing[:, 1], None]
+    edges = pairs[kept[pairs[:, 0]] & ~kept[pairs[:, 1]]]
+    a, b = hull.vertices[edges[:, 0]], hull.vertices[edges[:, 1]]
+    ha, hb = height[edges[:, 0], None], height[edges[:, 1], None]
     cut = a + (b - a) * (ha / (ha - hb))
     return hull_of(np.concatenate([hull.vertices[kept], cut]))

@@ -1,9 +1,8 @@
-"""Joining neighbouring pieces again while what holds both covers no free space.
+"""Merge neighbouring patches while the common body covers little free space.
 
-Greedy, as in hierarchical approximate convex decomposition (Mamou and Ghorbel, 2009), but what a
-merge costs is what matters here: the free voxels that the common body newly covers. First with
-polytopes of fixed directions, which are quick; the few that are left with true hulls, which are
-tighter about round things.
+Greedy, as in hierarchical approximate convex decomposition (Mamou and Ghorbel, 2009). The cost of a
+merge is the number of free voxels that the common body newly covers. First with k-DOPs, which are
+fast; the remaining ones with convex hulls, which are tighter about round shapes.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ import numpy.typing as npt
 
 from model.core.shapes import Hull, coarse
 from model.physics.collision.decomposition import Patch
-from model.physics.collision.dops import Surface
+from model.physics.collision.dops import FaceExtents
 from model.physics.collision.hulls import thick_hull
 
 FREE_MERGE = 0.001
-"""Share of the free voxels that one merge may cover."""
+"""Most free voxels that one merge may cover, as a share of all."""
 FREE_TOTAL = 0.01
-"""And all of them."""
+"""The same for all merges together."""
 ROUGH = 1.5
-"""How many pieces the quick bodies leave, in the budget."""
+"""Patches left by the first stage, over the budget."""
 CORNERS = 40
-"""Of hulls while they are compared."""
+"""Vertices of hulls while they are compared."""
 
 _OFFSETS = np.array([o for o in np.ndindex(3, 3, 3) if o > (1, 1, 1)]) - 1
 
@@ -38,7 +37,7 @@ Faces = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Faces and what holds them: an extent or a hull; its free voxels and its size."""
+    """Faces with their k-DOP or hull, its free voxels and its size."""
 
     faces: Faces
     shape: Any
@@ -47,14 +46,14 @@ class _Body:
     middle: npt.NDArray[np.float64]
 
 
-def merge(surface: Surface, pieces: list[Patch], most: int) -> list[Faces]:
-    """The faces of at most ``most`` pieces.
+def merge(surface: FaceExtents, patches: list[Patch], most: int) -> list[Faces]:
+    """Return the faces of at most ``most`` groups.
 
-    Beyond the number the merges that cost least free space are made whatever they cost.
+    Above that number, the cheapest merges are made whatever they cost.
     """
     free = surface.space.free_count
-    bodies = [_extent_body(surface, p.faces, p.extent, p.covers) for p in pieces]
-    rough = _Merging(bodies, _neighbours(surface, pieces), lambda a, b: _extents(surface, a, b))
+    bodies = [_extent_body(surface, p.faces, p.extent, p.covers) for p in patches]
+    rough = _Merging(bodies, _neighbours(surface, patches), lambda a, b: _extents(surface, a, b))
     rough.run(max(int(ROUGH * most), most + 4), free)
     left = list(rough.body)
     place = {key: i for i, key in enumerate(left)}
@@ -66,24 +65,24 @@ def merge(surface: Surface, pieces: list[Patch], most: int) -> list[Faces]:
     return [b.faces for b in fine.body.values()]
 
 
-def _extent_body(surface: Surface, faces: Faces, extent: Any, covers: float | None) -> _Body:
+def _extent_body(surface: FaceExtents, faces: Faces, extent: Any, covers: float | None) -> _Body:
     size = float(np.prod(extent[1, :3] - extent[0, :3]))
     covers = surface.covers(extent) if covers is None else covers
     return _Body(faces, extent, covers, size, extent[:, :3].mean(axis=0))
 
 
-def _extents(surface: Surface, a: _Body, b: _Body) -> _Body:
+def _extents(surface: FaceExtents, a: _Body, b: _Body) -> _Body:
     low = np.minimum(a.shape[0], b.shape[0])
     extent = np.stack([low, np.maximum(a.shape[1], b.shape[1])])
     return _extent_body(surface, np.concatenate([a.faces, b.faces]), extent, None)
 
 
-def _hull_body(surface: Surface, faces: Faces, hull: Hull) -> _Body:
+def _hull_body(surface: FaceExtents, faces: Faces, hull: Hull) -> _Body:
     covers = surface.space.count_inside(surface.space.free, hull.planes, hull.bounds)
     return _Body(faces, hull, covers, hull.volume, hull.bounds.mean(axis=0))
 
 
-def _hulls(surface: Surface, a: _Body, b: _Body) -> _Body:
+def _hulls(surface: FaceExtents, a: _Body, b: _Body) -> _Body:
     corners = np.concatenate([a.shape.vertices, b.shape.vertices])
     hull = coarse(thick_hull(corners, 0.5 * surface.space.size), CORNERS)
     return _hull_body(surface, np.concatenate([a.faces, b.faces]), hull)
@@ -106,7 +105,7 @@ class _Merging:
         self.next = len(bodies)
 
     def run(self, most: int, free: int) -> None:
-        """Merge while it is cheap, and until at most ``most`` are left."""
+        """Merge while it is cheap, and until at most ``most`` bodies are left."""
         for a in list(self.near):
             for b in self.near[a]:
                 if a < b:
@@ -134,7 +133,7 @@ class _Merging:
     def _offer(self, a: int, b: int) -> None:
         made = self.union(self.body[a], self.body[b])
         cost = made.covers - self.body[a].covers - self.body[b].covers
-        # Small ones first, they stay compact. No two entries have the same a and b.
+        # Small ones first: they stay compact. No two entries have the same a and b.
         heapq.heappush(self.queue, (cost, made.size, a, b, made))
 
     def _join(self, a: int, b: int, made: _Body) -> None:
@@ -148,7 +147,7 @@ class _Merging:
             self._offer(other, new)
 
     def _bridge(self) -> None:
-        """Offer each body to its nearest ones where none touches another any more."""
+        """Make the nearest bodies neighbours where no neighbours are left."""
         keys = list(self.body)
         middles = np.stack([self.body[k].middle for k in keys])
         apart = np.linalg.norm(middles[:, None] - middles, axis=2)
@@ -159,31 +158,31 @@ class _Merging:
             self._offer(keys[a], keys[b])
 
 
-def _neighbours(surface: Surface, pieces: list[Patch]) -> list[tuple[int, int]]:
-    """Pairs of pieces that are in the same voxel or in two that touch."""
+def _neighbours(surface: FaceExtents, patches: list[Patch]) -> list[tuple[int, int]]:
+    """Pairs of patches in the same voxel or in adjacent ones."""
     space = surface.space
     owner = np.full(len(surface.mesh.faces), -1)
-    for i, piece in enumerate(pieces):
-        owner[piece.faces] = i
-    who = owner[surface.point_face]
-    cell = np.floor((surface.points[who >= 0] - space.low) / space.size).astype(np.int64) + 1
+    for i, patch in enumerate(patches):
+        owner[patch.faces] = i
+    patch_of = owner[surface.point_face]
+    cell = np.floor((surface.points[patch_of >= 0] - space.low) / space.size).astype(np.int64) + 1
     shape = np.array(space.surface.shape) + 2
     key = np.ravel_multi_index(tuple(np.clip(cell, 0, shape - 1).T), tuple(shape))
-    both = np.unique(key * len(pieces) + who[who >= 0])
-    cell, who = both // len(pieces), both % len(pieces)
+    both = np.unique(key * len(patches) + patch_of[patch_of >= 0])
+    cell, patch_of = both // len(patches), both % len(patches)
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     found: list[npt.NDArray[np.int64]] = []
     for step in [0, *(_OFFSETS @ strides).tolist()]:
-        # Every piece of a cell against those of the cell ``step`` further.
+        # Every patch of a cell against those of the cell ``step`` further.
         start = np.searchsorted(cell, cell + step, "left")
         number = np.searchsorted(cell, cell + step, "right") - start
         one = np.repeat(np.arange(len(cell)), number)
         offset = np.arange(len(one)) - np.repeat(np.cumsum(number) - number, number)
-        a, b = who[one], who[start[one] + offset]
-        found.append(np.unique(np.minimum(a, b) * len(pieces) + np.maximum(a, b)))
+        a, b = patch_of[one], patch_of[start[one] + offset]
+        found.append(np.unique(np.minimum(a, b) * len(patches) + np.maximum(a, b)))
     pairs = np.unique(np.concatenate(found))
     return [
-        (p // len(pieces), p % len(pieces))
+        (p // len(patches), p % len(patches))
         for p in pairs.tolist()
-        if p // len(pieces) != p % len(pieces)
+        if p // len(patches) != p % len(patches)
     ]

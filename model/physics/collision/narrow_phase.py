@@ -1,4 +1,4 @@
-"""Which bodies of two links overlap, in one pose or all along a way."""
+"""Narrow phase: which bodies of two links overlap, in one pose or along a path."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BodyOverlap:
 
     Attributes:
         a, b: links; i, j: which of their bodies.
-        depth: metres, seen from a's rest frame; minus the gap between them.
+        depth: metres; minus the gap between them.
         a_from_b: (4, 4) motion from b's rest frame to a's.
     """
 
@@ -40,17 +40,17 @@ def overlaps(
     poses: Mapping[str, FloatArray],
     least: float = 0.0,
 ) -> list[BodyOverlap]:
-    """The bodies of ``pairs`` that overlap by more than ``least`` metres in a pose; a negative
-    one finds what a smaller gap parts, too.
+    """Find bodies of ``pairs`` of links that overlap by more than ``least`` metres in a pose.
 
     Args:
-        poses: link → (4, 4) ``posed_from_rest``; links that aren't there rest.
+        poses: link → (4, 4) ``posed_from_rest``; missing links are at rest.
+        least: negative to find bodies with a smaller gap, too.
     """
-    asked = {link for pair in pairs for link in pair}
+    links = {link for pair in pairs for link in pair}
     rest = np.eye(4)
     boxes = {
         k: _boxes(hulls, poses.get(k, rest)[None])[0]
-        for k, hulls in bodies.items() if hulls and k in asked
+        for k, hulls in bodies.items() if hulls and k in links
     }  # fmt: skip
     out: list[BodyOverlap] = []
     for a, b in pairs:
@@ -60,29 +60,29 @@ def overlaps(
         if not near.any():
             continue
         a_from_b = np.linalg.inv(poses.get(a, rest)) @ poses.get(b, rest)
-        seen: dict[int, Hull] = {}
+        posed: dict[int, Hull] = {}
         for i, j in np.argwhere(near).tolist():
-            if j not in seen:
-                seen[j] = bodies[b][j].moved(a_from_b)
-            found = overlap(bodies[a][i], seen[j], least)
+            if j not in posed:
+                posed[j] = bodies[b][j].moved(a_from_b)
+            found = overlap(bodies[a][i], posed[j], least)
             if found is not None:
                 out.append(BodyOverlap(a, b, i, j, found.depth, a_from_b))
     return out
 
 
 class PosePath:
-    """Poses in a row, in which bodies are asked for what overlaps again and again.
+    """A sequence of poses, in which overlaps are searched while bodies are being cut.
 
-    What was found of two bodies is kept: they are cut, but few of them each time.
+    Depths are cached per pair of bodies: few of them are cut each time.
 
     Args:
-        poses: link → (S, 4, 4) ``posed_from_rest``; links that aren't there rest.
+        poses: link → (S, 4, 4) ``posed_from_rest``; missing links are at rest.
         count: S.
     """
 
     def __init__(self, poses: Mapping[str, FloatArray], count: int) -> None:
         self._poses, self._count = poses, count
-        # The bodies are kept with it: what is gone must not lend its id to another one.
+        # The bodies are kept, so that no new one gets the id of an old one.
         self._known: dict[tuple[int, int, float], tuple[Hull, Hull, FloatArray]] = {}
 
     def overlaps(
@@ -90,9 +90,9 @@ class PosePath:
     ) -> list[list[BodyOverlap]]:
         """:func:`overlaps` in each pose."""
         out: list[list[BodyOverlap]] = [[] for _ in range(self._count)]
-        asked = {link for pair in pairs for link in pair}
+        links = {link for pair in pairs for link in pair}
         boxes = {
-            k: _boxes(hulls, self._of(k)) for k, hulls in bodies.items() if hulls and k in asked
+            k: _boxes(hulls, self._of(k)) for k, hulls in bodies.items() if hulls and k in links
         }
         for a, b in pairs:
             if a not in boxes or b not in boxes:
@@ -111,13 +111,13 @@ class PosePath:
         return out
 
     def _of(self, link: str) -> FloatArray:
-        """(S, 4, 4), or (1, 4, 4) where it rests."""
+        """(S, 4, 4), or (1, 4, 4) at rest."""
         return self._poses.get(link, np.eye(4)[None])
 
     def _depths(
         self, a: Hull, b: Hull, a_from_b: FloatArray, at: npt.NDArray[np.int64], least: float
     ) -> FloatArray:
-        """(S,) depths in the poses ``at``."""
+        """(S,) depths, computed at the poses ``at``."""
         key = (id(a), id(b), least)
         if key not in self._known:
             found = np.full(self._count, -np.inf)
@@ -127,13 +127,13 @@ class PosePath:
 
 
 _depths: LruCache[bytes, FloatArray] = LruCache(4096, 1e6)
-"""Where one joint is edited, most bodies pass each other as they did; a million depths at most."""
+"""Depths of pairs of bodies along paths: an edit of one joint changes few of them."""
 
 
 def _depths_of(a: Hull, b: Hull, a_from_b: FloatArray, least: float) -> FloatArray:
-    """:func:`depths`; what was found lately is kept."""
-    asked = array_digest(*a.measured, *b.measured, a_from_b, np.array([least]))
-    return _depths.get(asked, lambda: depths(a, b, a_from_b, least), len(a_from_b))
+    """:func:`depths`, cached."""
+    key = array_digest(*a.measured, *b.measured, a_from_b, np.array([least]))
+    return _depths.get(key, lambda: depths(a, b, a_from_b, least), len(a_from_b))
 
 
 def _near(a: FloatArray, b: FloatArray, least: float) -> npt.NDArray[np.bool_]:

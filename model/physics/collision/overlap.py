@@ -1,4 +1,4 @@
-"""How deep convex bodies overlap: the separating axis theorem (Gottschalk, 1996)."""
+"""Depth of overlap of convex bodies by the separating axis theorem (Gottschalk, 1996)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy.typing as npt
 from model.core.shapes import Hull
 
 MOST_EDGES = 24
-"""Edge directions a body: products of more say nothing new but cost time."""
+"""Most edge directions of a body: products of more cost time and change nothing."""
 
-TOGETHER = 32
-"""Poses that are looked at in one go: the arrays stay in the processor's cache."""
+BATCH = 32
+"""Poses per batch: the arrays fit the processor's cache."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -23,9 +23,9 @@ class Overlap:
     """Two bodies that overlap.
 
     Attributes:
-        depth: metres that one must move along ``axis`` to be free; minus the gap between them.
-        axis: (3,) unit, the way that the second body must go.
-        begin, end: where along the axis both are: the second begins, the first ends.
+        depth: metres that the second must move along ``axis`` to be free; minus the gap if apart.
+        axis: (3,) unit.
+        begin, end: of the overlap along the axis: start of the second body, end of the first.
     """
 
     depth: float
@@ -35,9 +35,9 @@ class Overlap:
 
 
 def overlap(a: Hull, b: Hull, least: float = 0.0) -> Overlap | None:
-    """How two bodies overlap; None where it is ``least`` metres or less.
+    """Return the overlap of two bodies; None where it is ``least`` metres or less.
 
-    A negative ``least`` also finds bodies that a smaller gap parts; their depth is negative.
+    A negative ``least`` also finds bodies with a smaller gap between them.
     """
     apart = np.maximum(a.bounds[0] - b.bounds[1], b.bounds[0] - a.bounds[1])
     if (apart >= -least).any():
@@ -63,7 +63,7 @@ def _few(edges: FloatArray, axis: int = 0) -> FloatArray:
 
 
 def _along(a: Hull, b: Hull, axes: FloatArray, least: float) -> Overlap | None:
-    """The least overlap along (N, 3) unit axes; None where that is ``least`` or less."""
+    """The smallest overlap along (N, 3) unit axes; None where that is ``least`` or less."""
     one, other = a.vertices @ axes.T, b.vertices @ axes.T
     forward = one.max(axis=0) - other.min(axis=0)
     backward = other.max(axis=0) - one.min(axis=0)
@@ -77,10 +77,9 @@ def _along(a: Hull, b: Hull, axes: FloatArray, least: float) -> Overlap | None:
 
 
 def depths(a: Hull, b: Hull, a_from_b: FloatArray, least: float = 0.0) -> FloatArray:
-    """(S,) the depth that :func:`overlap` finds of ``a`` and ``b`` under (S, 4, 4) motions; minus
-    infinity where it finds none."""
-    parts = range(0, len(a_from_b), TOGETHER)
-    return np.concatenate([_depths(a, b, a_from_b[k : k + TOGETHER], least) for k in parts])
+    """(S,) depths of :func:`overlap` of ``a`` and ``b`` under (S, 4, 4) motions; -inf for None."""
+    parts = range(0, len(a_from_b), BATCH)
+    return np.concatenate([_depths(a, b, a_from_b[k : k + BATCH], least) for k in parts])
 
 
 def _depths(a: Hull, b: Hull, a_from_b: FloatArray, least: float) -> FloatArray:
@@ -113,8 +112,10 @@ def _depths(a: Hull, b: Hull, a_from_b: FloatArray, least: float) -> FloatArray:
 def _least_along(
     one: FloatArray, others: FloatArray, axes: FloatArray, real: npt.NDArray[np.bool_] | None = None
 ) -> FloatArray:
-    """(S,) the least overlap of (V, 3) corners and (S, W, 3) ones along (S, N, 3) unit axes, of
-    which those count that are ``real``; infinity where none is."""
+    """(S,) smallest overlap of (V, 3) and (S, W, 3) vertices along (S, N, 3) unit axes.
+
+    Only axes that are ``real`` count; infinity where none is.
+    """
     across = axes.swapaxes(1, 2)
     mine, its = one @ across, others @ across
     depth = np.minimum(mine.max(axis=1) - its.min(axis=1), its.max(axis=1) - mine.min(axis=1))

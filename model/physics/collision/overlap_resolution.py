@@ -1,14 +1,14 @@
-"""Taking collision bodies back where parts that move against each other touch.
+"""Overlap resolution: cut collision bodies of parts that move against each other.
 
-A drawer sits in its cabinet without a gap, a hinge's pin in its hole: bodies that overlap at rest
-push each other away in a simulator and jam the joint. Where two overlap, a plane between them cuts
-one or both; of the ways to cut, the one that loses least. The same is done on the way from rest to
-the joint's limits, in steps that are small at both ends, since corners near a hinge graze their
-frame as soon as the door moves, and joints stand at their limits. What goes deeper than a graze is
-cut where the parts themselves pass each other (a tube in a tube, of which bodies are coarse
-pieces), the deepest first, and what can't be cut goes. Elsewhere it stays: it is a collision, and
-for people to mend, with the range or by saying that the shapes are to give way
-(:attr:`Joint.give_way`).
+A drawer fits its cabinet without a gap, a pin its hole: bodies that overlap at rest push each other
+away in a simulator and jam the joint. Where two overlap, a plane between them cuts one or both,
+whichever loses the least volume.
+
+The same is done along the path from rest to the joint's limits, in steps that are small at both
+ends: vertices near a hinge graze the frame as soon as a door moves, and joints rest at their
+limits. Deeper overlaps are cut only where the parts themselves don't collide (a tube in a tube,
+decomposed coarsely), the deepest first; bodies that can't be cut there are removed. Elsewhere they
+stay: they are collisions for people to fix, by the range or by :attr:`Joint.give_way`.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from model.physics.collision.narrow_phase import Bodies, BodyOverlap, PosePath, 
 from model.physics.collision.overlap import Overlap, overlap
 
 GAP = 2e-4
-"""Between bodies afterwards, in the object's diagonal."""
+"""Gap between bodies after a cut, in the object's diagonal."""
 CLOSE = 0.5
-"""Gaps below this share of it touch: CAD parts share their faces exactly, which a simulator takes
-for contact, and the friction holds them."""
+"""Gaps below this share of :data:`GAP` are cut, too: CAD parts share faces exactly, where a
+simulator's friction would hold them."""
 GRAZE = 0.01
-"""Overlap along the range that is cut away, in the diagonal."""
+"""Deepest overlap along the range that is always cut, in the diagonal."""
 FIRST_STEP, WIDENING, LONGEST_STEP = 2e-4, 1.05, 1e-3
-"""How far what moves fastest goes between two poses in which grazing is looked for, in the
-diagonal: handles pass each other within a few millimetres."""
+"""Travel of the fastest point between two poses, in the diagonal: the first, the growth of the
+others and the longest. Handles pass each other within a few millimetres."""
 MOST_STEPS = 1000
 ROUNDS = 4
 LEAST = 0.3
-"""Share of a body that must be left where it is cut."""
+"""Smallest share of a body's volume that a cut may leave."""
 
 FloatArray = npt.NDArray[np.float64]
-Free = Callable[[Joint], tuple[float, float]]
-"""Joint → the joint values, about 0, between which nothing may be in its way."""
+FreeRange = Callable[[Joint], tuple[float, float]]
+"""Joint → the joint values, about 0, between which its parts don't collide."""
 
 
 def moving_pairs(tree: KinematicTree) -> list[tuple[str, str]]:
@@ -56,35 +56,28 @@ def moving_pairs(tree: KinematicTree) -> list[tuple[str, str]]:
     return [(a, b) for a, b in combinations(tree.order, 2) if group[a] != group[b]]
 
 
-def limits_of(joint: Joint) -> tuple[float, float]:
-    """Lower and upper; half a turn either way for continuous joints."""
-    lower, upper = (joint.lower, joint.upper) if joint.limited else (-np.pi, np.pi)
-    assert lower is not None and upper is not None
-    return lower, upper
-
-
 def poses_over_range(
     tree: KinematicTree, samples: int
 ) -> Iterator[tuple[Joint, float, Mapping[str, FloatArray]]]:
-    """Each leading joint alone, over its range: (joint, q, poses); rest is left out."""
+    """Move each joint that mimics none alone: (joint, q, poses), without the rest pose."""
     for joint in tree.joints:
         if not joint.moves or joint.mimic is not None:
             continue
-        for q in np.linspace(*limits_of(joint), samples):
+        for q in np.linspace(*joint.motion_range, samples):
             if abs(q) > 1e-9:
                 yield joint, float(q), tree.pose({joint.name: float(q)})
 
 
 def _steps(travel: float) -> FloatArray:
-    """Shares of a way of ``travel`` diagonals, close at both ends: joints stand there."""
+    """Shares of a path of ``travel`` diagonals, dense at both ends."""
     step = FIRST_STEP * WIDENING ** np.arange(MOST_STEPS)
-    way = np.cumsum(np.minimum(step, max(LONGEST_STEP, travel / MOST_STEPS)))
-    half = way[way < travel / 2]
+    path = np.cumsum(np.minimum(step, max(LONGEST_STEP, travel / MOST_STEPS)))
+    half = path[path < travel / 2]
     return np.concatenate([half, [travel / 2], travel - half[::-1], [travel]]) / travel
 
 
 def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:
-    """Metres that the outermost corner goes per unit of the joint."""
+    """Metres that the outermost vertex moves per unit of the joint."""
     at = [h.vertices for link in moved for h in bodies.get(link, ())]
     if not joint.rotates or not at:
         return 1.0
@@ -93,22 +86,25 @@ def _travel(bodies: Bodies, joint: Joint, moved: frozenset[str]) -> float:
 
 
 def _to_cut(
-    bodies: Bodies, tree: KinematicTree, pairs: list[tuple[str, str]], diagonal: float, free: Free
+    bodies: Bodies,
+    tree: KinematicTree,
+    pairs: list[tuple[str, str]],
+    diagonal: float,
+    free: FreeRange,
 ) -> Iterator[tuple[list[BodyOverlap], bool, Joint]]:
-    """What touches while each leading joint alone goes from rest to either limit, whether it is cut
-    however deep it is, and the joint.
+    """Find overlaps while each joint that mimics none moves alone from rest to either limit.
 
-    All at once what touches where the parts are free, twice, for what the cuts left; pose by pose
-    what goes no deeper than :data:`GRAZE` until it is free again. Bodies may change, and go after
-    what is cut however deep.
+    Yields overlaps, whether they are cut at any depth, and the joint: first all overlaps where the
+    parts are free, twice, as cuts may leave some; then, pose by pose, those that stay shallower
+    than :data:`GRAZE`. The caller may cut bodies, and remove them after the first kind.
     """
     most = GRAZE * diagonal
     for joint in tree.joints:
         if not joint.moves or joint.mimic is not None:
             continue
-        for end in limits_of(joint):
-            known: _Ways = {}
-            q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal, known)
+        for end in joint.motion_range:
+            known: _Paths = {}
+            q, found = _along_path(bodies, tree, joint, end, pairs, diagonal, known)
             for _ in range(2):
                 if max((t.depth for each in found for t in each), default=0.0) <= most:
                     break
@@ -116,24 +112,24 @@ def _to_cut(
                 before = {link: list(hulls) for link, hulls in bodies.items()}
                 yield [t for v, each in zip(q, found, strict=True) if low <= v <= high
                        for t in each], True, joint  # fmt: skip
-                if bodies == before:  # bodies are equal where they are the same
+                if bodies == before:  # compares bodies by identity
                     break
-                q, found = _on_the_way(bodies, tree, joint, end, pairs, diagonal, known)
-            for touches in _shallow(found, most):
-                yield touches, False, joint
+                q, found = _along_path(bodies, tree, joint, end, pairs, diagonal, known)
+            for shallow in _shallow(found, most):
+                yield shallow, False, joint
 
 
-_Ways = dict[float, tuple[FloatArray, Mapping[str, FloatArray], PosePath]]
-"""Travel in diagonals → joint values, poses, and what was found there."""
+_Paths = dict[float, tuple[FloatArray, Mapping[str, FloatArray], PosePath]]
+"""Travel in diagonals → joint values, poses, and the path with its cached depths."""
 
 
-def _on_the_way(
+def _along_path(
     bodies: Bodies, tree: KinematicTree, joint: Joint, end: float,
-    pairs: list[tuple[str, str]], diagonal: float, known: _Ways,
+    pairs: list[tuple[str, str]], diagonal: float, known: _Paths,
 ) -> tuple[FloatArray, list[list[BodyOverlap]]]:  # fmt: skip
-    """Joint values from rest to ``end``, and what touches at each."""
+    """Joint values from rest to ``end``, and the overlaps at each."""
     moved = frozenset(tree.descendants(joint.child))
-    crossing = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
+    across = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
     travel = abs(end) * _travel(bodies, joint, moved) / diagonal
     if travel < FIRST_STEP:
         return np.zeros(0), []
@@ -141,18 +137,18 @@ def _on_the_way(
         q = end * _steps(travel)
         poses = joint_poses(tree, joint, q)
         known[travel] = q, poses, PosePath(poses, len(q))
-    q, poses, way = known[travel]
+    q, poses, path = known[travel]
     close = CLOSE * GAP * diagonal
-    near = _meeting(bodies, crossing, poses, close)
+    near = _near_pairs(bodies, across, poses, close)
     if not near:
         return np.zeros(0), []
-    return q, way.overlaps(bodies, near, -close)
+    return q, path.overlaps(bodies, near, -close)
 
 
-def _meeting(
+def _near_pairs(
     bodies: Bodies, pairs: list[tuple[str, str]], poses: Mapping[str, FloatArray], close: float
 ) -> list[tuple[str, str]]:
-    """The pairs whose boxes, over all of (S, 4, 4) poses a link, come as close as that."""
+    """Pairs of links whose boxes over all poses are closer than ``close`` metres."""
     boxes: dict[str, FloatArray] = {}
     for link in {k for pair in pairs for k in pair if bodies.get(k)}:
         each = np.stack([h.bounds for h in bodies[link]])
@@ -171,37 +167,37 @@ def _meeting(
 
 
 def _shallow(found: list[list[BodyOverlap]], most: float) -> list[list[BodyOverlap]]:
-    """Without the bodies that go deeper than ``most`` in the run of poses they touch in."""
+    """Drop the overlaps of bodies that get deeper than ``most`` while they stay in contact."""
     out: list[list[BodyOverlap]] = [[] for _ in found]
     runs: dict[tuple[str, str, int, int], list[tuple[int, BodyOverlap]]] = {}
 
     def end(run: list[tuple[int, BodyOverlap]]) -> None:
         if max(t.depth for _, t in run) <= most:
-            for k, touch in run:
-                out[k].append(touch)
+            for k, contact in run:
+                out[k].append(contact)
 
-    for k, touches in enumerate(found):
-        now = {(t.a, t.b, t.i, t.j): t for t in touches}
+    for k, overlapping in enumerate(found):
+        now = {(t.a, t.b, t.i, t.j): t for t in overlapping}
         for key in runs.keys() - now.keys():
             end(runs.pop(key))
-        for key, touch in now.items():
-            runs.setdefault(key, []).append((k, touch))
+        for key, contact in now.items():
+            runs.setdefault(key, []).append((k, contact))
     for run in runs.values():
         end(run)
     return out
 
 
 def resolve_overlaps(
-    bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free,
+    bodies: Bodies, tree: KinematicTree, diagonal: float, free: FreeRange,
     kept: frozenset[str] = frozenset(),
 ) -> Bodies:  # fmt: skip
-    """Bodies that overlap neither at rest, nor over the range where the parts are free there, nor,
-    by less than :data:`GRAZE`, elsewhere.
+    """Cut bodies that overlap at rest, where the parts are free, or by less than :data:`GRAZE`.
 
-    Bodies that lie all in another one are dropped; what can't be cut is left.
+    Bodies inside of another one are removed; those that can't be cut stay.
 
     Args:
-        kept: links whose bodies stay as they are, but for joints whose shapes are to give way.
+        free: range of a joint in which its parts don't collide.
+        kept: links whose bodies are cut only by joints with :attr:`Joint.give_way`.
     """
     bodies = {link: list(hulls) for link, hulls in bodies.items()}
     pairs = moving_pairs(tree)
@@ -221,13 +217,13 @@ def resolve_overlaps(
 
 
 def overlapping_bodies(
-    bodies: Bodies, tree: KinematicTree, diagonal: float, free: Free
+    bodies: Bodies, tree: KinematicTree, diagonal: float, free: FreeRange
 ) -> set[tuple[str, int]]:
-    """Bodies (link, number) that touch others where :func:`resolve_overlaps` lets none touch."""
+    """Bodies (link, index) that overlap where :func:`resolve_overlaps` would cut them."""
     pairs = moving_pairs(tree)
     found = overlaps(bodies, pairs, tree.pose({}), -CLOSE * GAP * diagonal)
-    for touches, _, _ in _to_cut(bodies, tree, pairs, diagonal, free):
-        found += touches
+    for overlapping, _, _ in _to_cut(bodies, tree, pairs, diagonal, free):
+        found += overlapping
     return {one for t in found for one in ((t.a, t.i), (t.b, t.j))}
 
 
@@ -235,10 +231,10 @@ def _cut_all(
     bodies: Bodies, found: list[BodyOverlap], gap: float, most: float, least: float = LEAST,
     kept: frozenset[str] = frozenset(),
 ) -> bool:  # fmt: skip
-    """Whether anything was cut. The deepest come first; bodies change under the later ones.
+    """Cut in place, the deepest overlap first; return whether anything was cut.
 
     Args:
-        most: metres of overlap that are cut. least: share of a body that must be left.
+        most: deepest overlap that is cut, metres. least: share of a body that must be left.
         kept: links whose bodies aren't cut.
     """
     changed = False
@@ -273,16 +269,16 @@ def _cut_all(
 def _cut(
     a: Hull, b: Hull, found: Overlap, gap: float, least: float, whole: tuple[bool, bool]
 ) -> tuple[Hull | None, Hull | None] | None:
-    """Both bodies after the cut that loses least; None in place of one that is dropped.
+    """Both bodies after the cut that loses least, None for a removed one; None without a cut.
 
     Args:
-        whole: of each whether it stays as it is; nothing is dropped for its sake then, since a hull
-            may stand for a hollow mesh.
+        whole: of each, whether it stays as it is. Nothing is removed for it then, since a hull may
+            represent a hollow mesh.
     """
     best: tuple[float, Hull | None, Hull | None] | None = None
     for share in (1.0,) if whole[0] else (0.0,) if whole[1] else (0.0, 0.5, 1.0):
         at = found.begin + share * (found.end - found.begin)
-        # What needn't give way keeps its face: all of the gap is taken from the other.
+        # A body that stays whole keeps its face: all of the gap is taken from the other.
         mine = a if whole[0] else clipped(a, found.axis, at - gap * (1 - share))
         other = b if whole[1] else clipped(b, -found.axis, -(at + gap * share))
         left = (_left(mine, a), _left(other, b))
@@ -292,7 +288,7 @@ def _cut(
             best = (2 - sum(left), mine, other)
     if best is not None:
         return best[1:]
-    # One of them goes as a whole where most of it is inside the other: nothing can touch it there.
+    # Most of the smaller one is inside the larger one: nothing else can touch it there.
     small, large = (a, b) if a.volume < b.volume else (b, a)
     if any(whole) or (
         large.contains(small.vertices).mean() < 0.5

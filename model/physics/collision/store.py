@@ -1,4 +1,4 @@
-"""Collision shapes on disk, named by what they were made of: a second export is instant."""
+"""Collision shapes on disk, named by the content that they were made from."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def default_store() -> Path:
 
 
 def fingerprint(*values: Any) -> str:
-    """Of arrays, parts and whatever has an exact ``repr``."""
+    """Hash arrays, parts, and values with an exact ``repr``."""
     digest = hashlib.sha256(f"collision {VERSION}".encode())
     for value in values:
         for item in _content(value) if isinstance(value, Part) else (value,):
@@ -47,7 +47,7 @@ def _content(part: Part) -> list[Any]:
 
 
 def load_shapes(folder: Path | None, key: str) -> dict[str, tuple[Shape, ...]] | None:
-    """Link → shapes, or None where they aren't kept, or their file is damaged."""
+    """Return link → shapes; None where the file is missing or damaged."""
     data = None if folder is None else load_arrays(folder / f"{key}.npz")
     try:
         return None if data is None else unpacked(data)
@@ -56,13 +56,13 @@ def load_shapes(folder: Path | None, key: str) -> dict[str, tuple[Shape, ...]] |
 
 
 def save_shapes(folder: Path | None, key: str, shapes: dict[str, tuple[Shape, ...]]) -> None:
-    """Keep shapes; a folder that can't be written is let be."""
+    """Save shapes; an unwritable folder is ignored."""
     if folder is not None:
         save_arrays(folder / f"{key}.npz", packed(shapes))
 
 
 def load_arrays(path: Path) -> dict[str, npt.NDArray[Any]] | None:
-    """What :func:`save_arrays` kept, or None where it isn't there or is damaged."""
+    """Return arrays by name; None where the file is missing or damaged."""
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
@@ -71,7 +71,7 @@ def load_arrays(path: Path) -> dict[str, npt.NDArray[Any]] | None:
 
 
 def save_arrays(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
-    """Keep arrays, all or none of them; a folder that can't be written is let be."""
+    """Save arrays atomically; an unwritable folder is ignored."""
     draft = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.npz")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +82,7 @@ def save_arrays(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
 
 
 def packed(shapes: Mapping[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any]]:
-    """Link → shapes as arrays by name."""
+    """Return link → shapes as arrays by name."""
     out: dict[str, npt.NDArray[Any]] = {"links": np.array(list(shapes), dtype=np.str_)}
     for n, held in enumerate(shapes.values()):
         out[f"count {n}"] = np.array(len(held))
@@ -99,7 +99,7 @@ def packed(shapes: Mapping[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any
 
 
 def unpacked(data: Mapping[str, npt.NDArray[Any]]) -> dict[str, tuple[Shape, ...]]:
-    """What :func:`packed` gave.
+    """Invert :func:`packed`.
 
     Raises:
         ValueError, KeyError, AssertionError: for anything else.

@@ -1,4 +1,4 @@
-"""Which space about a part is free: voxels that can be reached from outside."""
+"""The free space of a part's box: voxels that are reachable from outside."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 import numpy.typing as npt
 
 VOXELS = 80_000
-"""Of the part's box."""
+"""About how many the part's box has."""
 LONGEST = 160
-"""Most voxels along a side."""
+"""Most voxels along a side of it."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Occupancy:
-    """A part's box in voxels, with a border of one voxel about it.
+    """Voxels of a part's box, with a border of one voxel.
 
     Attributes:
         low: (3,) lower corner of voxel (0, 0, 0), metres, object frame.
         size: edge of a voxel in metres.
         surface: (X, Y, Z) voxels that the surface passes through.
-        outside: (X, Y, Z) voxels that are reachable from outside the box without passing through
-            the surface. What is neither is sealed in: solid as far as anybody can feel.
+        outside: (X, Y, Z) voxels reachable from outside the box without crossing the surface.
+            All others are sealed in, which counts as solid.
     """
 
     low: FloatArray
@@ -35,7 +35,7 @@ class Occupancy:
 
     @cached_property
     def free(self) -> npt.NDArray[np.bool_]:
-        """(X, Y, Z) reachable voxels of the box itself, without the border."""
+        """(X, Y, Z) reachable voxels of the box without the border."""
         out = self.outside.copy()
         for axis in range(3):
             np.moveaxis(out, axis, 0)[[0, -1]] = False
@@ -48,7 +48,7 @@ class Occupancy:
 
     @property
     def free_count(self) -> int:
-        """How many voxels are free."""
+        """Number of free voxels."""
         return int(self.free.sum())
 
     def centers(self, mask: npt.NDArray[np.bool_]) -> FloatArray:
@@ -58,12 +58,12 @@ class Occupancy:
     def count_inside(
         self, mask: npt.NDArray[np.bool_], planes: FloatArray, bounds: FloatArray, most: int = 4000
     ) -> float:
-        """How many voxels of ``mask`` have their centre in a convex body.
+        """Count the voxels of ``mask`` whose centres are inside a convex body.
 
         Args:
             planes: (P, 4) with ``n·x + d <= 0`` inside.
             bounds: (2, 3) of the body.
-            most: larger boxes are counted on a coarser lattice.
+            most: voxels of its box above which a coarser lattice is counted.
         """
         first = np.ceil((bounds[0] - self.low) / self.size - 0.5).astype(int)
         last = np.floor((bounds[1] - self.low) / self.size - 0.5).astype(int) + 1
@@ -73,7 +73,7 @@ class Occupancy:
         if not total:
             return 0.0
         step = max(1, int(np.ceil((total / most) ** (1 / 3))))
-        # The middle of each coarse cell stands for it.
+        # The middle of each coarse cell represents it.
         begin = first + np.minimum((step - 1) // 2, extent - 1)
         part = mask[begin[0] : last[0] : step, begin[1] : last[1] : step, begin[2] : last[2] : step]
         if not part.any():
@@ -84,7 +84,7 @@ class Occupancy:
 
 
 def occupancy(triangles: FloatArray, voxels: int = VOXELS) -> Occupancy:
-    """The voxels of (F, 3, 3) triangles; ``voxels`` is about how many the box has."""
+    """Voxelise (F, 3, 3) triangles; ``voxels`` is about how many the box has."""
     from scipy.ndimage import label
 
     corners = triangles.reshape(-1, 3)
@@ -93,7 +93,7 @@ def occupancy(triangles: FloatArray, voxels: int = VOXELS) -> Occupancy:
     size = max(float(np.prod(extent) / voxels) ** (1 / 3), float(extent.max()) / LONGEST)
     shape = np.maximum(np.ceil(extent / size).astype(int), 1)
     start = (low + high) / 2 - shape * size / 2 - size
-    at = np.floor((surface_lattice(triangles, size / 2) - start) / size).astype(int)
+    at = np.floor((surface_lattice(triangles, size / 2)[0] - start) / size).astype(int)
     at = np.clip(at, 1, shape)
     surface = np.zeros(shape + 2, bool)
     surface[at[:, 0], at[:, 1], at[:, 2]] = True
@@ -101,19 +101,10 @@ def occupancy(triangles: FloatArray, voxels: int = VOXELS) -> Occupancy:
     return Occupancy(start, size, surface, regions == regions[0, 0, 0])
 
 
-def surface_lattice(triangles: FloatArray, spacing: float) -> FloatArray:
-    """(N, 3) points on (F, 3, 3) triangles, none farther than ``spacing`` from the next."""
-    return _lattice(triangles, spacing)[0]
-
-
-def lattice_with_faces(
+def surface_lattice(
     triangles: FloatArray, spacing: float
 ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """As :func:`surface_lattice`, and (N,) the triangle of each point."""
-    return _lattice(triangles, spacing)
-
-
-def _lattice(triangles: FloatArray, spacing: float) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Return (N, 3) points at most ``spacing`` apart on (F, 3, 3) triangles, and (N,) triangles."""
     edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
     turn = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
     a, b, c = np.moveaxis(np.take_along_axis(triangles, turn[:, :, None], axis=1), 1, 0)

@@ -196,7 +196,7 @@ def chest(gap: float = 0.0) -> ArticulatedObject:
 @pytest.mark.parametrize("gap", [0.0, -0.002, 0.003])
 def test_a_drawer_without_a_gap_gets_one(gap):
     obj = chest(gap)
-    before = collision_of(obj, CollisionSettings(relief=False))
+    before = collision_of(obj, CollisionSettings(resolve_overlaps=False))
     after = collision_of(obj)
     assert (overlaps_of(obj, before).at_rest > 1e-4) == (gap < 0)
     met = overlaps_of(obj, after)
@@ -268,7 +268,7 @@ def test_shapes_that_are_told_stay_and_the_others_make_room(tmp_path):
         assert isinstance(kept, Primitive) and kept.sizes == obj.shapes["link_1"][0].sizes
         assert len(made["link_0"]) == 5
         assert overlaps_of(obj, made).at_rest < 1e-6
-        build._recent.clear()
+        build._objects.clear()
     without = replace(obj, shapes={})
     assert all(s.sizes != kept.sizes for s in collision_of(without, store=tmp_path)["link_1"])
 
@@ -326,7 +326,7 @@ def test_along_a_way_bodies_overlap_as_they_do_pose_by_pose():
 def test_shapes_are_kept_by_content(tmp_path, monkeypatch):
     obj = chest()
     first = collision_of(obj, store=tmp_path)
-    build._recent.clear()
+    build._objects.clear()
     with monkeypatch.context() as patch:
         patch.setattr(build, "hollow_bodies", None)
         again = collision_of(obj, store=tmp_path)
@@ -336,7 +336,7 @@ def test_shapes_are_kept_by_content(tmp_path, monkeypatch):
             np.testing.assert_allclose(hull_of_shape(a).bounds, hull_of_shape(b).bounds)
     for path in tmp_path.glob("*.npz"):
         path.write_bytes(path.read_bytes()[:100])
-    build._recent.clear()
+    build._objects.clear()
     assert collision_of(obj, store=tmp_path).keys() == first.keys()
 
 
@@ -355,7 +355,7 @@ def test_what_is_made_of_parts_before_there_are_joints_is_taken(tmp_path, monkey
     """By whatever process asks: neither surfaces nor bodies of a scan are made twice."""
     expected = physics_of(scanned_chest())
     prepare_bodies(scanned_chest().parts, tmp_path)
-    build._recent.clear()
+    build._objects.clear()
     obj = scanned_chest()
     with monkeypatch.context() as patch:
         patch.setattr(build, "hollow_bodies", None)

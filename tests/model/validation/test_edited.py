@@ -48,8 +48,12 @@ def said(obj: ArticulatedObject, store: Path) -> Any:
 
 def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a process that has judged nothing yet; what is known of parts goes with them."""
-    monkeypatch.setattr(build, "_recent", type(build._recent)())
-    for module, name in ((build, "_made"), (touching, "_depths"), (drives, "_DRIVES")):
+    for module, name in (
+        (build, "_objects"),
+        (build, "_parts"),
+        (touching, "_depths"),
+        (drives, "_DRIVES"),
+    ):
         monkeypatch.setattr(module, name, LruCache(1000))
 
 
