@@ -245,6 +245,30 @@ def test_each_convention_takes_one_line() -> None:
         assert test, convention
 
 
+def test_options_in_documents_exist() -> None:
+    reference = ROOT / "docs" / "command-line.md"
+    option = re.compile(r"(?<![\w-])--[a-z][\w-]+[a-z]")
+    known = set(option.findall(reference.read_text()))
+    known |= {"--multi_gpu", "--num_processes", "--config_file", "--skip"}  # accelerate; training
+    unknown = {
+        (document.name, name)
+        for document in DOCUMENTS
+        for name in option.findall(document.read_text())
+        if name not in known
+    }
+    assert not unknown
+
+
+def test_documents_use_the_words_of_the_field() -> None:
+    private = re.compile(r"\b(gate|mend\w*|made objects?|stray|crumbs?|close-ups?|in vain)\b")
+    found = {
+        (document.name, word)
+        for document in DOCUMENTS
+        for word in private.findall(re.sub(r"--[\w-]+", "", document.read_text()).lower())
+    }
+    assert not found
+
+
 def test_the_readme_is_short() -> None:
     text = (ROOT / "README.md").read_text()
     words = [w for line in text.splitlines() if not line.startswith("|") for w in line.split()]
