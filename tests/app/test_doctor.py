@@ -106,8 +106,8 @@ def test_a_broken_plugin_is_a_note_with_its_reason(monkeypatch):
         if name == "c":
             raise OSError("odd")
 
-    monkeypatch.setattr("model.prediction.registry.predictor_names", lambda: ("a", "b", "c"))
-    monkeypatch.setattr("model.prediction.registry.load_predictor", load)
+    monkeypatch.setattr("app.cli.doctor.predictor_names", lambda: ("a", "b", "c"))
+    monkeypatch.setattr("app.cli.doctor.load_predictor", load)
     checks = by_name(doctor._plugins())
     assert checks["predictor a"].status == "fine"
     assert "weights" in checks["predictor b"].remedy
