@@ -18,8 +18,12 @@ from app.cli.options import (
     PhysicsOptions,
     PredictorOptions,
     ReadingOptions,
+    Vector,
+    direction,
     json_flag,
+    measured,
     positive_count,
+    positive_number,
     seed_option,
     segmenter_option,
 )
@@ -84,6 +88,46 @@ class ServeCommand(Command):
         from app.cli.serve import serve
 
         return serve(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrepareCommand(Command):
+    """Level, size and clean a scan."""
+
+    scan: Path = argument("a mesh or a point cloud, in any rotation and unit", "SCAN")
+    out: Path = required("folder for the prepared object", "DIR")
+    up: Vector | None = option(
+        "up in the file: auto, an axis, or a direction X,Y,Z (default: auto)", "UP",
+        parse=direction,
+    )  # fmt: skip
+    height: float | None = option("metres of the object along z", "METRES", parse=positive_number)
+    length: tuple[Vector, Vector, float] | None = option(
+        "two places in the file and the metres between them", "X1,Y1,Z1,X2,Y2,Z2=METRES",
+        parse=measured,
+    )  # fmt: skip
+    unit_scale: float = option(
+        "metres per unit of the file, where neither is given", "METRES", 1.0, parse=positive_number
+    )
+    keep_support: bool = flag("keep what the object stands on and what stands beside it")
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Write the prepared object and say how it was turned."""
+        from app.cli import printing
+        from app.cli.prepare import prepare_files
+        from model.geometry.prepare import PrepareSettings
+
+        settings = PrepareSettings(
+            self.up,
+            self.height,
+            self.length,
+            self.unit_scale,
+            self.keep_support,
+        )
+        with printing.session(self.json) as show:
+            report = prepare_files(self.scan, self.out, settings, show.progress)
+        show.result(report, lambda: printing.print_prepared(report, self.out))
+        return 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -355,6 +399,7 @@ class DoctorCommand(Command):
 
 COMMANDS: dict[str, type[Command]] = {
     "serve": ServeCommand,
+    "prepare": PrepareCommand,
     "segment": SegmentCommand,
     "predict": PredictCommand,
     "scene": SceneCommand,

@@ -10,6 +10,8 @@ from app.cli.command import Option, flag, option
 from model.prediction import DEFAULT
 from model.prediction.remote import TOKEN_VARIABLE
 
+Vector = tuple[float, float, float]
+
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 SEGMENTER_HELP = "segmenter that turns clicks into parts (default: ArtiWorld's own)"
@@ -39,6 +41,29 @@ def positive_count(text: str) -> int:
     return value
 
 
+def direction(text: str) -> Vector | None:
+    """Read an axis with its sign or three numbers "X,Y,Z"; None for "auto"."""
+    if text == "auto":
+        return None
+    if text in UP_AXES:
+        x, y, z = (float(letter == text[-1]) for letter in "xyz")
+        sign = -1.0 if text[0] == "-" else 1.0
+        return sign * x, sign * y, sign * z
+    x, y, z = (float(word) for word in text.split(","))
+    if not 1e-9 < x * x + y * y + z * z < float("inf"):
+        raise ValueError
+    return x, y, z
+
+
+def measured(text: str) -> tuple[Vector, Vector, float]:
+    """Read a known length, "x1,y1,z1,x2,y2,z2=M"."""
+    places, _, metres = text.partition("=")
+    a, b, c, d, e, f = (float(word) for word in places.split(","))
+    return (a, b, c), (d, e, f), float(metres)
+
+
+direction.__name__ = "up direction (auto, x, -x, y, -y, z, -z or X,Y,Z)"
+measured.__name__ = "length (x1,y1,z1,x2,y2,z2=METRES)"
 positive_number.__name__ = "positive number"
 count.__name__ = "whole number"
 positive_count.__name__ = "number from 1"

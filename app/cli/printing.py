@@ -150,6 +150,21 @@ def print_joints(report: dict[str, Any], out: Path) -> None:
     console().print(f"written to {out}")
 
 
+def print_prepared(report: dict[str, Any], out: Path) -> None:
+    """Print how ``prepare`` turned a scan and what it took away."""
+    x, y, z = report["size"]
+    console().print(
+        f"up {_vector(report['up_in_source'])} in the file, "
+        f"tilted by {report['tilt_degrees']:.0f}°, confidence {100 * report['confidence']:.0f} %"
+    )
+    console().print(f"{x:.3g} × {y:.3g} × {z:.3g} m, {report['elements']['kept']:,} elements kept")
+    if report["removed"]:
+        taken = ", ".join(f"{n:,} of {kind}" for kind, n in report["removed"].items())
+        console().print(f"taken away: {taken}")
+    print_notes(report["problems"])
+    console().print(f"written to {out}")
+
+
 def print_files(report: dict[str, Any], out: Path) -> None:
     """Print the files that ``export`` wrote; a folder of many, as of shapes, gets one row."""
     folders: dict[str, list[dict[str, Any]]] = {}

@@ -33,7 +33,7 @@ from model.data.procedural.families import (
 from model.data.procedural.grammar import ProceduralObject
 from model.data.procedural.materials import Palette, metal, plain, wood
 from model.data.procedural.modules import Opening
-from model.data.procedural.scan import ScanSettings, View, simulate_scan, visible_elements
+from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan, visible_elements
 from model.geometry.sampling import sample_surface
 from model.io.open_asset import open_asset
 from model.io.write.glb import mesh_to_glb

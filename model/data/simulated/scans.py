@@ -18,8 +18,8 @@ from model.core.point_cloud import PointCloud
 from model.data.procedural.examples import joined
 from model.data.procedural.families import HELD_OUT
 from model.data.procedural.generate import family_names, make
-from model.data.procedural.scan import ScanSettings, View, simulate_scan
 from model.data.simulated import furniture, gadgets
+from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan
 from model.data.simulated.primitives import Builder
 from model.geometry.sampling import sample_surface
 from model.segmentation.encode.normals import sphere_directions

@@ -178,7 +178,7 @@ def _scanned(
     Args:
         number: the label of each link.
     """
-    from model.data.procedural.scan import ScanSettings, View, simulate_scan
+    from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan
 
     there = replace(truth, parts=tuple(p for p in truth.parts if p.mesh is not None))
     bounds = np.concatenate([p.bounds for p in there.parts])

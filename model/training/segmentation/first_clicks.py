@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.asset import Asset
-from model.data.procedural.scan import simulate_scan
+from model.data.simulated.depth_camera import simulate_scan
 from model.data.simulated.ornaments import ornamented
 from model.data.simulated.scans import (
     FLUSH,

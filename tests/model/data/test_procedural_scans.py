@@ -17,7 +17,7 @@ from model.data.procedural.corruption import MIXED, Corruption, corrupted, somet
 from model.data.procedural.examples import EXAMPLES, write_examples
 from model.data.procedural.generate import GenerateSettings, generate, make
 from model.data.procedural.grammar import transformed
-from model.data.procedural.scan import ScanSettings, View, simulate_scan
+from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan
 from model.io.open_asset import open_asset
 from model.segmentation.registry import load_segmenter
 

@@ -124,15 +124,15 @@ def _view(
 ) -> tuple[Array, Array, npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
     # About a quarter of the picture is the object; more rays than points are cast.
     side = int(np.sqrt(5.5 * settings.points / len(settings.views))) + 8
-    eye, directions = _camera(view, middle, diagonal, side)
+    eye, directions = look_from(view, middle, diagonal, side)
     hits = caster.cast(np.tile(eye, (len(directions), 1)), directions)
     light = daylight(caster, hits, samples=8, reach=0.12 * diagonal)
     sigma = settings.depth_noise * hits.distance**2
     slant = np.abs(np.einsum("ij,ij->i", hits.normals, directions[hits.ray]))
     depth = hits.distance + sigma * rng.standard_normal(len(sigma)) / np.clip(slant, 0.25, 1)
-    depth, smeared = _smeared(hits, depth, side, settings.smear, diagonal, rng)
+    depth, smeared = flying_pixels(hits, depth, side, settings.smear, diagonal, rng)
     kept = rng.random(len(depth)) < np.clip(slant / 0.3, 0.02, 1)
-    kept &= ~_holes(hits, settings, diagonal, rng)
+    kept &= ~dropouts(hits, settings, diagonal, rng)
     points = eye + depth[:, None] * directions[hits.ray]
     points = _misaligned(points, middle, settings.misalignment, rng)
     exposure = rng.uniform(0.92, 1.08) * (1 + rng.normal(0, 0.015, 3))
@@ -142,7 +142,7 @@ def _view(
     return points[kept], colors[kept], hits.part[kept], smeared[kept]
 
 
-def _camera(view: View, middle: Array, diagonal: float, side: int) -> tuple[Array, Array]:
+def look_from(view: View, middle: Array, diagonal: float, side: int) -> tuple[Array, Array]:
     """(3,) eye and (side², 3) rays of a square picture that holds the object."""
     distance = 1.6 * diagonal if view.distance is None else view.distance
     ce = np.cos(view.elevation)
@@ -153,7 +153,7 @@ def _camera(view: View, middle: Array, diagonal: float, side: int) -> tuple[Arra
     )
 
 
-def _smeared(
+def flying_pixels(
     hits: Hits, depth: Array, side: int, share: float, diagonal: float, rng: np.random.Generator
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Depths with points beside a jump drawn part of the way into it, and which those are."""
@@ -170,7 +170,7 @@ def _smeared(
     return out, edge
 
 
-def _holes(
+def dropouts(
     hits: Hits, settings: ScanSettings, diagonal: float, rng: np.random.Generator
 ) -> npt.NDArray[np.bool_]:
     """Patches that return nothing, and dark surfaces that return little."""
@@ -200,7 +200,7 @@ def visible_elements(obj: ArticulatedObject, views: Sequence[View], *, side: int
     caster = Caster.of(obj)
     found = []
     for view in views:
-        eye, rays = _camera(view, middle, diagonal, side)
+        eye, rays = look_from(view, middle, diagonal, side)
         found.append(caster.cast(np.tile(eye, (len(rays), 1)), rays, colors=False))
     names = ("ray", "part", "face", "points", "normals", "distance", "colors")
     return Hits(*(np.concatenate([getattr(h, n) for h in found]) for n in names))

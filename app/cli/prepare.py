@@ -1,0 +1,70 @@
+"""What ``artiworld prepare`` does: it levels, sizes and cleans a scan, and says how."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.cli.output import check_output, write_json
+from model.core.progress import Progress, no_progress, scaled_progress
+from model.geometry.prepare import Prepared, PrepareSettings, prepare
+from model.io.open_asset import open_asset
+from model.io.write.glb import mesh_to_glb
+from model.io.write.meshes import write_cloud
+
+FORMAT = 1
+"""Version of ``prepare.json``."""
+
+
+def prepare_files(
+    scan: Path, out: Path, settings: PrepareSettings, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Write ``object.ply``, or ``object.glb`` for a mesh, ``kept.npy`` and ``prepare.json``.
+
+    Returns:
+        The content of ``prepare.json``.
+
+    Raises:
+        ArtiworldError: where the scan can't be read, nothing is left of it, or the folder can't be
+            written.
+    """
+    check_output(out, scan, *([] if scan.is_dir() else [scan.parent]))
+    asset = open_asset(scan, up_axis="z", progress=scaled_progress(progress, 0.0, 0.4))
+    found = prepare(asset, settings, scaled_progress(progress, 0.4, 0.5))
+    progress(0.9, f"writing {out}")
+    out.mkdir(parents=True, exist_ok=True)
+    if found.asset.mesh is not None:
+        target = out / "object.glb"
+        target.write_bytes(mesh_to_glb(found.asset.mesh, y_up=True))
+    else:
+        assert found.asset.cloud is not None
+        target = out / "object.ply"
+        write_cloud(found.asset.cloud, target)
+    np.save(out / "kept.npy", found.kept)
+    report = {
+        "format": FORMAT,
+        "object": target.name,
+        "object_from_source": _from_file(found, asset.source.shift if asset.source else (0, 0, 0)),
+        "up_in_source": list(found.levelling.up),
+        "confidence": round(found.levelling.confidence, 4),
+        "tilt_degrees": round(float(np.degrees(found.levelling.tilt)), 2),
+        "alternatives": [list(v) for v in found.levelling.alternatives],
+        "size": np.ptp(found.asset.bounds, axis=0).round(6).tolist(),
+        "kept": "kept.npy",
+        "elements": {"of": asset.element_kind, "kept": len(found.kept)},
+        "removed": found.removed,
+        "source": {"file": scan.name, "sha256": asset.source.sha256 if asset.source else None},
+        "problems": list(asset.warnings),
+    }
+    write_json(out / "prepare.json", report)
+    progress(1.0, "prepared")
+    return report
+
+
+def _from_file(found: Prepared, shift: tuple[float, float, float]) -> list[list[float]]:
+    """(4, 4) object_from_source of the file's own numbers, row by row."""
+    taken = np.eye(4)
+    taken[:3, 3] = -np.asarray(shift)
+    return (found.object_from_source @ taken).tolist()

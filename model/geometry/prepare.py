@@ -1,0 +1,213 @@
+"""A scan brought into the object's frame: levelled, sized, cleaned.
+
+The object's frame has +z up, metres, the lowest point at z = 0, and the middle of the outline at
+x = y = 0. The nearest quarter turn about z puts the object's main upright surfaces along x and y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from model.core.asset import Asset
+from model.core.errors import ConfigurationError, GeometryError
+from model.core.point_cloud import PointCloud
+from model.core.progress import Progress, no_progress
+from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
+from model.geometry.crop import crop
+from model.geometry.levelling import Levelling, find_up, supporting_height
+from model.geometry.sampling import sample_surface
+
+Array = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+_SAMPLES = 200_000
+"""Points of a mesh's surface that are looked at."""
+
+
+@dataclass(frozen=True)
+class PrepareSettings:
+    """How a scan is prepared.
+
+    Attributes:
+        up: the source's up direction; None finds it.
+        height: metres of the prepared object along z, or None.
+        length: two places in the source's frame and the metres between them, or None.
+        unit_scale: metres per source unit where neither is given.
+        keep_support: keep what the object stands on and what stands beside it.
+    """
+
+    up: Vector | None = None
+    height: float | None = None
+    length: tuple[Vector, Vector, float] | None = None
+    unit_scale: float = 1.0
+    keep_support: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value in (("height", self.height), ("unit scale", self.unit_scale)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ConfigurationError(f"the {name} {value} must be a positive number of metres")
+        if self.height is not None and self.length is not None:
+            raise ConfigurationError("give a height or a length, not both")
+        if self.length is not None:
+            a, b, metres = self.length
+            if not (np.isfinite([*a, *b, metres]).all() and metres > 0 and a != b):
+                raise ConfigurationError(
+                    "a length needs two places that differ and positive metres"
+                )
+        if self.up is not None and not 1e-9 < float(np.linalg.norm(self.up)) < np.inf:
+            raise ConfigurationError(f"up {self.up} must be a direction other than zero")
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A prepared scan.
+
+    Attributes:
+        asset: the object in its own frame.
+        object_from_source: (4, 4) rotation, uniform scale and shift.
+        levelling: the up direction in the source's frame with its confidence; 1.0 where it was
+            given.
+        kept: (K,) int64, ascending, the source's elements that the asset has.
+        removed: kind of point → elements taken away.
+    """
+
+    asset: Asset
+    object_from_source: Array
+    levelling: Levelling
+    kept: npt.NDArray[np.int64]
+    removed: dict[str, int]
+
+
+def prepare(
+    asset: Asset, settings: PrepareSettings | None = None, progress: Progress = no_progress
+) -> Prepared:
+    """Level, size and clean a scan.
+
+    Args:
+        asset: in the source's own frame and unit.
+        settings: how; by default all of it is found.
+        progress: called between the steps; it may cancel.
+
+    Raises:
+        GeometryError: where nothing of the object is left.
+    """
+    settings = settings or PrepareSettings()
+    points, normals, face = _surface(asset)
+    progress(0.1, "finding up")
+    found = _levelling(points, normals, settings.up)
+    progress(0.4, "finding the object")
+    rotation = _yaw_aligned(points, _rotation_to_z(np.array(found.up)))
+    levelled = points @ rotation.T
+    of_points = classify(levelled, found.support)
+    kinds = of_points if face is None else _face_kinds(asset, points, face, of_points)
+    keep = kinds == OBJECT
+    if settings.keep_support:
+        keep = kinds < len(KIND_NAMES) - 1
+    if not keep.any():
+        raise GeometryError(f"{asset.name}: nothing of the object is left; keep the support")
+    progress(0.8, "moving")
+    frame = _frame(rotation, levelled, of_points, found.support, settings)
+    whole = crop(asset, keep) if not keep.all() else asset
+    removed = {
+        KIND_NAMES[k]: int(n)
+        for k, n in enumerate(np.bincount(kinds[~keep], minlength=len(KIND_NAMES)))
+        if n
+    }
+    progress(1.0, "prepared")
+    return Prepared(moved(whole, frame), frame, found, np.flatnonzero(keep), removed)
+
+
+def moved(asset: Asset, target_from_asset: Array) -> Asset:
+    """The geometry of an asset under a (4, 4) rotation, uniform scale and shift."""
+    linear, shift = target_from_asset[:3, :3], target_from_asset[:3, 3]
+    rotation = linear / np.cbrt(np.linalg.det(linear))
+    mesh, cloud = asset.mesh, asset.cloud
+    if mesh is not None:
+        mesh = replace(mesh, vertices=mesh.vertices @ linear.T + shift)
+    if cloud is not None:
+        normals = None if cloud.normals is None else cloud.normals @ rotation.T.astype(np.float32)
+        points = (cloud.points @ linear.T + shift).astype(np.float32)
+        cloud = PointCloud(points, normals, cloud.colors)
+    return Asset(asset.name, mesh=mesh, cloud=cloud, source=asset.source, warnings=asset.warnings)
+
+
+def _surface(asset: Asset) -> tuple[Array, Array | None, npt.NDArray[np.int32] | None]:
+    """The points of a cloud; of a mesh samples of its surface, their normals and faces."""
+    if asset.mesh is None:
+        return asset.element_centers, None, None
+    cloud, face = sample_surface(asset.mesh, _SAMPLES, np.random.default_rng(0))
+    assert cloud.normals is not None
+    return cloud.points.astype(np.float64), cloud.normals.astype(np.float64), face
+
+
+def _face_kinds(
+    asset: Asset, points: Array, face: npt.NDArray[np.int32], of_points: Kinds
+) -> Kinds:
+    """What most samples of each face are; of a face without any, what the nearest one is."""
+    count = len(KIND_NAMES)
+    votes = np.bincount(face * count + of_points, minlength=count * asset.element_count)
+    votes = votes.reshape(-1, count)
+    kinds = votes.argmax(1).astype(np.int8)
+    bare = np.flatnonzero(votes.sum(1) == 0)
+    if len(bare):
+        _, near = KDTree(points).query(asset.element_centers[bare], workers=2)
+        kinds[bare] = of_points[near]
+    return kinds
+
+
+def _levelling(centers: Array, normals: Array | None, up: Vector | None) -> Levelling:
+    if up is None:
+        return find_up(centers, normals)
+    x, y, z = (np.asarray(up, float) / np.linalg.norm(up)).tolist()
+    return Levelling((x, y, z), 1.0, supporting_height(centers, normals, np.array([x, y, z])))
+
+
+def _frame(
+    rotation: Array, levelled: Array, kinds: Kinds, support: float | None, settings: PrepareSettings
+) -> Array:
+    """(4, 4) object_from_source, from what is known to be the object."""
+    of_object = levelled[kinds == OBJECT]
+    low, high = np.percentile(of_object, [0.05, 99.95], axis=0)
+    bottom = float(low[2]) if support is None else support
+    scale = settings.unit_scale
+    if settings.height is not None:
+        scale = settings.height / max(float(high[2]) - bottom, 1e-12)
+    elif settings.length is not None:
+        a, b, metres = settings.length
+        scale = metres / float(np.linalg.norm(np.subtract(a, b)))
+    middle = np.array([*((low + high)[:2] / 2), bottom])
+    frame = np.eye(4)
+    frame[:3, :3] = scale * rotation
+    frame[:3, 3] = -scale * middle
+    return frame
+
+
+def _rotation_to_z(up: Array) -> Array:
+    """(3, 3) the least rotation that turns ``up`` to +z."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    angle = float(np.arctan2(sine, up[2]))
+    return np.asarray(Rotation.from_rotvec(axis / sine * angle).as_matrix())
+
+
+def _yaw_aligned(centers: Array, rotation: Array) -> Array:
+    """``rotation`` and a turn of at most 45 degrees that squares the outline with x and y."""
+    flat = (centers[:: max(len(centers) // 20_000, 1)] @ rotation.T)[:, :2]
+    low, high = np.percentile(flat, [1, 99], axis=0)
+    flat = flat[((flat >= low) & (flat <= high)).all(1)]
+    angles = np.radians(np.arange(-45, 45, 1.0))
+    c, s = np.cos(angles), np.sin(angles)
+    u = flat @ np.stack([c, s])
+    v = flat @ np.stack([-s, c])
+    area = np.ptp(np.percentile(u, [2, 98], axis=0), axis=0) * np.ptp(
+        np.percentile(v, [2, 98], axis=0), axis=0
+    )
+    best = float(angles[(area * (1 + 1e-3 * np.abs(angles))).argmin()])
+    return np.asarray(Rotation.from_rotvec([0, 0, -best]).as_matrix()) @ rotation
