@@ -63,11 +63,7 @@ class AnnotatorReport:
             k: getattr(self.config, k)
             for k in ("segmenter", "names", "points", "target", "clicks", "seed")
         }
-        return {
-            "settings": settings,
-            "rows": rows,
-            "objects": [asdict(s) for s in self.scores],
-        }
+        return {"settings": settings, "rows": rows, "objects": [asdict(s) for s in self.scores]}
 
     def to_markdown(self) -> str:
         """The table, and the objects that were not correct in the end."""

@@ -46,16 +46,16 @@ def serve_backend(options: BackendCommand) -> int:
         # Weights that don't load must fail here, not at the first client's request.
         for job in [worker.submit(backend_tasks.ready) for worker in workers]:
             job.result()
-        listener = _listen(options.host, options.port)
+        family, _, _, _, address = socket.getaddrinfo(
+            options.host, options.port, type=socket.SOCK_STREAM
+        )[0]
+        listener = socket.create_server(address[:2], family=family, backlog=128)
         address = url(options.host, listener.getsockname()[1])
         print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
         config = uvicorn.Config(
-            Backend(settings, workers).application(),
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=3,
-        )
+            Backend(settings, workers).application(), log_level="warning", access_log=False,
+            server_header=False, timeout_graceful_shutdown=3,
+        )  # fmt: skip
         uvicorn.Server(config).run(sockets=[listener])
     finally:
         for worker in workers:
@@ -88,12 +88,3 @@ def _check(options: BackendCommand) -> None:
             f"--predictor {options.predictor}: a backend can't ask another one"
         )
     check_predictor(options.predictor)
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    listener = socket.socket(family, kind, protocol)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listener.bind(address)
-    listener.listen(128)
-    return listener

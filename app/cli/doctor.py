@@ -233,10 +233,8 @@ def _port(port: int) -> Check:
 
 
 def _processors() -> Check:
-    if hasattr(os, "sched_getaffinity"):
-        count = len(os.sched_getaffinity(0))
-    else:
-        count = os.cpu_count() or 1
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    count = count or 1
     if count < 2:
         return Check("processors", "note", str(count), "long work will delay the browser")
     return Check("processors", "fine", str(count))

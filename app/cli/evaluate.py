@@ -10,9 +10,9 @@ import numpy as np
 from app.cli import printing
 from app.cli.annotator_report import COLUMNS, annotate_all
 from app.cli.benchmarks.segment import bench_segment
-from app.cli.commands import EvaluateCommand
 from app.cli.output import check_output, write_json
 from app.cli.printing import Result
+from app.cli.research_commands import EvaluateCommand
 from app.cli.simulated_annotator import AnnotatorConfig
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, scaled_progress
@@ -24,15 +24,8 @@ from model.evaluation.corruption import Corruption
 from model.evaluation.html_report import write_html
 from model.evaluation.markdown import write_markdown
 from model.evaluation.report import Report, read_report
-from model.evaluation.run import (
-    TRUTH,
-    EvaluationConfig,
-    chosen_ids,
-    require_predictor,
-)
-from model.evaluation.run import (
-    evaluate as evaluate_method,
-)
+from model.evaluation.run import TRUTH, EvaluationConfig, chosen_ids, require_predictor
+from model.evaluation.run import evaluate as evaluate_method
 from model.evaluation.table import print_comparison, print_reports, print_table
 from model.io.part_folder import safe_link
 from model.prediction.registry import DEFAULT

@@ -10,12 +10,7 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.evaluation.joint_metrics import (
-    UsableLimits,
-    axis_angle,
-    compare_ranges,
-    point_to_line,
-)
+from model.evaluation.joint_metrics import UsableLimits, axis_angle, compare_ranges, point_to_line
 from model.evaluation.tree_metrics import chain, path
 from model.prediction.geometric.type_change import retyped
 from sessions.commands import SetJoint, SetRoot

@@ -10,6 +10,7 @@ import argparse
 import difflib
 import logging
 import os
+import re
 import signal
 import sys
 import traceback
@@ -19,10 +20,11 @@ from typing import Any, NoReturn
 
 from app.cli.command import Command, add_commands, from_namespace
 from app.cli.commands import COMMANDS
-from app.cli.options import UP_AXES
+from app.cli.options import SIGNED_OPTIONS
 from app.server.crash_log import write_crash
 from model.core.errors import ArtiworldError
 
+_SIGNED = re.compile(r"-([xyz]$|[\d.])")
 _DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."
 
 
@@ -55,7 +57,7 @@ def parse(arguments: Sequence[str]) -> tuple[Command, bool]:
     Raises:
         SystemExit: after --help, --version or a mistake.
     """
-    values = make_parser().parse_args(_joined_axes(arguments))
+    values = make_parser().parse_args(_joined_signs(arguments))
     return from_namespace(values.command, values), values.debug
 
 
@@ -68,12 +70,12 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _joined_axes(words: Sequence[str]) -> list[str]:
-    """argparse would take the -z of ``--up-axis -z`` for an option."""
+def _joined_signs(words: Sequence[str]) -> list[str]:
+    """Join ``--up-axis -z`` with "=", as argparse would take the -z for an option."""
     out: list[str] = []
     for word in words:
-        if out and out[-1] == "--up-axis" and word in UP_AXES:
-            out[-1] = f"--up-axis={word}"
+        if out and out[-1] in SIGNED_OPTIONS and _SIGNED.match(word):
+            out[-1] += f"={word}"
         else:
             out.append(word)
     return out

@@ -13,6 +13,8 @@ from model.prediction.remote import TOKEN_VARIABLE
 Vector = tuple[float, float, float]
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+SIGNED_OPTIONS = ("--up-axis", "--up", "--length")
+"""Options whose value may begin with a minus."""
 
 SEGMENTER_HELP = "segmenter that turns clicks into parts (default: ArtiWorld's own)"
 

@@ -10,12 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.cli.output import check_output, other_files_error, write_json
-from model.core.articulated_object import (
-    ArticulatedObject,
-    Prediction,
-    SegmentedObject,
-    remarks_of,
-)
+from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
 from model.core.asset import UpAxis
 from model.core.joint import Joint
 from model.core.part_names import category_remark

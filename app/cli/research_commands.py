@@ -188,7 +188,23 @@ class BenchCommand(Command):
     json: bool = json_flag()
 
     def run(self) -> int:
-        """Measure, and print the figures."""
-        from app.cli.bench import bench
+        """Measure, and print the figures. Each benchmark has heavy packages of its own."""
+        from app.cli import printing
 
-        return bench(self)
+        if self.what == "ui":
+            from app.cli.benchmarks import ui as benchmark
+        elif self.what == "scene":
+            from app.cli.benchmarks import scene as benchmark
+        elif self.what == "segment":
+            from app.cli.benchmarks import segment as benchmark
+        elif self.what == "predict":
+            from app.cli.benchmarks import predict as benchmark
+        else:
+            from model.training.arti4urdf.full_config import LORA_RANK, FullConfig, require_extras
+
+            require_extras(FullConfig(lora_rank=LORA_RANK))
+            from app.cli.benchmarks import networks as benchmark
+        with printing.session(self.json) as show:
+            report, table = benchmark.bench(self, show.progress)
+        show.result(report, table)
+        return 0

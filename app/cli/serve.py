@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from app.cli.backend_client import check_backend, chosen_predictor
 from app.cli.commands import ServeCommand
@@ -69,30 +69,24 @@ def make_config(options: ServeCommand) -> ServeConfig:
     predictor = chosen_predictor(options.prediction)
     if is_backend(predictor):
         check_backend(predictor)
-    port = options.port
-    if port is None:
-        port = free_port(options.host)
-    else:
-        check_address(options.host, port)
+    if options.port is not None:
+        check_address(options.host, options.port)
+    port = free_port(options.host) if options.port is None else options.port
     scene = scene_to_open(options)
-    settings = {} if options.user is None else {"user": options.user}
+    same = ("workspace", "database", "host", "max_upload_mb", "segmenter", "finder", "finder_url")
+    settings: dict[str, Any] = {name: getattr(options, name) for name in same}
+    if options.user is not None:
+        settings["user"] = options.user
     return ServeConfig(
         paths=() if scene else options.paths,
-        workspace=options.workspace,
-        database=options.database,
-        host=options.host,
         port=port,
         token=token,
         up_axis=options.reading.up_axis,
         unit_scale=options.reading.unit_scale,
-        max_upload_mb=options.max_upload_mb,
-        segmenter=options.segmenter,
         predictor=predictor,
         allowed_origins=options.allow_origin,
         scene=scene,
         assets=options.assets or (() if scene is None else (scene.parent,)),
-        finder=options.finder,
-        finder_url=options.finder_url,
         **settings,
     )
 

@@ -7,9 +7,9 @@ import os
 import sys
 from dataclasses import replace
 
-from app.cli.commands import TrainCommand
 from app.cli.output import check_output
 from app.cli.printing import progress_bar
+from app.cli.research_commands import TrainCommand
 from model.core.errors import ConfigurationError
 from model.data.procedural.generate import family_names
 from model.training.arti4urdf import loop
@@ -66,14 +66,11 @@ def _fit_confidence(options: TrainCommand) -> int:
             "and --minutes"
         )
     with progress_bar() as progress:
+        jobs = options.jobs or os.cpu_count() or 1
         fitted = fit_confidence(
-            options.out,
-            options.weights,
-            samples=options.samples,
-            seed=options.seed,
-            jobs=options.jobs or os.cpu_count() or 1,
+            options.out, options.weights, samples=options.samples, seed=options.seed, jobs=jobs,
             progress=progress,
-        )
+        )  # fmt: skip
     for name in PREDICTORS:
         found = fitted["record"][name]
         print(
@@ -96,34 +93,22 @@ def _train_small(options: TrainCommand) -> int:
     few = min(MOST_HELD_OUT, options.samples)
     with progress_bar() as progress:
         make_shards(
-            data,
-            options.samples,
-            seed=options.seed + 1,
-            jobs=options.jobs,
-            families=families,
+            data, options.samples, seed=options.seed + 1, jobs=options.jobs, families=families,
             progress=progress,
-        )
+        )  # fmt: skip
         make_shards(validation, few, seed=options.seed + 900, progress=progress)
         make_shards(held_out, few, seed=options.seed + 901, families=HELD_OUT, progress=progress)
         for root in options.data:
             _, bad = write_dataset(
-                root,
-                data,
-                held_out=options.all_categories,
-                test_share=options.test_share,
+                root, data, held_out=options.all_categories, test_share=options.test_share,
                 progress=progress,
-            )
+            )  # fmt: skip
             for problem in bad:
                 print(f"left out: {problem}", file=sys.stderr)
         loop.train(
-            config,
-            data,
-            options.out,
-            validation=validation,
-            held_out=held_out,
-            seconds=options.minutes * 60,
-            progress=progress,
-        )
+            config, data, options.out, validation=validation, held_out=held_out,
+            seconds=options.minutes * 60, progress=progress,
+        )  # fmt: skip
     if options.weights is not None:
         version = options.version_name or options.preset
         loop.export_weights(options.out, options.weights, version=version)
@@ -144,13 +129,9 @@ def _full_config(options: TrainCommand, preset: FullConfig) -> FullConfig:
             "--point-encoder, a checkpoint of ULIP-2"
         )
     config = replace(
-        preset,
-        samples=options.samples,
-        seed=options.seed,
-        steps=options.steps or 0,
-        held_out=options.all_categories,
-        test_share=options.test_share,
-    )
+        preset, samples=options.samples, seed=options.seed, steps=options.steps or 0,
+        held_out=options.all_categories, test_share=options.test_share,
+    )  # fmt: skip
     if own.lora:
         config = replace(config, lora_rank=LORA_RANK, learning_rate=LORA_RATE)
     config = with_settings(config, own.settings)

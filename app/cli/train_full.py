@@ -7,8 +7,8 @@ import os
 from contextlib import nullcontext
 from typing import Any
 
-from app.cli.commands import TrainCommand
 from app.cli.printing import progress_bar
+from app.cli.research_commands import TrainCommand
 from model.core.progress import no_progress
 from model.data.procedural.generate import family_names
 from model.data.registry import recognised
@@ -27,13 +27,9 @@ def train_full_model(options: TrainCommand, config: FullConfig) -> int:
     with bar as progress:
         progress(0.0, "reading weights")
         done = train_full(
-            config,
-            _sources(options, config),
-            options.out,
-            seconds=options.minutes * 60,
-            weights=options.weights,
-            progress=progress,
-        )
+            config, _sources(options, config), options.out, seconds=options.minutes * 60,
+            weights=options.weights, progress=progress,
+        )  # fmt: skip
     if not prints:
         return 0
     loss = "" if math.isnan(done.loss) else f", loss {done.loss:.4f}"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from app.cli.benchmarks import predict as bench_predict
+from app.cli.benchmarks.shapes import chest
 from app.cli.main import main
 from model.prediction.registry import load_predictor
 from tests.app.run_cli import artiworld, assert_users_mistake
@@ -15,12 +16,12 @@ from tests.app.run_cli import artiworld, assert_users_mistake
 
 @pytest.mark.parametrize("drawers", [1, 3, 7])
 def test_the_chest_has_drawers_that_slide_out_of_it(drawers):
-    chest = bench_predict.chest(drawers)
-    assert len(chest.parts) == drawers + 1
-    body, *rest = (part.bounds for part in chest.parts)
+    made = chest(drawers)
+    assert len(made.parts) == drawers + 1
+    body, *rest = (part.bounds for part in made.parts)
     for low, high in rest:
         assert (low[1:] > body[0, 1:]).all() and (high[1:] < body[1, 1:]).all()
-    tree = load_predictor("geometric").predict(chest).tree
+    tree = load_predictor("geometric").predict(made).tree
     assert tree is not None and tree.root == "link_0"
     for joint in tree.joints:
         assert joint.type == "prismatic"

@@ -160,6 +160,12 @@ def test_paths_stand_before_between_and_after_options(words, name):
     assert [str(path) for path in paths] == ["a", "b"]
 
 
+@pytest.mark.parametrize("value", ["-z", "-x", "-1,0,0.5", "-.5,0,1"])
+def test_a_value_may_begin_with_a_minus(value):
+    command, _ = parse(["prepare", "a.ply", "--out", "o", "--up", value])
+    assert command == parse(["prepare", "a.ply", "--out", "o", f"--up={value}"])[0]
+
+
 # segment
 
 

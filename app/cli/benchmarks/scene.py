@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from app.cli.benchmarks.shapes import grid_box
 from app.cli.benchmarks.ui import LoopWatch, SimulatedBrowser, wait_for
-from app.cli.commands import BenchCommand
 from app.cli.printing import Result, console, table_of
+from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from model.core.mesh import Mesh
@@ -81,8 +82,10 @@ def make_scene(root: Path, objects: int) -> Path:
         place.mkdir(parents=True)
         spans = _CABINET if cabinet else (((0.0, 0.0, 0.0), (0.4, 0.4, 0.4)),)
         for i, (low, high) in enumerate(spans):
-            vertices, faces = _block(FACES // len(spans), np.array(low), np.array(high), rng)
-            write_mesh(Mesh(vertices, faces), place / f"link_{i}.obj")
+            cells = max(2, int(np.sqrt(FACES / len(spans) / 12)))
+            box = grid_box(cells, np.add(low, high) / 2, np.subtract(high, low))
+            uneven = box.vertices + rng.normal(0, 5e-4, box.vertices.shape)
+            write_mesh(Mesh(uneven, box.faces), place / f"link_{i}.obj")
         size = rng.uniform(0.8, 1.2)
         entries.append({
             "id": name, "description": "cabinet" if cabinet else "block", "asset": name,
@@ -99,24 +102,6 @@ _CABINET = (
     ((0.0, -0.02, 0.02), (0.29, 0.0, 0.78)),
     ((0.31, -0.02, 0.02), (0.6, 0.0, 0.78)),
 )
-
-
-def _block(faces: int, low: Any, high: Any, rng: np.random.Generator) -> tuple[Any, Any]:
-    """The six sides of a box as grids, a little uneven."""
-    n = max(2, int(np.sqrt(faces / 12)))
-    line = np.linspace(0.0, 1.0, n + 1)
-    u, v = (g.ravel() for g in np.meshgrid(line, line, indexing="ij"))
-    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    grid = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
-    vertices, triangles = [], []
-    for axis in range(3):
-        for end in (0.0, 1.0):
-            at = np.empty((len(u), 3))
-            at[:, axis], at[:, (axis + 1) % 3], at[:, (axis + 2) % 3] = end, u, v
-            triangles.append(grid + sum(map(len, vertices)))
-            vertices.append(low + at * (high - low) + rng.normal(0, 5e-4, at.shape))
-    return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
 
 
 def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigures:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from app.cli.commands import BenchCommand
 from app.cli.printing import Result
+from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress
 from model.evaluation.segmentation.bench import BenchConfig, DataSet, run

@@ -11,19 +11,19 @@ import asyncio
 import tempfile
 import threading
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec.msgpack
 import numpy as np
-import numpy.typing as npt
 import viser
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from app.cli.commands import BenchCommand
+from app.cli.benchmarks.shapes import Array, grid_box, joined
 from app.cli.printing import Result, console, table_of
+from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from model.core.joint import Joint
@@ -70,7 +70,6 @@ class UiFigures:
     whole_ms: float = 0.0
     loop_held_ms: float = 0.0
     ticks_a_second: float = 0.0
-    extra: dict[str, float] = field(default_factory=dict)
 
 
 class SimulatedBrowser:
@@ -173,7 +172,7 @@ def _objects(config: BenchUiConfig, root: Path) -> list[Path]:
     return out
 
 
-def _panels() -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+def _panels() -> list[tuple[Array, Array]]:
     """Boxes of a cabinet with three drawers: (centre, size)."""
     boxes = [((0.0, 0.0, 0.45), (0.8, 0.5, 0.9))]
     boxes += [((0.0, -0.262, 0.15 + 0.3 * k), (0.78, 0.02, 0.28)) for k in range(3)]
@@ -194,24 +193,8 @@ def _cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
 
 
 def _cabinet_mesh(faces: int) -> Mesh:
-    vertices, triangles, start = [], [], 0
     cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))
-    line = np.linspace(-0.5, 0.5, cells + 1)
-    u, v = (g.ravel() for g in np.meshgrid(line, line, indexing="ij"))
-    index = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    quads = np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
-    for center, size in _panels():
-        for axis in range(3):
-            for sign in (-0.5, 0.5):
-                p = np.empty((len(u), 3))
-                p[:, axis], p[:, (axis + 1) % 3], p[:, (axis + 2) % 3] = sign, u, v
-                vertices.append(center + p * size)
-                triangles.append((quads if sign > 0 else quads[:, ::-1]) + start)
-                start += len(p)
-    return Mesh(np.concatenate(vertices), np.concatenate(triangles).astype(np.int32))
+    return joined([grid_box(cells, center, size) for center, size in _panels()])
 
 
 def wait_for(condition: Any, what: str) -> None:
