@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 from model.core.progress import Progress, no_progress
 from model.prediction.protocol import Predictor
+from model.prediction.registry import load_predictor
+from model.prediction.remote.wire import decode_request, encode_answer
 
 _loaded: list[Predictor] = []
 
 
 def load(name: str) -> None:
     """Load the predictor once; the first thing that a worker does."""
-    from model.prediction.registry import load_predictor
-
     _loaded[:] = [load_predictor(name)]
 
 
@@ -31,8 +31,6 @@ def predict(body: npt.NDArray[np.uint8], progress: Progress = no_progress) -> di
     Raises:
         ArtiworldError: where they are none.
     """
-    from model.prediction.remote.wire import decode_request, encode_answer
-
     progress(0.0, "Reading the parts")
     segmented, locked, seed = decode_request(body.tobytes())
     answer = _loaded[0].predict(segmented, locked=locked, seed=seed, progress=progress)

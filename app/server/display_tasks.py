@@ -16,6 +16,10 @@ from model.core.articulated_object import Prediction
 from model.core.asset import Asset, ElementKind, UpAxis
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
+from model.geometry.display import display_asset
+from model.geometry.upright_box import box_yaw
+from model.io.find_assets import model_of
+from model.io.write.glb import face_order, mesh_to_glb
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
 
@@ -101,8 +105,6 @@ def open_asset(
 
 
 def _source_joints(asset: Asset, path: Path) -> Prediction | None:
-    from model.io.find_assets import model_of
-
     if asset.tree is None:
         return None
     file = model_of(path) if path.is_dir() else path
@@ -110,9 +112,6 @@ def _source_joints(asset: Asset, path: Path) -> Prediction | None:
 
 
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
-    from model.geometry.display import display_asset
-    from model.io.write.glb import face_order, mesh_to_glb
-
     shown = display_asset(asset)
     source = asset.source
     part_names, category, remarks = _short_names(asset)
@@ -160,8 +159,6 @@ def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float
     the side whose outer layer holds the most elements is the front. Near ties go to -y, glTF's
     front. The sides are those of the tightest upright box.
     """
-    from model.geometry.upright_box import box_yaw
-
     flat = np.asarray(points, np.float64)[:: max(1, len(points) // 20_000), :2]
     best, score = (0.0, -1.0, 0.0), 0.0
     turn = box_yaw(flat)
@@ -190,9 +187,6 @@ def part_payloads(
     source: PartSource, element: npt.NDArray[np.int32], progress: Progress = no_progress
 ) -> list[PartPayload]:
     """Each part as the browser draws it, from the displayed elements."""
-    from model.geometry.display import display_asset
-    from model.io.write.glb import mesh_to_glb
-
     shown = display_asset(asset_of(source.folder))
     labels = arrays_of(source.workspace).get(source.labels)[element]
     out = []

@@ -17,6 +17,9 @@ from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
+from model.geometry.parts import split
+from model.physics.collision.build import prepare_bodies as prepare
+from model.prediction.registry import load_predictor
 from model.segmentation.prompts import BASE
 
 
@@ -37,7 +40,6 @@ _cut: LruCache[Any, tuple[Part, ...]] = LruCache(2)
 
 def parts_of(source: PartSource) -> tuple[Part, ...]:
     """The parts; the last ones are kept, with what others computed for them."""
-    from model.geometry.parts import split
 
     def cut() -> tuple[Part, ...]:
         labels = arrays_of(source.workspace).get(source.labels)
@@ -89,8 +91,6 @@ def _told(source: PartSource) -> tuple[dict[str, Inertial], dict[str, tuple[Shap
 
 def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
     """Make what judging and saving need of the parts whatever the joints will be."""
-    from model.physics.collision.build import prepare_bodies as prepare
-
     prepare(parts_of(source), source.workspace / "collision", progress, _told(source)[1])
 
 
@@ -102,8 +102,6 @@ def predict(
     progress: Progress = no_progress,
 ) -> Prediction:
     """Predict the kinematic tree of the parts."""
-    from model.prediction.registry import load_predictor
-
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)
     return load_predictor(predictor).predict(segmented, locked=locked, seed=seed, progress=progress)

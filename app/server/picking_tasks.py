@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from app.server.tasks import arrays_of, asset_of
 from model.core.lru_cache import LruCache
+from model.geometry.crop import largest_piece
+from model.geometry.picking import Picker
 from model.geometry.strokes import Stroke
 
 
@@ -35,8 +37,6 @@ _hidden: LruCache[Hidden, npt.NDArray[np.bool_]] = LruCache(4)
 
 def picker_of(folder: Path) -> Any:
     """Its picker, kept in this process."""
-    from model.geometry.picking import Picker
-
     return _pickers.get(folder, lambda: Picker(asset_of(folder)))
 
 
@@ -85,8 +85,6 @@ def select_box(
     )
     cloud = asset_of(folder).cloud
     if one_piece and cloud is not None and len(chosen):
-        from model.geometry.crop import largest_piece
-
         chosen = chosen[largest_piece(cloud.points[chosen])]
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
 

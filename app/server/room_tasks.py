@@ -13,6 +13,9 @@ from app.server import tasks
 from model.core.asset import Asset
 from model.core.errors import CommandError
 from model.core.progress import Progress, no_progress
+from model.geometry.crop import crop, outliers
+from model.geometry.crop import floor_and_walls as room_surfaces
+from model.io.write.meshes import write_cloud, write_mesh
 
 GRID = 128.0
 """Origins lie on multiples of 1/128 m: taking one off a float32 loses next to nothing."""
@@ -54,14 +57,12 @@ def floor_and_walls(
     Raises:
         CommandError: where there is none, or nothing would stay.
     """
-    from model.geometry.crop import crop, floor_and_walls, outliers
-
     asset = tasks.asset_of(folder)
     progress(0.05, "Looking for stray points")
     gone = outliers(asset)
     progress(0.4, "Looking for floor and walls")
     inside = np.flatnonzero(~gone)
-    border = floor_and_walls(crop(asset, ~gone))
+    border = room_surfaces(crop(asset, ~gone))
     if not border.any():
         raise CommandError("no floor, ceiling or wall was found: this looks like a single object")
     gone[inside[border]] = True
@@ -111,8 +112,6 @@ def cut_out(
     Raises:
         CommandError: where the part is empty, or is all there is.
     """
-    from model.geometry.crop import crop
-
     asset = tasks.asset_of(folder)
     mine = tasks.arrays_of(workspace).get(labels) == part
     if not mine.any():
@@ -149,8 +148,6 @@ def pick_out(
     Raises:
         CommandError: where the part is empty, or is all there is.
     """
-    from model.geometry.crop import crop
-
     cut = cut_out(folder, workspace, labels, part, left_out, name, progress)
     progress(0.7, "Writing what is left")
     whole, _ = tasks.working_copy(copy, workspace, tasks.ReadOptions())
@@ -162,8 +159,6 @@ def pick_out(
 
 def _write(asset: Asset, stem: Path, origin: npt.NDArray[np.float64]) -> Path:
     """The asset about ``origin``; a cloud that stays where it is keeps its very numbers."""
-    from model.io.write.meshes import write_cloud, write_mesh
-
     if asset.mesh is not None:
         path = stem.with_name(f"{stem.name}.glb")
         write_mesh(replace(asset.mesh, vertices=asset.mesh.vertices - origin), path)

@@ -18,6 +18,10 @@ from app.server.tasks import asset_of
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
+from model.io.assets.asset_folder import write_draft
+from model.io.assets.reload import reload_check
+from model.physics.collision.store import fingerprint
+from model.physics.simulation_values import physics_of
 
 DRAFTS_KEPT = 4
 
@@ -33,10 +37,6 @@ def prepare_asset(
     Raises:
         ArtiworldError: where what was written doesn't load as it should.
     """
-    from model.io.assets.asset_folder import write_draft
-    from model.io.assets.reload import reload_check
-    from model.physics.simulation_values import physics_of
-
     target = _draft_name(source, tree)
     try:
         os.utime(target)  # it is the newest again: the next ones don't push it out
@@ -75,8 +75,6 @@ def prepare_asset(
 
 
 def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
-    from model.physics.collision.store import fingerprint
-
     key = fingerprint(
         "draft", version("artiworld"), source.folder.name, source.labels,
         sorted(source.names.items()), source.category, source.title, tree.links, tree.joints,

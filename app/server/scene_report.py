@@ -20,10 +20,15 @@ import numpy as np
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.scene_shapes import Shape
 from app.server.scene_tasks import SceneItem
+from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.joint import Joint
+from model.core.mesh import Mesh
+from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
+from model.evaluation import render
+from model.io.urdf.meshes import merged
 from model.scenes.results import SCENE_JSON
 from model.scenes.scene import SceneProblem
 
@@ -229,12 +234,6 @@ def _same(limits: Sequence[float] | None, was: Sequence[float] | None) -> bool:
 
 
 def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]) -> bytes | None:
-    from model.core.articulated_object import ArticulatedObject, Part
-    from model.core.mesh import Mesh
-    from model.core.point_cloud import PointCloud
-    from model.evaluation import render
-    from model.io.urdf.meshes import merged
-
     by_state: dict[str, list[Mesh]] = {}
     scanned: dict[str, list[np.ndarray]] = {}
     for row in rows:
@@ -272,8 +271,6 @@ def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]
 
 
 def _thumbnail(row: ReportRow) -> bytes | None:
-    from model.evaluation import render
-
     assert row.source is not None and row.tree is not None
     try:
         obj = articulated_object(row.source, row.tree)

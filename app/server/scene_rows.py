@@ -12,6 +12,7 @@ from typing import Any, Literal
 from app.server.scene_shapes import DrawnParts
 from app.server.scene_tasks import SceneItem
 from model.core.errors import InputFileError
+from model.scenes.assets import asset_digest
 from sessions.document import Document
 from sessions.live import LiveSession
 
@@ -65,8 +66,6 @@ class Work:
             scene: the scene's file.
             workspace: where the copies are.
         """
-        from model.scenes.assets import asset_digest
-
         obj, path = self.item.obj, self.item.path
         assert path is not None
         if path.is_relative_to(workspace / "scenes"):  # geometry that the scene's file holds

@@ -9,10 +9,10 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from app.server.jobs import CLICKS
 from app.server.part_tasks import PartSource, articulated_object
@@ -24,6 +24,10 @@ from model.core.display_names import link_display_name
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
+from model.io.assets.asset_folder import write_asset
+from model.physics.simulation_values import physics_of
+from model.scenes.assets import asset_digest
+from model.scenes.convert import ConvertSettings, asset_job, shorten_limits
 from model.scenes.jobs import (
     ACCEPTED,
     ASSETS,
@@ -34,11 +38,16 @@ from model.scenes.jobs import (
     REJECTED,
     STATIC,
     TODO,
+    ConvertAsset,
+    read_done,
+    write_formats,
+    write_json,
 )
+from model.scenes.outcome import Outcome
+from model.scenes.protocol import Decision
+from model.scenes.registry import read_scene
+from model.scenes.results import write_results
 from sessions import commands as cmd
-
-if TYPE_CHECKING:
-    from model.scenes.outcome import Outcome
 
 SECONDS = 1800.0
 
@@ -240,12 +249,6 @@ def save_scene(
     Returns:
         The summary, as ``artiworld scene convert`` gives it.
     """
-    from model.scenes.convert import shorten_limits
-    from model.scenes.jobs import write_json
-    from model.scenes.outcome import Outcome
-    from model.scenes.registry import read_scene
-    from model.scenes.results import write_results
-
     progress(0.0, "reading")
     scene = read_scene(path, format)
     if [o.id for o in scene.objects] != list(ids):
@@ -313,12 +316,6 @@ def _tell(outcome: Outcome, decided: Decided | None) -> None:
 
 
 def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    from model.scenes.assets import asset_digest
-    from model.scenes.convert import ConvertSettings, asset_job
-    from model.scenes.jobs import ConvertAsset, read_done
-    from model.scenes.outcome import Outcome
-    from model.scenes.protocol import Decision
-
     assert item.path is not None
     settings = ConvertSettings(seconds=SECONDS, collision=True, formats=_formats())
     rigid = Outcome(item.obj, Decision(False), item.path)
@@ -329,13 +326,6 @@ def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> di
 
 def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, Any]:
     """The working copy as an asset below ``out``, as people left it."""
-    from dataclasses import asdict
-
-    from model.io.assets.asset_folder import write_asset
-    from model.physics.simulation_values import physics_of
-    from model.scenes.assets import asset_digest
-    from model.scenes.jobs import write_formats
-
     assert item.copy is not None and item.path is not None
     key = item.copy.name
     folder = out / ASSETS / key

@@ -17,6 +17,10 @@ from model.core.articulated_object import Part
 from model.core.asset import Source
 from model.core.errors import ArtiworldError
 from model.core.progress import Progress, no_progress
+from model.geometry.appearance import face_colors
+from model.geometry.display import decimate, spacing, thin
+from model.geometry.parts import split
+from model.scenes.asset_parts import bounds_of, whole
 
 BATCH_SECONDS = 0.4
 """Work on pictures after which a job hands over what it has, so that the scene fills up."""
@@ -78,8 +82,6 @@ def shapes(
 
 
 def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
-    from model.scenes.asset_parts import bounds_of, whole
-
     told = ("without strays", str(path.resolve()), stamp(path), max_faces)
     key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
     kept = workspace / "cache" / "shapes" / f"{key}.npz"
@@ -103,9 +105,6 @@ def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
 
 def shape_of_part(part: Part, max_faces: int) -> Shape:
     """A part as the browser draws it from afar: a colour a face, at most ``max_faces``."""
-    from model.geometry.appearance import face_colors
-    from model.geometry.display import decimate, spacing, thin
-
     bounds = np.asarray(part.bounds, np.float64)
     if part.mesh is None:
         assert part.cloud is not None
@@ -124,8 +123,6 @@ def drawn_parts(
     copy: Path, workspace: Path, labels: str, max_faces: int, options: ReadOptions
 ) -> DrawnParts:
     """The parts of a working copy, read as its document says, by stored labels."""
-    from model.geometry.parts import split
-
     asset, folder = working_copy(copy, workspace, options)
     assert asset.source is not None
     cut = split(asset, arrays_of(workspace).get(labels))

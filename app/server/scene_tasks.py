@@ -12,27 +12,46 @@ import json
 import secrets
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from app.server import part_tasks, room_tasks, segmenting_tasks, tasks
-from app.server.prompt_file import beside
+from app.server.prompt_file import beside, read_prompts
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.asset import MAX_PARTS, Asset
 from model.core.errors import CommandError
 from model.core.progress import Progress, no_progress
+from model.geometry.crop import ROOM_METRES
+from model.geometry.parts import split
+from model.io.declared_physics_file import save_told
+from model.io.write.meshes import write_cloud, write_mesh
+from model.prediction.registry import load_predictor
+from model.scenes.asset_parts import (
+    AssetParts,
+    LeftForAnnotator,
+    known_parts,
+    masses_at,
+    scaled,
+    scaled_shapes,
+    size_factors,
+    whole,
+)
+from model.scenes.assets import asset_digest, index_assets
+from model.scenes.convert import decide
+from model.scenes.embedded import unpack
+from model.scenes.finder_options import FinderOptions
+from model.scenes.finder_registry import default_cache, load_finder
+from model.scenes.jobs import FAILED
 from model.scenes.protocol import Decision
+from model.scenes.registry import read_scene
 from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, Click
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
-
-if TYPE_CHECKING:
-    from model.scenes.asset_parts import AssetParts
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -111,14 +130,6 @@ def read(
     progress: Progress = no_progress,
 ) -> OpenedScene:
     """Read a scene, find its assets, and ask which of its objects can be articulated."""
-    from model.scenes.assets import index_assets
-    from model.scenes.convert import decide
-    from model.scenes.embedded import unpack
-    from model.scenes.finder_options import FinderOptions
-    from model.scenes.finder_registry import default_cache, load_finder
-    from model.scenes.jobs import FAILED
-    from model.scenes.registry import read_scene
-
     progress(0.1, "reading")
     if format is None and path.suffix.lower() == ".ply":
         format = "scan"  # also one that nobody has labelled
@@ -144,8 +155,6 @@ def read(
 
 def _identity(path: Path, home: Path) -> tuple[Any, ...]:
     """Names an asset's files; those inside a scene's file are written anew at each opening."""
-    from model.scenes.assets import asset_digest
-
     if path.is_relative_to(home):
         return str(path.relative_to(home)), asset_digest(path)
     return str(path.resolve()), tasks.stamp(path)
@@ -169,8 +178,6 @@ def lay_down(item: SceneItem) -> str:
     Raises:
         InputFileError: where the asset can't be read.
     """
-    from model.scenes.asset_parts import LeftForAnnotator, known_parts, scaled, size_factors, whole
-
     assert item.path is not None and item.copy is not None
     reason, known = "", None
     try:
@@ -203,8 +210,6 @@ def lay_down(item: SceneItem) -> str:
 def _write_copy(
     parts: tuple[Part, ...], category: str | None, folder: Path, *, unnamed: bool
 ) -> None:
-    from model.io.write.meshes import write_cloud, write_mesh
-
     entries: list[dict[str, str]] = []
     for i, part in enumerate(parts):
         if part.mesh is not None:
@@ -222,9 +227,6 @@ def _write_copy(
 
 def _write_told(known: AssetParts, factors: npt.NDArray[np.float64], folder: Path) -> None:
     """What the asset tells of its parts beside their geometry, under the copy's link names."""
-    from model.io.declared_physics_file import save_told
-    from model.scenes.asset_parts import masses_at, scaled_shapes
-
     link = {part.link: f"link_{i}" for i, part in enumerate(known.parts)}
     masses, shapes = masses_at(known, factors), scaled_shapes(known.shapes, factors)
     save_told(
@@ -238,8 +240,6 @@ def for_picking(
     item: SceneItem, workspace: Path, progress: Progress = no_progress
 ) -> room_tasks.Removal | None:
     """Lay down a working copy to pick objects out of; floor and walls where it is a room."""
-    from model.geometry.crop import ROOM_METRES
-
     assert item.copy is not None
     lay_down(item)
     asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions(), progress)
@@ -285,17 +285,12 @@ def prepare(
 
 
 def _with(prepared: Prepared, **changes: Any) -> Prepared:
-    from dataclasses import replace
-
     return replace(prepared, **changes)
 
 
 def _cut_by_prompts(
     file: Path, item: SceneItem, asset: Asset, folder: Path, workspace: Path, segmenter: str
 ) -> Prepared:
-    from app.server.prompt_file import read_prompts
-    from model.scenes.asset_parts import size_factors, whole
-
     assert item.path is not None
     told = read_prompts(file)
     factors = size_factors(item.obj, (whole(item.path),))
@@ -341,9 +336,6 @@ def _predicted(
     predictor: str,
     progress: Progress,
 ) -> Prediction:
-    from model.geometry.parts import split
-    from model.prediction.registry import load_predictor
-
     labels = tasks.arrays_of(workspace).get(cut.labels)
     parts = split(asset, labels, {p: n for p, n in cut.names if n})
     segmented = SegmentedObject(asset.name, tuple(map(part_tasks.named, parts)), item.category)

@@ -15,6 +15,7 @@ from model.core.asset import Asset
 from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.registry import load_segmenter
 
 ENCODINGS_KEPT = 8
 """So that several people, each at an object, don't drive out each other's."""
@@ -57,8 +58,6 @@ def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> fl
 
 def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -> Any:
     """The asset as the segmenter has encoded it, kept in this process."""
-    from model.segmentation.registry import load_segmenter
-
     asset = asset_of(folder)
     return _encodings.get(
         (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset, progress),
@@ -91,8 +90,6 @@ def segment(
     if keep:
         session = session_of(folder, segmenter, progress)
     else:
-        from model.segmentation.registry import load_segmenter
-
         session = load_segmenter(segmenter).encode(asset_of(folder), progress)
     answer = session.segment(prompts_of(workspace, items))
     return _answer(workspace, answer, prompts_key, element)

@@ -19,6 +19,7 @@ from app.server.guard import guarded_server
 from app.server.network import url
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
+from model.io.find_assets import find_assets, refusal
 from sessions.store import Store
 
 log = logging.getLogger(__name__)
@@ -93,8 +94,6 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     Raises:
         InputFileError: where none of them can be opened whatever is in it.
     """
-    from model.io.find_assets import find_assets, refusal
-
     if config.scene is not None:
         return []
     named = [Path(p) for p in config.paths]

@@ -14,6 +14,11 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import CommandError
 from model.core.joint import Joint, JointType
 from model.core.tree import KinematicTree, moving_chain
+from model.geometry.sampling import sample_surface
+from model.kinematics.barrels import on_barrels
+from model.kinematics.snapping import axis_along_box, box_of, origin_on_box_edge, origin_on_contact
+from model.kinematics.sweep import free_range
+from model.prediction.geometric.type_change import retyped
 
 SWEEP_POINTS = 3000
 
@@ -25,14 +30,6 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
         to: "axis Long", "axis Middle", "axis Short", "Box edge", "Contact", "Centre" or
             "free range" (limits up to the first collision).
     """
-    from model.kinematics.barrels import on_barrels
-    from model.kinematics.snapping import (
-        axis_along_box,
-        box_of,
-        origin_on_box_edge,
-        origin_on_contact,
-    )
-
     parts = {p.link: p for p in parts_of(source)}
     joint = tree.joint_of[child]
     # Of a part's several joints each snaps to that part, and to the next one above it.
@@ -67,14 +64,10 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
 def retype_joint(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:
     """The joint of ``child`` as one of another type:
     :func:`model.prediction.geometric.type_change.retyped`."""
-    from model.prediction.geometric.type_change import retyped
-
     return retyped(segmented_object(source), tree, child, kind)
 
 
 def _surface_points(part: Part) -> npt.NDArray[np.float64]:
-    from model.geometry.sampling import sample_surface
-
     if part.mesh is not None and len(part.mesh.faces):
         samples, _ = sample_surface(part.mesh, SWEEP_POINTS, np.random.default_rng(0))
         corners = part.mesh.vertices[np.unique(part.mesh.faces)]
@@ -90,8 +83,6 @@ def _surface_points(part: Part) -> npt.NDArray[np.float64]:
 def _with_free_range(
     source: PartSource, tree: KinematicTree, joint: Joint, parts: tuple[Part, ...], most: float
 ) -> Joint:
-    from model.kinematics.sweep import free_range
-
     lower, upper = free_range(ArticulatedObject(source.title, parts, tree), joint.name, most)
     closed_below, closed_above = joint.lower == 0.0, joint.upper == 0.0
     return replace(

@@ -19,6 +19,12 @@ import numpy.typing as npt
 from model.core.asset import Asset, UpAxis
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Progress, no_progress
+from model.geometry.crop import crop
+from model.geometry.splitting import split_faces
+from model.io.asset_cache import load_asset, save_asset
+from model.io.model_files import files_named_by, is_model
+from model.io.open_asset import open_asset
+from sessions.arrays import ArrayFiles
 from sessions.tool_commands import FaceCut
 
 Stamp = tuple[tuple[str, int, int], ...]
@@ -45,9 +51,6 @@ def working_copy(
     path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
 ) -> tuple[Asset, Path]:
     """The asset of ``path`` and the folder of its arrays, which is made where it isn't there."""
-    from model.io.asset_cache import load_asset, save_asset
-    from model.io.open_asset import open_asset
-
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
         identity = (*identity, options.left_out)
@@ -78,8 +81,6 @@ def working_copy(
 
 
 def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
-    from model.geometry.crop import crop
-
     keep = np.ones(asset.element_count, bool)
     if len(elements) and elements[-1] >= len(keep):
         raise CommandError("the source has fewer elements than when some were left out; undo that")
@@ -88,8 +89,6 @@ def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
 
 
 def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
-    from model.geometry.splitting import split_faces
-
     elements = arrays_of(workspace).get(cut.elements)
     if asset.mesh is None or (len(elements) and elements[-1] >= asset.element_count):
         raise CommandError("the source has fewer faces than when some were cut; undo that")
@@ -102,8 +101,6 @@ def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
 
 def stamp(path: Path) -> Stamp:
     """Names, sizes and times of what a path holds: tells whether a working copy is still true."""
-    from model.io.model_files import files_named_by, is_model
-
     if is_model(path):
         files = [path, *(m for m in files_named_by(path) if m.is_file())]
         return tuple((f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files)
@@ -122,13 +119,9 @@ def stamp_if_there(path: Path) -> Stamp:
 @lru_cache(maxsize=8)
 def asset_of(folder: Path) -> Asset:
     """The asset laid down in a folder."""
-    from model.io.asset_cache import load_asset
-
     return load_asset(folder)
 
 
 def arrays_of(workspace: Path) -> Any:
     """The workspace's arrays."""
-    from sessions.arrays import ArrayFiles
-
     return ArrayFiles(workspace / "arrays")

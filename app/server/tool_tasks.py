@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,16 @@ from model.core.asset import Asset
 from model.core.errors import CommandError
 from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
+from model.geometry.sampling import sample_surface
+from model.geometry.splitting import split_faces
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
+from model.segmentation.tools.all_parts import propose, without_leftovers
+from model.segmentation.tools.connected import connected, grow
+from model.segmentation.tools.cuts import Cut, line_cut, pieces
+from model.segmentation.tools.rectangles import rectangle_cut, surface_frame
+from model.segmentation.tools.similar import mirrored, same_shape
 from sessions.tool_commands import FaceCut
-
-if TYPE_CHECKING:
-    from model.segmentation.tools.cuts import Cut
 
 Bool = npt.NDArray[np.bool_]
 Point = tuple[float, float, float]
@@ -179,8 +183,6 @@ def use_tool(
 
 
 def _propose(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.all_parts import propose
-
     labels = propose(work.encoded, progress=work.progress).labels
     # What is a part already stays as it is; most of what is new lies beside it.
     taken = work.labels > BASE
@@ -205,8 +207,6 @@ def _next_mask(work: _Work) -> MaskOffer:
 
 
 def _connected(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.connected import connected
-
     part = work.request.part
     clicks = [c for c in work.prompts.clicks if c.part == part and c.positive]
     if not clicks:
@@ -224,14 +224,10 @@ def _connected(work: _Work) -> list[RegionOffer]:
 
 
 def _same_shape(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.similar import same_shape
-
     return _beside_parts(work, same_shape(work.encoded, work.mask))
 
 
 def _mirror(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.similar import mirrored
-
     return _beside_parts(work, [mirrored(work.encoded, work.mask)])
 
 
@@ -252,21 +248,15 @@ def _beside_parts(work: _Work, masks: list[Bool]) -> list[RegionOffer]:
 
 
 def _grow(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.connected import grow
-
     return work.offer(grow(work.encoded, work.mask, 1) & ~work.mask, work.request.part)
 
 
 def _shrink(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.connected import grow
-
     kept = grow(work.encoded, work.mask, -1)
     return work.offer(work.mask & ~kept, work.request.part, False) if kept.any() else []
 
 
 def _split(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.cuts import pieces
-
     least = _LEAST_PIECE * work.mask.sum()
     out: list[RegionOffer] = []
     for piece in pieces(work.encoded, work.mask)[1:]:
@@ -276,9 +266,6 @@ def _split(work: _Work) -> list[RegionOffer]:
 
 
 def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
-    from model.segmentation.tools.cuts import line_cut
-    from model.segmentation.tools.rectangles import rectangle_cut
-
     request, labels = work.request, work.labels
     if request.element is None:
         raise CommandError("a cut needs the places that were clicked")
@@ -308,16 +295,12 @@ def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
 
 def frame_at(folder: Path, place: Point, view: Point) -> tuple[Point, Point]:
     """Out of the surface at a place, and level along it: how a rectangle begun there will lie."""
-    from model.segmentation.tools.rectangles import surface_frame
-
     out, across = surface_frame(session_of(folder, DEFAULT), np.array([place]), view)
     return tuple(out.tolist()), tuple(across.tolist())
 
 
 def _face_cut(work: _Work, asset: Asset, cut: Cut, target: int) -> FaceCutOffer:
     """The parts after a cut that splits faces, by the numbers that those have then."""
-    from model.geometry.splitting import split_faces
-
     assert asset.mesh is not None
     split = split_faces(asset.mesh, cut.chosen, cut.planes)
     off, labels = split.inside, work.labels[split.parent]
@@ -350,8 +333,6 @@ def _merge(work: _Work) -> list[RegionOffer]:
 
 
 def _leftovers(work: _Work) -> list[RegionOffer]:
-    from model.segmentation.tools.all_parts import without_leftovers
-
     clean = without_leftovers(work.encoded, work.labels)
     moved = clean != work.labels
     out: list[RegionOffer] = []
@@ -440,8 +421,6 @@ def hover(
 
 
 def _sample(folder: Path) -> _Sample:
-    from model.geometry.sampling import sample_surface
-
     asset, rng = asset_of(folder), np.random.default_rng(0)
     if asset.mesh is not None:
         cloud, face = sample_surface(asset.mesh, SAMPLE_POINTS, rng)

@@ -12,6 +12,9 @@ import zipfile
 from pathlib import Path, PurePosixPath
 
 from model.core.errors import InputFileError
+from model.io.geometry_files import SUFFIXES
+from model.io.model_files import MODEL_SUFFIXES
+from model.io.urdf.files import URDF_SUFFIX
 
 MOST_FILES = 5000
 MOST_RATIO = 200
@@ -32,10 +35,6 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
     Raises:
         InputFileError: where no reader knows it, nothing is in it, or a zip is damaged or hostile.
     """
-    from model.io.geometry_files import SUFFIXES
-    from model.io.model_files import MODEL_SUFFIXES
-    from model.io.urdf.files import URDF_SUFFIX
-
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
     # An MJCF may be made of boxes alone.
@@ -81,8 +80,6 @@ def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
 
 
 def _extract(archive: zipfile.ZipFile, target: Path, name: str, size: int, max_bytes: int) -> None:
-    from model.io.geometry_files import SUFFIXES
-
     entries = [e for e in archive.infolist() if not e.is_dir()]
     if len(entries) > MOST_FILES:
         raise InputFileError(

@@ -14,7 +14,9 @@ from model.core import codec
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
+from model.physics.collision.store import fingerprint
 from model.validation.report import ValidationReport
+from model.validation.runner import validate
 
 PACKAGES = static_assets().parent
 DECIDES = ("core", "geometry", "kinematics", "physics", "validation")
@@ -30,7 +32,6 @@ def judge_joints(
         return codec.read(ValidationReport, json.loads(kept.read_text(encoding="utf-8")))
     except (OSError, ValueError):
         pass
-    from model.validation.runner import validate
 
     obj = articulated_object(source, tree)
     report = validate(obj, store=source.workspace / "collision", progress=progress)
@@ -45,8 +46,6 @@ def judge_joints(
 
 
 def _kept_at(source: PartSource, tree: KinematicTree) -> Path:
-    from model.physics.collision.store import fingerprint
-
     key = fingerprint(
         "gate", judge_version(), source.folder.name, source.labels,
         sorted(source.names.items()), source.category, tree.links, tree.joints,
