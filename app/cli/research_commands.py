@@ -117,7 +117,7 @@ class FullModelOptions:
     point_encoder: Path | None = option("ULIP-2 checkpoint with Point-BERT", "FILE")
     lora: bool = flag("train updates of rank 16 at a rate of 1e-4 instead of all weights")
     cache: Path | None = option(
-        "keep objects here once they are made or read (default: anew each time)", "DIR"
+        "cache generated and read objects here (default: generate and read them each time)", "DIR"
     )
     settings: tuple[str, ...] = repeated(
         "change a setting, as in --set epochs=5; may be repeated", "NAME=VALUE", flag="--set"
@@ -162,11 +162,12 @@ class TrainCommand(Command):
 class BenchCommand(Command):
     """Measure speed and accuracy."""
 
-    what: Literal["ui", "scene", "segment", "predict", "networks"] = argument(
-        "the screen of one object, of a scene; the segmenter; the predictor; "
+    what: Literal["ui", "scene", "segment", "scans", "predict", "networks"] = argument(
+        "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
+        "joints; the predictor; "
         "the paper-size networks with random weights", None,
     )  # fmt: skip
-    data: Path | None = option("segment: folder of real data, by default procedural", "DIR")
+    data: Path | None = option("segment, scans: folder of real data, by default procedural", "DIR")
     sets: tuple[str, ...] | None = option(
         "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
     )
@@ -177,10 +178,13 @@ class BenchCommand(Command):
     faces: int | None = option("ui: size of the mesh; 0 leaves it out", "N", parse=count)
     clicks: int | None = option("ui: clicks on each object", "N", parse=count)
     objects: int | None = option("scene: number of objects (default: 200)", "N", parse=count)
-    limit: int | None = option("segment: objects of each set", "LIMIT")
+    limit: int | None = option("segment, scans: objects of each set; 0 for all", "LIMIT")
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")
+    half: Literal["choose", "table", "all"] | None = option(
+        "scans: half of the objects, to choose with or for the table (default: table)"
+    )
     sizes: tuple[str, ...] | None = option(
         "networks: language models (0.6b 1.7b 4b 8b)", "NAME", nargs="+"
     )
@@ -197,6 +201,8 @@ class BenchCommand(Command):
             from app.cli.benchmarks import scene as benchmark
         elif self.what == "segment":
             from app.cli.benchmarks import segment as benchmark
+        elif self.what == "scans":
+            from app.cli.benchmarks import scans as benchmark
         elif self.what == "predict":
             from app.cli.benchmarks import predict as benchmark
         else:

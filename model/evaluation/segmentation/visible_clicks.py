@@ -147,6 +147,60 @@ def middle_of(piece: Bool) -> tuple[int, int]:
     return int(row), int(column)
 
 
+@dataclass(frozen=True, eq=False)
+class VisibleRounds:
+    """What a round of clicks after another gave.
+
+    Attributes:
+        parts: moving parts that are seen.
+        labels: (E,) after the last click.
+        iou: mean over the parts of what is seen, after each round.
+        clicks, drops: how many, and how many lowered that mean by more than :data:`DROP`.
+    """
+
+    parts: tuple[int, ...]
+    labels: Labels
+    iou: tuple[float, ...]
+    clicks: int = 0
+    drops: int = 0
+
+
+DROP = 0.05
+"""Mean IoU that a click may lose before it counts as one that lowers it."""
+
+
+def visible_rounds(
+    session: SegmentationSession, picture: Picture, truth: Labels, rounds: int = 3
+) -> VisibleRounds:
+    """Click every moving part that is seen once, then the largest visible errors, as often each
+    round; see :func:`clicked_as_seen`."""
+    true = picture.of(truth)
+    parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= LEAST_PIXELS]
+    if not parts:
+        return VisibleRounds((), np.zeros(len(truth), np.int16), ())
+    one = (true >= BASE).astype(float)
+
+    def mean(labels: Labels) -> float:
+        shown = picture.of(labels)
+        return float(np.mean([_iou(shown == p, true == p, one) for p in parts]))
+
+    clicks = [picture.click(middle_of(largest_piece(true == p)[0]), p) for p in parts]
+    labels = session.segment(Prompts(tuple(clicks))).labels
+    iou, drops = [mean(labels)], 0
+    for _ in range(rounds - 1):
+        now = iou[-1]
+        for _ in parts:
+            more = _next(picture, true, picture.of(labels), parts)
+            if more is None:
+                break
+            clicks.append(more)
+            labels = session.segment(Prompts(tuple(clicks))).labels
+            before, now = now, mean(labels)
+            drops += now < before - DROP
+        iou.append(now)
+    return VisibleRounds(tuple(parts), labels, tuple(iou), len(clicks) - len(parts), drops)
+
+
 def clicked_as_seen(
     session: SegmentationSession,
     picture: Picture,

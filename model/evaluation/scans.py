@@ -1,0 +1,289 @@
+"""``artiworld bench scans``: reconstructed scans from file to joints, as people deliver them.
+
+Ground-truth objects are scanned as phones do (:mod:`model.data.simulated.reconstruction`), in three
+ways: *cleaned by the truth* (upright, in metres, the object alone), *upright* (in metres, on its
+table), and *any* (any rotation and scale; the height is given, as a person types it). Each is
+prepared, clicked as seen (three rounds), cut, and predicted with names.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.articulated_object import ArticulatedObject, SegmentedObject
+from model.core.asset import Asset
+from model.core.errors import ArtiworldError
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
+from model.data.registry import DatasetOptions, open_dataset
+from model.data.simulated.reconstruction import (
+    Reconstruction,
+    ReconstructionSettings,
+    reconstruct_scan,
+)
+from model.evaluation.pool import robust_map
+from model.evaluation.segmentation.visible_clicks import FRONT, picture_of, visible_rounds
+from model.evaluation.tree_metrics import chain
+from model.geometry.cleaning import OBJECT
+from model.geometry.crop import crop
+from model.geometry.parts import split
+from model.geometry.prepare import PrepareSettings, moved, prepare
+from model.prediction.registry import DEFAULT, load_predictor
+from model.segmentation.prompts import BASE
+from model.segmentation.registry import load_segmenter
+
+Frame = Literal["cleaned by the truth", "upright", "any"]
+FRAMES: tuple[Frame, ...] = ("cleaned by the truth", "upright", "any")
+
+AXIS, LINE = 0.15, 0.06
+"""Radians between the axes, and diagonals from the true axis line, up to which a joint is right."""
+LEVEL = np.radians(2)
+"""Radians up to which up counts as found."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ScansConfig:
+    """What is measured.
+
+    Attributes:
+        data: the objects.
+        half: "choose" and "table" are two halves of the shuffled objects that share none.
+        limit: objects of that half; 0 for all.
+        seed: of the shuffle and the scans.
+        frames: of :data:`FRAMES`.
+        points: of a scan.
+        predictor: name.
+        jobs: processes.
+    """
+
+    data: DatasetOptions
+    half: Literal["choose", "table", "all"] = "table"
+    limit: int = 15
+    seed: int = 0
+    frames: tuple[Frame, ...] = FRAMES
+    points: int = 220_000
+    predictor: str = DEFAULT
+    jobs: int = 2
+
+
+@dataclass(frozen=True)
+class ScanScore:
+    """What came of one scan.
+
+    Attributes:
+        id, frame: of the object, and how it was delivered.
+        up_error: radians; 0 where up was given.
+        iou: after each round, of the moving parts that are seen.
+        clicks, drops: how many, and how many of them lowered the mean IoU by more than
+            :data:`~model.evaluation.segmentation.visible_clicks.DROP`.
+        joints, right: true moving joints, and those that were predicted right.
+        extra: moving joints that the object hasn't.
+        seconds: of preparing, encoding, the clicks together, and predicting.
+        problem: why it ended early, or "".
+    """
+
+    id: str
+    frame: Frame
+    up_error: float = 0.0
+    iou: tuple[float, ...] = ()
+    clicks: int = 0
+    drops: int = 0
+    joints: int = 0
+    right: int = 0
+    extra: int = 0
+    seconds: tuple[float, ...] = ()
+    problem: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether every joint of the object is right and none is extra."""
+        return not self.problem and self.joints == self.right > 0 and not self.extra
+
+
+def run(config: ScansConfig, progress: Progress = no_progress) -> list[ScanScore]:
+    """Measure; objects whose process dies are counted as problems."""
+    ids = list(open_dataset(config.data).ids())
+    np.random.default_rng(config.seed).shuffle(ids)
+    middle = len(ids) // 2
+    ids = {"choose": ids[:middle], "table": ids[middle:], "all": ids}[config.half]
+    ids = ids[: config.limit or None]
+    out: list[ScanScore] = []
+    for k, (name, found) in enumerate(robust_map(partial(score_object, config), ids, config.jobs)):
+        out += found or [ScanScore(name, frame, problem="crashed") for frame in config.frames]
+        progress((k + 1) / len(ids), name)
+    return sorted(out, key=lambda s: (FRAMES.index(s.frame), ids.index(s.id)))
+
+
+def score_object(config: ScansConfig, name: str) -> list[ScanScore]:
+    """One object in each frame, from one scan."""
+    try:
+        truth = open_dataset(config.data).load(name).object
+        rng = np.random.default_rng([config.seed, *name.encode()])
+        scan = reconstruct_scan(
+            truth, ReconstructionSettings(points=config.points, clutter=int(rng.integers(3))), rng
+        )
+    except ArtiworldError as error:
+        return [ScanScore(name, f, problem=str(error)) for f in config.frames]
+    out: list[ScanScore] = []
+    for frame in config.frames:
+        try:
+            out.append(_scored(config, name, frame, truth, scan))
+        except ArtiworldError as error:
+            out.append(ScanScore(name, frame, problem=f"{type(error).__name__}: {error}"))
+    return out
+
+
+def _scored(
+    config: ScansConfig, name: str, frame: Frame, truth: ArticulatedObject, scan: Reconstruction
+) -> ScanScore:
+    seconds: list[float] = []
+    start = time.perf_counter()
+
+    def lap() -> None:
+        nonlocal start
+        now = time.perf_counter()
+        seconds.append(now - start)
+        start = now
+
+    asset, object_from_truth, kept, up_error = _delivered(frame, truth, scan)
+    lap()
+    part_of = _numbers(truth)
+    index = scan.part[kept]
+    labels = np.where(index < 0, -1, part_of[np.maximum(index, 0)]).astype(np.int16)
+    session = load_segmenter().encode(asset)
+    lap()
+    front = object_from_truth[:3, :3] @ _front(config)
+    picture = picture_of(asset, front / np.linalg.norm(front))
+    rounds = visible_rounds(session, picture, labels, 3)
+    lap()
+    if not rounds.iou:
+        return ScanScore(name, frame, up_error, problem="no moving part is seen")
+    names = {int(part_of[k]): p.name for k, p in enumerate(truth.parts) if p.name}
+    parts = split(asset, rounds.labels, names)
+    guess = load_predictor(config.predictor).predict(
+        SegmentedObject(name, parts, truth.category), seed=0
+    )
+    lap()
+    seen = [p for p in rounds.parts if p != BASE]
+    right, joints, extra = _joints_right(truth, part_of, seen, guess.tree, object_from_truth)
+    return ScanScore(
+        name, frame, up_error, rounds.iou, rounds.clicks, rounds.drops, joints, right, extra,
+        tuple(round(s, 3) for s in seconds),
+    )  # fmt: skip
+
+
+def _delivered(
+    frame: Frame, truth: ArticulatedObject, scan: Reconstruction
+) -> tuple[Asset, Array, npt.NDArray[np.int64], float]:
+    """The prepared asset, (4, 4) asset_from_truth, kept elements, and the error of up (rad)."""
+    source = Asset(truth.name, cloud=scan.cloud)
+    if frame != "any":
+        upright = moved(source, np.linalg.inv(scan.source_from_object))
+        if frame == "upright":
+            found = prepare(upright, PrepareSettings(up=(0, 0, 1)))
+            return found.asset, found.object_from_source, found.kept, 0.0
+        kept = np.flatnonzero(scan.kind == OBJECT)
+        return crop(upright, scan.kind == OBJECT), np.eye(4), kept, 0.0
+    bounds = np.concatenate([p.bounds for p in truth.parts])
+    height = float(np.ptp(bounds[:, 2]))
+    found = prepare(source, PrepareSettings(height=height))
+    up = scan.source_from_object[:3, 2]
+    cosine = float(np.dot(found.levelling.up, up) / np.linalg.norm(up))
+    error = float(np.arccos(np.clip(cosine, -1, 1)))
+    return found.asset, found.object_from_source @ scan.source_from_object, found.kept, error
+
+
+def _numbers(truth: ArticulatedObject) -> npt.NDArray[np.int64]:
+    """(P,) number of each part: 0 for the one that nothing moves, the others from 1 on."""
+    links = [p.link for p in truth.parts]
+    still = [k for k, link in enumerate(links) if not chain(truth.tree, link, set(links))[1]]
+    base = links.index(truth.tree.root) if truth.tree.root in links else (still or [0])[0]
+    order = [base, *(k for k in range(len(links)) if k != base)]
+    out = np.zeros(len(links), np.int64)
+    out[order] = np.arange(len(links))
+    return out
+
+
+def _front(config: ScansConfig) -> Array:
+    """Where the data set's objects look to."""
+    return np.array(FRONT if config.data.name == "partnet-mobility" else (0.0, -1.0, 0.0))
+
+
+def _joints_right(
+    truth: ArticulatedObject,
+    part_of: npt.NDArray[np.int64],
+    seen: Sequence[int],
+    tree: KinematicTree | None,
+    asset_from_truth: Array,
+) -> tuple[int, int, int]:
+    """Right joints and true joints of the parts that are seen, and extra ones."""
+    links = {p.link for p in truth.parts}
+    bounds = np.concatenate([p.bounds for p in truth.parts])
+    scale = float(np.cbrt(np.linalg.det(asset_from_truth[:3, :3])))
+    diagonal = scale * float(np.linalg.norm(np.ptp(bounds, axis=0)))
+    mine = set() if tree is None else {f"link_{n}" for n in [BASE, *seen]} & set(tree.links)
+    right = total = extra = 0
+    for k, part in enumerate(truth.parts):
+        if int(part_of[k]) not in seen:
+            continue
+        true = list(chain(truth.tree, part.link, links)[1])
+        link = f"link_{part_of[k]}"
+        found = [] if tree is None or link not in mine else list(chain(tree, link, mine)[1])
+        total += len(true)
+        extra += max(len(found) - len(true), 0)
+        for joint in true:
+            hit = next((j for j in found if _agrees(joint, j, asset_from_truth, diagonal)), None)
+            if hit is not None:
+                found.remove(hit)
+                right += 1
+    return right, total, extra
+
+
+def _agrees(true: Joint, found: Joint, asset_from_truth: Array, diagonal: float) -> bool:
+    """Whether type, axis and, of what turns, the axis line are right."""
+    linear = asset_from_truth[:3, :3]
+    axis = linear @ np.asarray(true.axis)
+    axis /= np.linalg.norm(axis)
+    if found.type != true.type or abs(float(axis @ np.asarray(found.axis))) < np.cos(AXIS):
+        return False
+    if not true.rotates:
+        return True
+    offset = np.asarray(found.origin) - (linear @ np.asarray(true.origin) + asset_from_truth[:3, 3])
+    return float(np.linalg.norm(np.cross(axis, offset))) <= LINE * diagonal
+
+
+def table(scores: Sequence[ScanScore]) -> Iterator[dict[str, float | str]]:
+    """One row a frame; shares in 0..1, seconds are medians of preparing, encoding, clicking and
+    predicting together."""
+    for frame in FRAMES:
+        rows = [s for s in scores if s.frame == frame]
+        if not rows:
+            continue
+        clicked = [s for s in rows if s.iou]
+        row: dict[str, float | str] = {"frame": frame, "objects": len(rows)}
+        row["up within 2°"] = float(np.mean([s.up_error <= LEVEL for s in rows]))
+        for k in range(3):
+            row[f"IoU@{k + 1}"] = float(np.mean([s.iou[k] for s in clicked] or [0.0]))
+        row["drops"] = sum(s.drops for s in rows) / max(sum(s.clicks for s in rows), 1)
+        row["joints right"] = sum(s.right for s in rows) / max(sum(s.joints for s in rows), 1)
+        row["objects right"] = float(np.mean([s.whole for s in rows]))
+        row["seconds"] = float(np.median([sum(s.seconds) for s in clicked] or [0.0]))
+        yield row
+
+
+def to_json(scores: Sequence[ScanScore]) -> str:
+    """The table and all scores."""
+    return json.dumps(
+        {"table": list(table(scores)), "scans": [asdict(s) for s in scores]}, indent=2
+    )
