@@ -35,8 +35,8 @@ class AnnotatorReport:
         return [self._row(name) for name in (*self.config.predictors, BY_HAND)]
 
     def _row(self, name: str) -> tuple[str, ...]:
-        own = [s for s in self.scores if s.predictor == name]
-        right = [s for s in own if s.right]
+        scores = [s for s in self.scores if s.predictor == name]
+        right = [s for s in scores if s.right]
         hand = {
             s.object_id: s.corrections for s in self.scores if s.predictor == BY_HAND and s.right
         }
@@ -46,8 +46,8 @@ class AnnotatorReport:
         joints = sum(s.joints for s in right)
         return (
             name,
-            str(len(own)),
-            _percent(len(right) / len(own) if own else math.nan),
+            str(len(scores)),
+            _percent(len(right) / len(scores) if scores else math.nan),
             _mean([s.clicks for s in right]),
             _mean([s.part_iou for s in right], 3),
             _percent(sum(s.wrong for s in right) / joints if joints else math.nan),

@@ -39,7 +39,7 @@ class CheckTask:
     """One asset to check; picklable.
 
     Attributes:
-        store: folder of kept collision shapes.
+        store: folder of cached collision shapes.
         gate: whether the joints are validated.
         coacd_seconds: time for the comparison with coacd; 0 for none.
     """

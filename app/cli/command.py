@@ -126,42 +126,44 @@ def add_options(parser: Any, options: type) -> None:
             title = each.metadata["title"]
             add_options(parser.add_argument_group(title) if title else parser, hint)  # type: ignore[arg-type]
             continue
-        own: Option = each.metadata["option"]
+        spec: Option = each.metadata["option"]
         default = None if each.default is MISSING else each.default
-        if own.flag == "":
+        if spec.flag == "":
             settings = {} if default is None else {"default": default}
-            parser.add_argument(each.name, **settings, **_settings(own, hint, default))
+            parser.add_argument(each.name, **settings, **_settings(spec, hint, default))
             continue
-        name = own.flag or f"--{each.name.replace('_', '-')}"
+        name = spec.flag or f"--{each.name.replace('_', '-')}"
         parser.add_argument(
             name, dest=each.name, required=each.default is MISSING,
             default=list(default) if isinstance(default, tuple) else default,
-            **_settings(own, hint, default),
+            **_settings(spec, hint, default),
         )  # fmt: skip
-        if (also := own.synonym) is not None:
+        if (also := spec.synonym) is not None:
             settings = _settings(also, hint, None)
             parser.add_argument(also.flag, dest=each.name, default=argparse.SUPPRESS, **settings)
 
 
-def _settings(own: Option, hint: Any, default: Any) -> dict[str, Any]:
+def _settings(spec: Option, hint: Any, default: Any) -> dict[str, Any]:
     """What argparse is told of an option whose field has the type ``hint``."""
     if get_origin(hint) in (Union, UnionType):
         (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
-    text = {"help": own.help + _default_text(own.help, default)}
+    text = {"help": spec.help + _default_text(spec.help, default)}
     if hint is bool:
-        return text | {"action": argparse.BooleanOptionalAction if own.negatable else "store_true"}
-    settings: dict[str, Any] = text | {"metavar": own.metavar}
-    if own.repeat:
+        return text | {"action": argparse.BooleanOptionalAction if spec.negatable else "store_true"}
+    settings: dict[str, Any] = text | {"metavar": spec.metavar}
+    if spec.repeat:
         settings["action"] = "append"
-    elif own.nargs:
-        settings["nargs"] = own.nargs
-    elif get_origin(hint) is tuple and own.parse is None:
+    elif spec.nargs:
+        settings["nargs"] = spec.nargs
+    elif get_origin(hint) is tuple and spec.parse is None:
         settings["nargs"] = len(get_args(hint))
     if get_origin(hint) is tuple:
         hint = get_args(hint)[0]
     if get_origin(hint) is Literal:
         return settings | {"choices": get_args(hint)}
-    return settings if own.parse is None and hint is str else settings | {"type": own.parse or hint}
+    return (
+        settings if spec.parse is None and hint is str else settings | {"type": spec.parse or hint}
+    )
 
 
 def _default_text(help: str, default: Any) -> str:

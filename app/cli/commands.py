@@ -245,7 +245,7 @@ class SceneInspectCommand(Command):
     finder_batch: int = option("openai: objects per question", "N", 20, parse=positive_count)
     finder_timeout: float = option("openai: time for one answer", "SECONDS", 120.0)
     finder_cache: Path | None = option(
-        "folder of kept answers (default: ~/.cache/artiworld/finder)", "DIR"
+        "folder of cached answers (default: ~/.cache/artiworld/finder)", "DIR"
     )
     price: tuple[float, float] | None = option(
         "prices of a million tokens, for the cost", "IN,OUT", parse=prices

@@ -64,8 +64,8 @@ def _score(options: EvaluateCommand, progress: Progress) -> Result:
     configs = configurations(options)
     reports: list[Report] = []
     for i, config in enumerate(configs):
-        own = scaled_progress(progress, i / len(configs), (i + 1) / len(configs))
-        reports.append(evaluate_method(config, progress=own))
+        span = scaled_progress(progress, i / len(configs), (i + 1) / len(configs))
+        reports.append(evaluate_method(config, progress=span))
     if options.out is not None:
         for config, report in zip(configs, reports, strict=True):
             assert config.out is not None
@@ -185,8 +185,8 @@ def _compare(options: EvaluateCommand, _: Progress) -> Result:
     """Compare the reports of two runs."""
     assert options.compare is not None
     a, b = map(read_report, options.compare)
-    made = compare(a, b, seed=options.seed)
+    comparison = compare(a, b, seed=options.seed)
     if options.out is not None:
-        write_json(options.out / "comparison.json", made.to_json())
-        (options.out / "comparison.md").write_text(made.to_markdown(), encoding="utf-8")
-    return made.to_json(), lambda: print_comparison(made)
+        write_json(options.out / "comparison.json", comparison.to_json())
+        (options.out / "comparison.md").write_text(comparison.to_markdown(), encoding="utf-8")
+    return comparison.to_json(), lambda: print_comparison(comparison)

@@ -36,7 +36,7 @@ class ExportTask:
 
     Attributes:
         folders: (format, its folder).
-        store: folder of kept collision shapes.
+        store: folder of cached collision shapes.
         check: whether each file is read back.
     """
 

@@ -117,9 +117,9 @@ class PhysicsOptions:
     sliding: str | None = option("of sliding joints, in N s/m,N", "DAMPING,FRICTION")
     free_base: bool = flag("let the base move, in formats that state it (MJCF, SDF, USD)")
     cache: Path | None = option(
-        "folder of kept collision shapes (default: ~/.cache/artiworld/collision)", "DIR"
+        "folder of cached collision shapes (default: ~/.cache/artiworld/collision)", "DIR"
     )
-    no_cache: bool = flag("keep no collision shapes")
+    no_cache: bool = flag("cache no collision shapes")
 
 
 def json_flag() -> Any:

@@ -51,7 +51,7 @@ def physics_settings(options: PhysicsOptions) -> PhysicsSettings:
 
 
 def shape_store(options: PhysicsOptions) -> Path | None:
-    """Folder of kept collision shapes; None keeps none."""
+    """Folder of cached collision shapes; None caches none."""
     return None if options.no_cache else options.cache or default_store()
 
 

@@ -76,15 +76,10 @@ def predict(
         write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
-    inertials = {k: i for k, i in segmented.inertials.items() if k in answer.tree.links}
-    shapes = {k: each for k, each in segmented.shapes.items() if k in answer.tree.links}
-    obj = ArticulatedObject(
-        segmented.name, segmented.parts, answer.tree, segmented.category, inertials, shapes
-    )
-    if collision or all(p.link in shapes for p in obj.parts):
-        physics = physics_of(
-            obj, store=default_store(), progress=scaled_progress(progress, 0.7, 0.8)
-        )
+    obj = _articulated(segmented, answer.tree)
+    if collision or all(p.link in obj.shapes for p in obj.parts):
+        span = scaled_progress(progress, 0.7, 0.8)
+        physics = physics_of(obj, store=default_store(), progress=span)
     else:
         physics = plain_physics(obj)
     report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
@@ -102,6 +97,15 @@ def predict(
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
     return report
+
+
+def _articulated(segmented: SegmentedObject, tree: KinematicTree) -> ArticulatedObject:
+    """The parts with ``tree``; what a source declares of links that are in no joint is left out."""
+    inertials = {k: i for k, i in segmented.inertials.items() if k in tree.links}
+    shapes = {k: each for k, each in segmented.shapes.items() if k in tree.links}
+    return ArticulatedObject(
+        segmented.name, segmented.parts, tree, segmented.category, inertials, shapes
+    )
 
 
 def _check_replaceable(out: Path) -> None:

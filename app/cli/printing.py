@@ -81,10 +81,10 @@ def progress_bar() -> Iterator[Progress]:
 def console(pipe_width: int = PIPE_WIDTH) -> Console:
     """Standard output, wide enough for a table in a pipe."""
     # Names of users' files are plain text, whatever brackets they contain.
-    made = Console(markup=False, highlight=False, emoji=False)
-    if not made.is_terminal:
-        made.width = max(pipe_width, made.width)
-    return made
+    console = Console(markup=False, highlight=False, emoji=False)
+    if not console.is_terminal:
+        console.width = max(pipe_width, console.width)
+    return console
 
 
 def table_of(

@@ -42,13 +42,13 @@ def train(options: TrainCommand) -> int:
     if options.steps is not None and options.steps < 1:
         raise ConfigurationError(f"--steps must be 1 or more, got {options.steps}")
     check_output(options.out)
-    full, own = full_presets().get(options.preset), options.full_model
+    full, large = full_presets().get(options.preset), options.full_model
     if full is not None:
         config = _full_config(options, full)
         from app.cli.train_full import train_full_model  # needs the packages of an extra
 
         return train_full_model(options, config)
-    if own.language_model or own.point_encoder or own.lora or own.cache or own.settings:
+    if large.language_model or large.point_encoder or large.lora or large.cache or large.settings:
         raise ConfigurationError(
             "--language-model, --point-encoder, --lora, --cache and --set belong to the paper-size "
             f"model; with --preset {options.preset} leave them out, or choose one of "
@@ -122,8 +122,8 @@ def _full_config(options: TrainCommand, preset: FullConfig) -> FullConfig:
     Raises:
         ConfigurationError: where weights or packages to start from are missing.
     """
-    own = options.full_model
-    if own.language_model is None or own.point_encoder is None:
+    large = options.full_model
+    if large.language_model is None or large.point_encoder is None:
         raise ConfigurationError(
             f"--preset {options.preset} needs --language-model, a folder of Qwen3, and "
             "--point-encoder, a checkpoint of ULIP-2"
@@ -132,8 +132,8 @@ def _full_config(options: TrainCommand, preset: FullConfig) -> FullConfig:
         preset, samples=options.samples, seed=options.seed, steps=options.steps or 0,
         held_out=options.all_categories, test_share=options.test_share,
     )  # fmt: skip
-    if own.lora:
+    if large.lora:
         config = replace(config, lora_rank=LORA_RANK, learning_rate=LORA_RATE)
-    config = with_settings(config, own.settings)
+    config = with_settings(config, large.settings)
     require_extras(config)
     return config

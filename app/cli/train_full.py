@@ -49,11 +49,11 @@ def _sources(options: TrainCommand, config: FullConfig) -> Sources:
     for dataset in map(recognised, options.data):
         ids = training_ids(dataset, held_out=config.held_out, test_share=config.test_share)
         listed += [(dataset, object_id) for object_id in ids]
-    own, seed = options.full_model, config.seed
-    assert own.point_encoder is not None and own.language_model is not None
-    objects = ObjectSet(config.samples, seed + 1, families, tuple(listed), own.cache)
-    held = ObjectSet(config.validation, seed + 900, training_families(), (), own.cache)
+    large, seed = options.full_model, config.seed
+    assert large.point_encoder is not None and large.language_model is not None
+    objects = ObjectSet(config.samples, seed + 1, families, tuple(listed), large.cache)
+    held = ObjectSet(config.validation, seed + 900, training_families(), (), large.cache)
     local = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
     cores = (os.cpu_count() or 1) // local - 1
     jobs = max(0, (options.jobs or cores + 1) - 1)  # this process itself is one
-    return Sources(own.point_encoder, own.language_model, objects, held, jobs=jobs)
+    return Sources(large.point_encoder, large.language_model, objects, held, jobs=jobs)

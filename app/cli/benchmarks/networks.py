@@ -108,7 +108,7 @@ def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[st
     train = gpu if config.train is None else config.train
     name = torch.cuda.get_device_name() if gpu else f"CPU, {torch.get_num_threads()} threads"
     report: dict[str, Any] = {"device": name, "torch": torch.__version__}
-    progress(0.0, "Making objects")
+    progress(0.0, "generating objects")
     examples = _examples(config)
     rows: list[dict[str, Any]] = []
     share = 0.85 / len(sizes)
@@ -256,10 +256,10 @@ def _predicting(
 ) -> dict[str, Any]:
     """Predict a chest of drawers; the baseline writes as many tokens one by one."""
     dtype = torch.bfloat16 if device == "cuda" else torch.float32
-    made = make_full_model(ulip2, qwen3, dtype=dtype)
-    made.encoder.config = replace(config.encoder, **_cut(config.training))
-    made.save(folder)
-    del made
+    model = make_full_model(ulip2, qwen3, dtype=dtype)
+    model.encoder.config = replace(config.encoder, **_cloud_sizes(config.training))
+    model.save(folder)
+    del model
     gc.collect()
     start = time.perf_counter()
     predictor = load_full_predictor(folder)
@@ -290,7 +290,7 @@ def _predicting(
     }
 
 
-def _cut(training: FullConfig) -> dict[str, int]:
+def _cloud_sizes(training: FullConfig) -> dict[str, int]:
     return {name: getattr(training, name) for name in ("points", "groups", "neighbours")}
 
 
@@ -368,8 +368,8 @@ def tables(report: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
         names = names or {"": None}
         rows = []
         for model, figures in found.items():
-            own = {next(iter(names)): figures} if isinstance(figures, str) else figures
-            rows.append({"model": model, **{n: _shown(own.get(n, "")) for n in names}})
+            cells = {next(iter(names)): figures} if isinstance(figures, str) else figures
+            rows.append({"model": model, **{n: _shown(cells.get(n, "")) for n in names}})
         out.append((f"Arti4URDF, {kind} ({where})", rows))
     row = {name: _shown(value) for name, value in report["Point-SAM"].items()}
     return [*out, (f"Point-SAM, ViT-L ({where})", [row])]
