@@ -12,7 +12,7 @@ from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import UsableLimits, axis_angle, compare_ranges, point_to_line
 from model.evaluation.tree_metrics import chain, path
-from model.prediction.geometric.type_change import retyped
+from model.prediction.geometric.type_change import change_joint_type
 from sessions.commands import SetJoint, SetRoot
 from sessions.live import LiveSession
 
@@ -88,7 +88,7 @@ class JointCorrector:
         if self.tree.joint_of[child].type != true.type:
             # As on the screen, geometry proposes the joint of that type.
             parts = SegmentedObject(self.truth.name, self.truth.parts, self.truth.category)
-            self._do(SetJoint(retyped(parts, self.tree, child, true.type)))
+            self._do(SetJoint(change_joint_type(parts, self.tree, child, true.type)))
         if axis_angle(true.axis, self.tree.joint_of[child].axis) > self.limits.axis:
             self._change(child, axis=true.axis)
         origin = self.tree.joint_of[child].origin

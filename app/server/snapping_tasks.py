@@ -18,7 +18,7 @@ from model.geometry.sampling import sample_surface
 from model.kinematics.barrels import on_barrels
 from model.kinematics.snapping import axis_along_box, box_of, origin_on_box_edge, origin_on_contact
 from model.kinematics.sweep import free_range
-from model.prediction.geometric.type_change import retyped
+from model.prediction.geometric.type_change import change_joint_type
 
 SWEEP_POINTS = 3000
 
@@ -63,8 +63,8 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
 
 def retype_joint(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:
     """The joint of ``child`` as one of another type:
-    :func:`model.prediction.geometric.type_change.retyped`."""
-    return retyped(segmented_object(source), tree, child, kind)
+    :func:`model.prediction.geometric.type_change.change_joint_type`."""
+    return change_joint_type(segmented_object(source), tree, child, kind)
 
 
 def _surface_points(part: Part) -> npt.NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""The answer as text and back: the paper's two blocks, written and parsed in this one place.
+"""The answer as text and back: the only writer and parser of the paper's two blocks.
 
 ``<json_start>`` the kinematic tree without numbers ``<json_end>``, then ``<urdf_start>`` the whole
 URDF ``<urdf_end>``. Bad text never raises: it becomes problems.
@@ -27,8 +27,7 @@ from model.prediction.arti4urdf.grammar import FREE, Decision
 from model.prediction.arti4urdf.structure import Structure
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_limits import from_zero
-from model.prediction.geometric.hypothesis import Hypothesis, snapped, unit
-from model.prediction.geometric.predictor import joints_of
+from model.prediction.geometric.proposal import JointProposal, joints_of, snapped, unit
 
 Array = npt.NDArray[np.float64]
 
@@ -37,60 +36,55 @@ URDF_START, URDF_END = "<urdf_start>", "<urdf_end>"
 LONGEST = 4_000_000
 """Characters of an answer that are still read."""
 LINE_REACH = 1.0
-"""Free lines lie within this many diagonals of the part's centre, along each axis."""
+"""Largest offset (diagonals) of a free line from the part's centre, along each axis."""
 
 
 def joints_of_decision(
-    structure: Structure, part: int, decision: Decision, hung: Assembly | None = None
+    structure: Structure, part: int, decision: Decision, assembly: Assembly | None = None
 ) -> list[Joint]:
-    """The joint (with its helper's, for a screw) that a decision means, in the object's frame.
+    """The joint of a decision (after its helper's, for a screw) in the object's frame.
 
     Args:
-        structure: whose candidates were chosen among.
-        part: index of the part; its decision has a parent.
-        decision: of the part.
-        hung: the parts as they were decided to hang: doors that are shut there start at 0.
+        structure: with the candidates. part: its index. decision: of the part, with a parent.
+        assembly: with the decided tree: doors that are shut in it start at 0.
     """
-    scene = structure.scene
-    links = [s.link for s in scene.shapes]
-    found = hypothesis_of(structure, part, decision)
-    if hung is not None:
-        found = from_zero(PartContext(hung, part), found)
-    return joints_of(scene, links, part, decision.parent, found)
+    found = proposal_of(structure, part, decision)
+    if assembly is not None:
+        found = from_zero(PartContext(assembly, part), found)
+    return joints_of(structure.sampled, part, decision.parent, found)
 
 
-def hypothesis_of(structure: Structure, part: int, decision: Decision) -> Hypothesis:
-    """What a decision means, in the working frame."""
+def proposal_of(structure: Structure, part: int, decision: Decision) -> JointProposal:
+    """The joint of a decision in the working frame."""
     kind = v.TYPES[decision.type]
-    shape = structure.scene.shapes[part]
+    shape = structure.sampled.shapes[part]
     if kind == "fixed":
-        return Hypothesis("fixed", np.array([0.0, 0.0, 1.0]), shape.center)
+        return JointProposal("fixed", np.array([0.0, 0.0, 1.0]), shape.center)
     if decision.slot == FREE:
         found = _free(structure, part, decision.numbers, kind)
     else:
-        found = structure.offered(part, decision.slot)
+        found = structure.candidate(part, decision.slot)
         assert found is not None
     if kind == "screw":
         return replace(found, type="continuous", travel=_travel(structure, part, found, decision))
-    joint_type = kind
-    if kind == "continuous":
-        return replace(found, type="continuous", lower=0.0, upper=0.0, travel=None)
-    lower, upper = _limits(structure, part, found, decision)
-    return replace(found, type=joint_type, lower=lower, upper=upper, travel=None)  # type: ignore[arg-type]
+    lower, upper = (0.0, 0.0)
+    if kind != "continuous":
+        lower, upper = _limits(structure, part, found, decision)
+    return replace(found, type=kind, lower=lower, upper=upper, travel=None)  # type: ignore[arg-type]
 
 
-def _free(structure: Structure, part: int, numbers: list[int], kind: str) -> Hypothesis:
+def _free(structure: Structure, part: int, numbers: list[int], kind: str) -> JointProposal:
     values = [v.level_coordinate(n, 1.0) for n in numbers]
-    box = structure.scene.shapes[part].box
+    box = structure.sampled.shapes[part].box
     directions = np.concatenate([np.eye(3), box.axes.T])
     axis = snapped(unit(np.array(values[:3])), directions, 0.12)
     arm = np.array(values[3:]) * LINE_REACH
     joint_type = "prismatic" if kind == "prismatic" else "revolute"
-    return Hypothesis(joint_type, axis, structure.scene.shapes[part].center + arm)
+    return JointProposal(joint_type, axis, structure.sampled.shapes[part].center + arm)
 
 
 def _limits(
-    structure: Structure, part: int, found: Hypothesis, decision: Decision
+    structure: Structure, part: int, found: JointProposal, decision: Decision
 ) -> tuple[float, float]:
     rotates = v.TYPES[decision.type] == "revolute"
     if decision.lower >= 0:
@@ -99,27 +93,27 @@ def _limits(
     else:
         lower, upper = found.lower, found.upper
     if upper - lower < 1e-3:
-        reach = structure.scene.shapes[part].box.reach(found.axis)
+        reach = structure.sampled.shapes[part].box.reach(found.axis)
         lower, upper = (0.0, np.pi / 2) if rotates else (0.0, max(0.02, reach))
     return float(lower), float(upper)
 
 
 def _travel(
-    structure: Structure, part: int, found: Hypothesis, decision: Decision
+    structure: Structure, part: int, found: JointProposal, decision: Decision
 ) -> tuple[float, float]:
     if decision.lower >= 0 and decision.upper > decision.lower:
         return v.level_travel(decision.lower), v.level_travel(decision.upper)
     if found.travel is not None:
         return found.travel
-    return 0.0, max(0.02, 2 * structure.scene.shapes[part].box.reach(found.axis))
+    return 0.0, max(0.02, 2 * structure.sampled.shapes[part].box.reach(found.axis))
 
 
 DECIMALS = 5
-"""Of the numbers that a language model writes: hundredths of a millimetre."""
+"""Of the numbers that a language model writes: a hundredth of a millimetre."""
 
 
 def rounded(answer: str) -> str:
-    """The answer with the numbers of its URDF to :data:`DECIMALS`, as a model is to write them."""
+    """The answer with the numbers of its URDF rounded to :data:`DECIMALS`, for training."""
 
     def shorter(found: re.Match[str]) -> str:
         return found[1] + vector(np.round([float(x) for x in found[2].split()], DECIMALS)) + '"'
@@ -128,7 +122,7 @@ def rounded(answer: str) -> str:
 
 
 def write_answer(tree: KinematicTree, segmented: SegmentedObject, mesh_suffix: str = ".obj") -> str:
-    """The text that says ``tree``: JSON without numbers, then the URDF with mesh references."""
+    """The text of a tree: JSON without numbers, then the URDF with references to meshes."""
     obj = ArticulatedObject(segmented.name, segmented.parts, tree, segmented.category)
     meshes = {p.link: [f"meshes/{p.link}{mesh_suffix}"] for p in segmented.parts}
     body = json.dumps(tree_to_json(tree), indent=1)
@@ -140,8 +134,8 @@ def parse_answer(text: str) -> tuple[KinematicTree | None, tuple[str, ...]]:
     """Read an answer.
 
     Returns:
-        The tree of the URDF block (None where there is none) and everything that is wrong,
-        disagreement of the two blocks included. Never raises on bad text.
+        The tree of the URDF block or None, and all problems, disagreements of the two blocks
+        included. Never raises on bad text.
     """
     if len(text) > LONGEST:
         return None, (f"the answer has {len(text)} characters, more than {LONGEST}",)
@@ -164,7 +158,7 @@ def _block(text: str, start: str, end: str, problems: list[str]) -> str | None:
     if not found:
         problems.append(f"the answer has no block between {start} and {end}")
         return None
-    # Thinking aloud may quote the tags; the last block is the answer.
+    # The model's reasoning may quote the tags; the last block is the answer.
     return str(found[-1]).strip()
 
 
@@ -180,6 +174,6 @@ def _tree_of(urdf: str, problems: list[str]) -> KinematicTree | None:
         except ArtiworldError as error:
             problems.append(str(error).replace(str(path), "the URDF"))
             return None
-    # A model writes few decimals of an axis.
+    # A model writes axes with few decimals.
     problems.extend(n for n in model.notes if n not in model.rescaled)
     return model.tree

@@ -1,7 +1,7 @@
-"""Constrained decoding: forced spans in one forward pass, only real choices are made.
+"""Constrained decoding: forced tokens are read in one pass, and only choices are made.
 
-Probabilities are renormalised over what the grammar allows. Candidates that mean the same motion
-share their probability, so that a hinge is not outvoted because three mechanisms propose it.
+Probabilities are renormalised over what the grammar allows. Candidates with the same motion share
+their probability, so that a hinge isn't outvoted because three mechanisms propose it.
 """
 
 from __future__ import annotations
@@ -14,29 +14,31 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from model.core.threads import chosen_by_person
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.grammar import Choice, Decision, Feed, Grammar, Lock
-from model.prediction.arti4urdf.network import ArtiModel, Prompt, feeds_to_tensors
+from model.prediction.arti4urdf.grammar import Choice, Decision, Grammar, Lock, Token
+from model.prediction.arti4urdf.network import ArtiModel, Encoded, Prompt, token_tensors
 from model.prediction.arti4urdf.structure import CANDIDATE_SCALARS, SLOTS
 
 Array = npt.NDArray[np.float64]
 
 SAME_AXIS = 0.998
+"""Cosine above which the axes of two candidates are the same."""
 SAME_LINE = 0.02
-"""Candidates whose axes and lines (diagonals) are nearer than this mean the same motion."""
+"""Distance (diagonals) below which their lines are the same."""
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
-    """One choice as it was made.
+class ChoiceRecord:
+    """A choice and its answer.
 
     Attributes:
-        kind, part: what was asked. word, pointed: the answer, -1 for the other of the two.
-        probability: of the answer (of all that mean the same). words: (SIZE,) of every word.
-        parts: (P,) of every part.
-        plain: (SIZE,) log-odds of every word by the network alone, -inf where it isn't allowed.
+        kind, part: of the choice. word, pointed: the answer, -1 for the other of the two.
+        probability: of the answer, or of all candidates with its motion.
+        words: (SIZE,) probability of every word. parts: (P,) of every part.
+        plain: (SIZE,) log-odds of the words by the network alone, -inf if not allowed.
     """
 
     kind: str
@@ -54,36 +56,23 @@ class Answer:
     """A complete answer.
 
     Attributes:
-        decisions: by part. root: index of the base. made: the choices in order.
-        feeds: all tokens. passes: forward passes of the decoder.
-        log_likelihood: sum over the choices.
+        decisions: by part. root: index of the base. records: the choices in order.
+        tokens: all of the answer. passes: forward passes of the decoder.
     """
 
     decisions: tuple[Decision, ...]
     root: int
-    made: tuple[Made, ...]
-    feeds: tuple[Feed, ...]
+    records: tuple[ChoiceRecord, ...]
+    tokens: tuple[Token, ...]
     passes: int
-    log_likelihood: float
 
-    def choices(self, part: int, kind: str) -> list[Made]:
-        """Choices of a kind that were made about a part."""
-        return [m for m in self.made if m.part == part and m.kind == kind]
-
-
-@dataclass(eq=False)
-class _Tape:
-    """What has been said so far."""
-
-    grammar: Grammar
-    same: npt.NDArray[np.bool_]
-    made: list[Made] = field(default_factory=list)
-    feeds: list[Feed] = field(default_factory=list)
-    passes: int = 0
+    def record(self, part: int, kind: str) -> ChoiceRecord | None:
+        """The first choice of a kind about a part, or None."""
+        return next((r for r in self.records if r.part == part and r.kind == kind), None)
 
 
 def same_motion(prompt: Prompt) -> npt.NDArray[np.bool_]:
-    """(P, SLOTS, SLOTS) which candidates of a part mean the same motion."""
+    """(P, SLOTS, SLOTS) which candidates of a part have the same motion."""
     scalars = prompt.arrays.candidate_scalars
     axis, arm = np.moveaxis(prompt.arrays.candidate_vectors.astype(np.float64), 2, 0)
     along = np.abs(np.einsum("pkd,pld->pkl", axis, axis)) > SAME_AXIS
@@ -97,10 +86,10 @@ def same_motion(prompt: Prompt) -> npt.NDArray[np.bool_]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """torch on one thread, unless the environment says how many.
+    """Run torch on one thread, unless the environment sets the number.
 
-    The small network's steps are so short that several threads wait for each other longer than
-    they work: a hundred times as long where other programs want the processors, too.
+    The steps of the small network are so short that threads wait for each other longer than they
+    compute, a hundred times longer on a busy machine.
     """
     before = torch.get_num_threads()
     if before == 1 or chosen_by_person(os.environ):
@@ -113,6 +102,53 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+@dataclass(eq=False)
+class _Decoding:
+    """One answer in the making."""
+
+    model: ArtiModel
+    encoded: Encoded
+    grammar: Grammar
+    same: npt.NDArray[np.bool_]
+    prior: Array | None
+    span: bool
+    records: list[ChoiceRecord] = field(default_factory=list)
+    tokens: list[Token] = field(default_factory=list)
+    passes: int = 0
+
+    def __post_init__(self) -> None:
+        capacity = self.encoded.prefix.shape[1] + 12 * self.grammar.count
+        self.cache = self.model.decoder.new_cache(capacity=capacity)
+
+    def read(self, tokens: list[Token]) -> Tensor:
+        """Append tokens; the hidden state (1, 1, D) after the last one."""
+        hidden = None
+        for chunk in [tokens] if self.span or not self.cache.length else [[t] for t in tokens]:
+            words, parts = token_tensors(chunk, self.model.device)
+            hidden = self.model(self.encoded, words, parts, cache=self.cache)[:, -1:]
+            self.passes += 1
+        assert hidden is not None
+        self.tokens += tokens
+        return hidden
+
+    def choose(self, choice: Choice, hidden: Tensor) -> Token:
+        """Make a choice and record it."""
+        model = self.model
+        node = torch.tensor([[choice.part if choice.kind == "child" else -1]], device=model.device)
+        words = model.word_logits(hidden)[0, 0]
+        pointers = model.point(self.encoded, hidden, node)[0, 0]
+        logits = torch.cat([words, pointers]).double().cpu().numpy()
+        plain = np.where(choice.words, np.nan_to_num(logits[: v.SIZE], nan=-1e9), -np.inf)
+        if self.prior is not None and choice.kind in ("type", "slot", "lower"):
+            logits[: v.SIZE] += self.prior[choice.part]
+        word, part, value, probability = _likeliest(choice, logits, self.same)
+        words, parts = probability[: v.SIZE], probability[v.SIZE :]
+        self.records.append(
+            ChoiceRecord(choice.kind, choice.part, word, part, value, words, parts, plain)
+        )
+        return self.grammar.take(word, part)
+
+
 @torch.inference_mode()
 @one_thread()
 def decode(
@@ -122,98 +158,69 @@ def decode(
     locked: dict[int, Lock] | None = None,
     prior: Array | None = None,
     span: bool = True,
-    rng: np.random.Generator | None = None,
 ) -> Answer:
-    """Answer one prompt.
+    """Answer one prompt with the likeliest choices.
 
     Args:
-        model: in evaluation mode.
-        prompt: of the object.
-        locked: parts whose parent (and joint) is settled: forced spans.
+        model: in evaluation mode. prompt: of the object.
+        locked: parts whose parent (and joint) is given.
         prior: (P, SIZE) added to the logits of joint types, candidates and limits.
         span: append forced tokens in one pass; False reads them one by one, as plain generation
             does (for the benchmark).
-        rng: sample instead of taking the likeliest.
     """
     scalars = prompt.arrays.candidate_scalars
     present, rotates = scalars[..., 0] > 0, scalars[..., CANDIDATE_SCALARS - 1] > 0
     grammar = Grammar(present, rotates, locked, json_step=model.config.json_step)
-    tape = _Tape(grammar, same_motion(prompt))
-    encoded = model.encode([prompt])
-    cache = model.decoder.new_cache(capacity=encoded.prefix.shape[1] + 12 * len(prompt.arrays))
-    pending: list[Feed] = []
+    state = _Decoding(model, model.encode([prompt]), grammar, same_motion(prompt), prior, span)
+    pending: list[Token] = []
     while True:
         pending += grammar.forced()
-        asked = grammar.choice()
-        if asked is None:
+        choice = grammar.choice()
+        if choice is None:
             break
-        only = _only(asked)
+        only = _only(choice)
         if only is not None:
             pending.append(grammar.take(*only))
-            continue
-        hidden = None
-        for chunk in [pending] if span or not cache.length else [[f] for f in pending]:
-            words, parts = feeds_to_tensors(chunk, model.device)
-            hidden = model(encoded, words, parts, cache=cache)[:, -1:]
-            tape.passes += 1
-        assert hidden is not None
-        tape.feeds += pending
-        node = asked.part if asked.kind == "child" else -1
-        logits = torch.cat(
-            [
-                model.word_logits(hidden)[0, 0],
-                model.point(encoded, hidden, torch.tensor([[node]], device=model.device))[0, 0],
-            ]
-        )
-        values = logits.double().cpu().numpy()
-        plain = np.where(asked.words, np.nan_to_num(values[: v.SIZE], nan=-1e9), -np.inf)
-        if prior is not None and asked.kind in ("type", "slot", "lower"):
-            values[: v.SIZE] += prior[asked.part]
-        pending = [_make(tape, asked, values, plain, rng)]
-    tape.feeds += pending
-    total = float(sum(np.log(max(m.probability, 1e-12)) for m in tape.made))
+        else:
+            pending = [state.choose(choice, state.read(pending))]
     return Answer(
         tuple(grammar.decisions),
         grammar.root,
-        tuple(tape.made),
-        tuple(tape.feeds),
-        tape.passes,
-        total,
+        tuple(state.records),
+        (*state.tokens, *pending),
+        state.passes,
     )
 
 
-def _only(asked: Choice) -> tuple[int, int] | None:
-    """The answer where there is just one."""
-    if int(asked.words.sum()) + int(asked.parts.sum()) != 1:
+def _only(choice: Choice) -> tuple[int, int] | None:
+    """Word and part of a choice with a single option, else None."""
+    if int(choice.words.sum()) + int(choice.parts.sum()) != 1:
         return None
-    if asked.parts.any():
-        return -1, int(np.argmax(asked.parts))
-    return int(np.argmax(asked.words)), -1
+    if choice.parts.any():
+        return -1, int(np.argmax(choice.parts))
+    return int(np.argmax(choice.words)), -1
 
 
-def _make(
-    tape: _Tape, asked: Choice, logits: Array, plain: Array, rng: np.random.Generator | None
-) -> Feed:
-    """Make one choice and record it."""
-    allowed = np.concatenate([asked.words, asked.parts])
+def _likeliest(
+    choice: Choice, logits: Array, same: npt.NDArray[np.bool_]
+) -> tuple[int, int, float, Array]:
+    """Word and part (one is -1) of the likeliest option, its probability, and that of all."""
+    allowed = np.concatenate([choice.words, choice.parts])
     logits = np.where(allowed, np.nan_to_num(logits, nan=-1e9), -np.inf)
     weights = np.exp(logits - logits[allowed].max())
     probability = weights / weights.sum()
     words, parts = probability[: v.SIZE], probability[v.SIZE :]
-    score = probability
-    if asked.kind == "slot":
-        words = words.copy()
-        shared = tape.same[asked.part] @ words[v.SLOT_IDS]
-        score = probability.copy()
-        score[v.SLOT_IDS] = np.where(asked.words[v.SLOT_IDS], shared + 1e-6 * words[v.SLOT_IDS], 0)
-    elif asked.kind == "child":
-        # Children come in any order: their probability is shared among those still to come.
-        score = probability.copy()
+    score = probability.copy()
+    if choice.kind == "slot":
+        slots = words[v.SLOT_IDS]
+        shared = same[choice.part] @ slots
+        score[v.SLOT_IDS] = np.where(choice.words[v.SLOT_IDS], shared + 1e-6 * slots, 0)
+    elif choice.kind == "child":
+        # Children come in any order: their probability is shared by those still to come.
         close = v.ID["<close>"]
-        if asked.words[close]:
+        if choice.words[close]:
             score[close] = 2.0 if words[close] > parts.sum() else -1.0
-    pick = int(np.argmax(score)) if rng is None else int(rng.choice(len(score), p=probability))
+    pick = int(np.argmax(score))
+    value = float(np.clip(score[pick], 0, 1)) if choice.kind == "slot" else float(probability[pick])
     word, part = (pick, -1) if pick < v.SIZE else (-1, pick - v.SIZE)
-    value = float(np.clip(score[pick], 0, 1)) if asked.kind == "slot" else float(probability[pick])
-    tape.made.append(Made(asked.kind, asked.part, word, part, value, words, parts, plain))
-    return tape.grammar.take(word, part)
+    return word, part, value, probability

@@ -28,7 +28,7 @@ FREE = SLOTS
 
 
 @dataclass(frozen=True)
-class Feed:
+class Token:
     """One token to append: a word, and the part that it points at (-1: none)."""
 
     word: int
@@ -105,12 +105,12 @@ class Grammar:
         self._placed = np.zeros(self.count, bool)
         self._stack: list[int] = []
         self._json_step = json_step
-        self._pending = [Feed(v.ID["<json_start>" if json_step else "<urdf_start>"])]
+        self._pending = [Token(v.ID["<json_start>" if json_step else "<urdf_start>"])]
         self._queue: list[int] = []
         self._asks: Kind | None = "root"
         self._part = -1
 
-    def forced(self) -> list[Feed]:
+    def forced(self) -> list[Token]:
         """Tokens to append before the next choice; they are handed out once."""
         out, self._pending = self._pending, []
         return out
@@ -157,7 +157,7 @@ class Grammar:
         mine = any(lock.parent == node and not self._placed[k] for k, lock in self.locked.items())
         return not mine and (len(self._stack) > 1 or bool(self._placed.all()))
 
-    def take(self, word: int, part: int = -1) -> Feed:
+    def take(self, word: int, part: int = -1) -> Token:
         """Decide: a word, or (for "root" and "child") a part. Gives the token to append.
 
         Raises:
@@ -174,18 +174,18 @@ class Grammar:
             feed = self._take_part(at, part)
         elif kind == "type":
             self.decisions[at].type = int(np.flatnonzero(word == v.TYPE_IDS)[0])
-            feed = Feed(word)
+            feed = Token(word)
             self._after_type(at)
         else:
-            feed = Feed(word)
+            feed = Token(word)
             self._take_motion(kind, at, word)
         return feed
 
-    def _take_part(self, at: int, part: int) -> Feed:
+    def _take_part(self, at: int, part: int) -> Token:
         if part < 0:
             self._stack.pop()
             self._after_close()
-            return Feed(v.ID["<close>"])
+            return Token(v.ID["<close>"])
         self._placed[part] = True
         self._stack.append(part)
         if at < 0:
@@ -194,7 +194,7 @@ class Grammar:
         else:
             self.decisions[part].parent = at
             self._asks, self._part = "type", part
-        return Feed(v.ID["<child>"], part)
+        return Token(v.ID["<child>"], part)
 
     def _after_type(self, part: int) -> None:
         if self._json_step or not self._moves(part):
@@ -222,7 +222,7 @@ class Grammar:
     def _skip_closed(self) -> None:
         """When all parts are placed, or a node can only be closed, closing is forced."""
         while self._stack and not self._possible(self._stack[-1]).any():
-            self._pending.append(Feed(v.ID["<close>"]))
+            self._pending.append(Token(v.ID["<close>"]))
             self._stack.pop()
         if self._stack:
             self._part = self._stack[-1]
@@ -231,7 +231,7 @@ class Grammar:
 
     def _begin_urdf(self) -> None:
         if self._json_step:
-            self._pending += [Feed(v.ID[t]) for t in ("<json_end>", "<urdf_start>", "<links>")]
+            self._pending += [Token(v.ID[t]) for t in ("<json_end>", "<urdf_start>", "<links>")]
             self._queue = [k for k in range(self.count) if self._moves(k)]
         self._next_joint()
 
@@ -243,13 +243,13 @@ class Grammar:
 
     def _next_joint(self) -> None:
         if not self._queue:
-            self._pending.append(Feed(v.ID["<urdf_end>"]))
+            self._pending.append(Token(v.ID["<urdf_end>"]))
             self._asks = None
             return
         self._part = self._queue.pop(0)
         self._pending += [
-            Feed(v.ID["<joint>"], self._part),
-            Feed(int(v.TYPE_IDS[self.decisions[self._part].type])),
+            Token(v.ID["<joint>"], self._part),
+            Token(int(v.TYPE_IDS[self.decisions[self._part].type])),
         ]
         self._asks = "slot"
 

@@ -1,4 +1,4 @@
-"""Choose again between likely candidates by moving the part: what runs into its parent loses."""
+"""Reranking of likely candidates by their collision-free range."""
 
 from __future__ import annotations
 
@@ -8,40 +8,41 @@ import numpy as np
 import numpy.typing as npt
 
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.answer import hypothesis_of
+from model.prediction.arti4urdf.answer import proposal_of
 from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.grammar import FREE, Decision
 from model.prediction.arti4urdf.structure import SLOTS, Structure
-from model.prediction.geometric.hypothesis import Hypothesis
+from model.prediction.geometric.proposal import JointProposal
 from model.prediction.geometric.sweep import free_range
 
-MOST = 3
-LEAST_SHARE = 0.1
-"""Candidates this many times less likely than the best are not tried."""
+MAX_CANDIDATES = 3
+MIN_SHARE = 0.1
+"""Least probability of a candidate over that of the best one."""
 FLOOR = 0.1
+"""Least factor of a candidate without any collision-free range."""
 
 
-def checked(
+def rerank_by_motion(
     answer: Answer, structure: Structure, same: npt.NDArray[np.bool_], weight: float
 ) -> Answer:
-    """The answer with candidates chosen by likelihood times the share of their range that is free.
+    """The answer with candidates by likelihood times the collision-free share of their range.
 
     Args:
         answer: as decoded. structure: of the object.
-        same: (P, SLOTS, SLOTS) candidates that mean the same motion.
-        weight: exponent of the free share; 0 changes nothing.
+        same: (P, SLOTS, SLOTS) candidates with the same motion.
+        weight: exponent of the collision-free share; 0 changes nothing.
     """
     decisions = list(answer.decisions)
     for part, decision in enumerate(decisions):
-        asked = answer.choices(part, "slot")
-        if not asked or decision.slot in (-1, FREE) or v.TYPES[decision.type] == "continuous":
+        record = answer.record(part, "slot")
+        if record is None or decision.slot in (-1, FREE) or v.TYPES[decision.type] == "continuous":
             continue
-        options = _options(asked[0].words[v.SLOT_IDS], same[part], decision.slot)
+        options = _options(record.words[v.SLOT_IDS], same[part], decision.slot)
         if len(options) < 2:
             continue
         tried = [_variant(decision, slot) for slot, _ in options]
         free = [
-            free_share(structure, part, d.parent, hypothesis_of(structure, part, d)) for d in tried
+            free_share(structure, part, d.parent, proposal_of(structure, part, d)) for d in tried
         ]
         scores = [
             np.log(p) + weight * np.log(max(f, FLOOR))
@@ -52,7 +53,7 @@ def checked(
 
 
 def _variant(decision: Decision, slot: int) -> Decision:
-    """The same with another candidate and that one's own limits; unchanged for its own."""
+    """The decision with another candidate and that candidate's own limits."""
     if slot == decision.slot:
         return decision
     return replace(decision, slot=slot, lower=-1, upper=-1)
@@ -61,11 +62,11 @@ def _variant(decision: Decision, slot: int) -> Decision:
 def _options(
     words: npt.NDArray[np.float64], same: npt.NDArray[np.bool_], chosen: int
 ) -> list[tuple[int, float]]:
-    """Likely motions, the chosen one first: (candidate, probability of all that mean it)."""
+    """Likely motions, the chosen one first: candidate, and probability of its motion."""
     shared = same @ words
     out, taken = [(chosen, max(float(shared[chosen]), 1e-9))], same[chosen].copy()
     for slot in np.argsort(-words):
-        if len(out) == MOST or taken[slot] or shared[slot] < LEAST_SHARE * out[0][1]:
+        if len(out) == MAX_CANDIDATES or taken[slot] or shared[slot] < MIN_SHARE * out[0][1]:
             continue
         if words[slot] <= 0:
             break
@@ -75,14 +76,14 @@ def _options(
     return out
 
 
-def free_share(structure: Structure, part: int, parent: int, motion: Hypothesis) -> float:
-    """0..1: how much of its range a part moves before it runs into its parent."""
+def free_share(structure: Structure, part: int, parent: int, motion: JointProposal) -> float:
+    """0..1: share of its range in which a part is free of its parent."""
     ends = [e for e in (motion.lower, motion.upper) if abs(e) > 1e-3]
     if not ends or parent < 0:
         return 1.0
     reached = [
         free_range(
-            structure.scene,
+            structure.sampled,
             part,
             (parent,),
             rotates=motion.type != "prismatic",

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.grammar import Feed
+from model.prediction.arti4urdf.grammar import Token
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig, KeyValueCache
 from model.prediction.arti4urdf.point_bert import NANO, PointBert, PointBertConfig, group_points
 from model.prediction.arti4urdf.projector import Projector
@@ -365,11 +365,11 @@ class _Padder:
         return out.index_copy(0, self.index, rows).view(*self.shape, *rows.shape[1:])
 
 
-def feeds_to_tensors(
-    feeds: Sequence[Feed], device: torch.device | str = "cpu"
+def token_tensors(
+    tokens: Sequence[Token], device: torch.device | str = "cpu"
 ) -> tuple[Tensor, Tensor]:
     """(1, T) words and (1, T) parts."""
     return (
-        torch.tensor([[f.word for f in feeds]], device=device),
-        torch.tensor([[f.part for f in feeds]], device=device),
+        torch.tensor([[f.word for f in tokens]], device=device),
+        torch.tensor([[f.part for f in tokens]], device=device),
     )

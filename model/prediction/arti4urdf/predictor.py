@@ -1,14 +1,12 @@
-"""Arti4URDF behind the Predictor protocol: the network, alone or with geometry beside it."""
+"""Arti4URDF as a predictor: the small network, alone or together with geometry."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint
@@ -16,28 +14,35 @@ from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
 from model.prediction.arti4urdf.decoding import Answer, decode, same_motion
-from model.prediction.arti4urdf.evidence import evidence_of
+from model.prediction.arti4urdf.evidence import joint_evidence, parent_probability
 from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.grammar import Lock
-from model.prediction.arti4urdf.motion_check import checked
+from model.prediction.arti4urdf.motion_check import rerank_by_motion
 from model.prediction.arti4urdf.network import ArtiModel, Prompt
-from model.prediction.arti4urdf.structure import Structure, read_structure, structure_arrays
-from model.prediction.confidence import Evidence, doubt, weighing_of
-from model.prediction.geometric.predictor import assemble
-
-Array = npt.NDArray[np.float64]
+from model.prediction.arti4urdf.structure import (
+    MECHANISMS,
+    RANKS,
+    Structure,
+    read_structure,
+    structure_arrays,
+)
+from model.prediction.arti4urdf.weights import SHIPPED, load_weights
+from model.prediction.builder import PredictionBuilder, unknown_link
+from model.prediction.confidence import Evidence, load_confidence
+from model.prediction.explanation import COLLISION_FREE, FREE_AXIS, MECHANISM_TITLES, explain
+from model.prediction.geometric.mechanisms import SWEPT_LIMITS
 
 
 @dataclass(frozen=True)
 class HybridSettings:
-    """Where geometry leads.
+    """Influence of geometry.
 
     Attributes:
-        tree: geometry's tree is kept where the network gives another parent less than this
+        tree: geometry's tree is kept unless the network gives another parent at least this
             probability; 0 never asks geometry, 1 always does.
-        weight: of geometry's opinion on joint types and candidates, in a product of experts.
-        swept: log-odds added in favour of the candidate's own limits, from rules and motion sweep.
-        motion: exponent of the share of its range that a candidate moves freely.
+        weight: of geometry's probabilities of joint types and candidates, in a product of experts.
+        swept: log-odds in favour of a candidate's own limits, from rules and motion sweep.
+        motion: exponent of the collision-free share of a candidate's range.
     """
 
     tree: float = 0.999
@@ -47,12 +52,11 @@ class HybridSettings:
 
 
 class Arti4UrdfPredictor:
-    """The small model with its shipped weights, or weights from a folder.
+    """The small model.
 
     Args:
-        model: in evaluation mode.
-        name: as registered. hybrid: None is the network alone.
-        version: of the weights, for the record.
+        model: in evaluation mode. name: as registered. version: of the weights.
+        hybrid: None for the network alone.
     """
 
     def __init__(
@@ -77,9 +81,9 @@ class Arti4UrdfPredictor:
         progress: Progress = no_progress,
     ) -> Prediction:
         """See :class:`model.prediction.protocol.Predictor`."""
-        return self.explained(segmented, locked=locked, seed=seed, progress=progress)[0]
+        return self.predict_with_evidence(segmented, locked=locked, seed=seed, progress=progress)[0]
 
-    def explained(
+    def predict_with_evidence(
         self,
         segmented: SegmentedObject,
         *,
@@ -88,12 +92,14 @@ class Arti4UrdfPredictor:
         progress: Progress = no_progress,
         structure: Structure | None = None,
     ) -> tuple[Prediction, dict[str, Evidence]]:
-        """The prediction, and by child link what its confidences are made of.
+        """The prediction, and the evidence for its confidences by child link.
 
         Args:
-            structure: of ``segmented`` and ``seed``, where it was read already.
+            structure: of ``segmented`` and ``seed``, if it was read already.
         """
-        start = time.perf_counter()
+        links = tuple(p.link for p in segmented.parts)
+        kind = "arti4urdf" if self.hybrid is None else "hybrid"
+        builder = PredictionBuilder(links, locked, load_confidence(kind))
         progress(0.0, "finding candidates")
         if structure is None:
             structure = read_structure(
@@ -103,120 +109,87 @@ class Arti4UrdfPredictor:
             )
         progress(0.6, "reading shapes")
         prompt = make_prompt(structure, segmented, seed)
-        links = [s.link for s in structure.scene.shapes]
-        locks, problems = _locks(locked, links)
         rules, same = geometric_prior(structure), same_motion(prompt)
         prior = None
         if self.hybrid is not None:
             prior = self.hybrid.weight * rules
             prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
+        locks = _locks(locked, links, builder.problems)
         answer = decode(self.model, prompt, locked=locks, prior=prior)
         progress(0.8, "writing the tree")
         if self.hybrid is not None and self._doubts_tree(answer, structure):
             parents = structure.assembly.parent
-            settled = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
-            answer = decode(self.model, prompt, locked=settled | locks, prior=prior)
+            by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
+            answer = decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
         if self.hybrid is not None and self.hybrid.motion:
-            answer = checked(answer, structure, same, self.hybrid.motion)
-        joints: list[Joint] = []
-        helpers: list[str] = []
-        sure: dict[str, float] = {}
-        known: dict[str, Evidence] = {}
-        weighing = weighing_of("arti4urdf" if self.hybrid is None else "hybrid")
-        notes: dict[str, str] = {}
+            answer = rerank_by_motion(answer, structure, same, self.hybrid.motion)
+        assembly = None
+        if self.hybrid is not None:
+            parents = [d.parent for d in answer.decisions]
+            assembly = replace(structure.assembly, root=answer.root, parent=parents)
         kept = {j.child for j in locked}
-        parents = [d.parent for d in answer.decisions]
-        hung = replace(structure.assembly, root=answer.root, parent=parents)
-        hung = hung if self.hybrid is not None else None
         for i, link in enumerate(links):
             if i == answer.root or link in kept or answer.decisions[i].parent < 0:
                 continue
-            built = joints_of_decision(structure, i, answer.decisions[i], hung)
-            joints += built
-            helpers += [j.child for j in built[:-1]]
-            above = parent_confidence(answer, i)
-            known[link] = evidence_of(structure, answer, i, rules, same, above)
-            sure[link] = weighing.of(known[link])
-            notes[link] = "; ".join(filter(None, (_note(structure, answer, i), doubt(known[link]))))
-        tree, trouble = assemble(tuple(links), tuple(helpers), joints, locked)
-        sure.update({j.child: 1.0 for j in locked})
-        notes.update({j.child: "settled by the person" for j in locked})
-        text = write_answer(tree, segmented) if tree is not None else ""
+            joints = joints_of_decision(structure, i, answer.decisions[i], assembly)
+            evidence = joint_evidence(structure, answer, i, rules, same)
+            builder.add(joints, evidence, _note(structure, answer, i))
         progress(1.0, "done")
-        made = Prediction(
-            tree,
-            (*problems, *trouble),
-            sure,
-            f"{self.name} {self._version}".strip(),
-            seed,
-            time.perf_counter() - start,
-            text,
-            notes,
-        )
-        return made, known
+        backend = f"{self.name} {self._version}".strip()
+        made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
+        return made, builder.evidence
 
     def _doubts_tree(self, answer: Answer, structure: Structure) -> bool:
-        """Whether the network is unsure of a parent where geometry names another."""
+        """Whether the network is uncertain of a parent and geometry has another one."""
         assert self.hybrid is not None
         return any(
-            answer.decisions[i].parent != parent and parent_confidence(answer, i) < self.hybrid.tree
+            answer.decisions[i].parent != parent
+            and parent_probability(answer, i) < self.hybrid.tree
             for i, parent in enumerate(structure.assembly.parent)
         )
 
 
 def make_prompt(structure: Structure, segmented: SegmentedObject, seed: int) -> Prompt:
-    """What the network reads of an object."""
+    """The network's input for an object."""
     arrays = structure_arrays(structure, np.random.default_rng(seed))
-    names = tuple(v.name_ids(s.name) for s in structure.scene.shapes)
+    names = tuple(v.name_ids(s.name) for s in structure.sampled.shapes)
     return Prompt(arrays, v.category_id(segmented.category), names, np.arange(len(arrays)))
 
 
-def _locks(locked: tuple[Joint, ...], links: list[str]) -> tuple[dict[int, Lock], list[str]]:
-    """Settled joints as forced spans; joints below helper links count from the part above."""
+def _locks(
+    locked: tuple[Joint, ...], links: tuple[str, ...], problems: list[str]
+) -> dict[int, Lock]:
+    """Locked joints by part; a joint below a helper link belongs to the part above."""
     index = {link: i for i, link in enumerate(links)}
     above = {j.child: j.parent for j in locked}
     out: dict[int, Lock] = {}
-    problems: list[str] = []
     for joint in locked:
         if joint.child not in index:
             if joint.child not in above.values():
-                problems.append(f"locked joint {joint.name!r} names a link that isn't there")
+                problems.append(unknown_link(joint))
             continue
         parent = joint.parent
         while parent not in index and parent in above:
             parent = above[parent]
         if parent in index:
             out[index[joint.child]] = Lock(index[parent], v.TYPES.index(joint.type))
-    return out, problems
-
-
-def parent_confidence(answer: Answer, part: int) -> float:
-    """Probability that the part hangs where it was put (or is the root)."""
-    if part == answer.root:
-        made = [m for m in answer.made if m.kind == "root"]
-        return made[0].probability if made else 1.0
-    parent = answer.decisions[part].parent
-    found = 1.0
-    for m in answer.made:
-        if m.kind == "child" and m.part == parent:
-            siblings = [k for k, d in enumerate(answer.decisions) if d.parent == parent]
-            mass = float(m.parts[siblings].sum())
-            if m.pointed == part:
-                found = min(found, mass)
-    return found
+    return out
 
 
 def _note(structure: Structure, answer: Answer, part: int) -> str:
+    """The explanation of a decision."""
     decision = answer.decisions[part]
     kind = v.TYPES[decision.type]
-    if decision.slot < 0:
-        return kind
-    offered = (
-        structure.slots[part][decision.slot] if decision.slot < len(structure.slots[part]) else None
-    )
-    where = offered.note if offered is not None else "no candidate fitted: axis and line in numbers"
-    limits = "" if decision.lower >= 0 else "; range by the motion sweep"
-    return f"{kind}; {where}{limits if kind != 'continuous' else ''}"
+    slots = structure.slots[part]
+    proposal = slots[decision.slot] if 0 <= decision.slot < len(slots) else None
+    if proposal is None:
+        return explain(kind.capitalize(), (), "" if decision.slot < 0 else FREE_AXIS)
+    mechanism = MECHANISMS[decision.slot // RANKS]
+    swept = mechanism in SWEPT_LIMITS and decision.lower < 0 and kind != "continuous"
+    title = MECHANISM_TITLES["spin" if mechanism == "screw" else mechanism]
+    if kind == "screw":
+        title = MECHANISM_TITLES["screw"]
+    return explain(title, proposal.reasons, COLLISION_FREE if swept else "")
 
 
 def load_arti4urdf(
@@ -225,10 +198,8 @@ def load_arti4urdf(
     """The predictor with the shipped weights, or those of a checkpoint folder.
 
     Raises:
-        InputFileError: where the weights are absent or damaged.
+        InputFileError: if the weights are absent or damaged.
     """
-    from model.prediction.arti4urdf.weights import SHIPPED, load_weights
-
     model, version = load_weights(folder or SHIPPED)
     return Arti4UrdfPredictor(model, name=name, hybrid=hybrid, version=version)
 

@@ -1,10 +1,9 @@
-"""The structure prompt: what geometry offers to the language model about each part.
+"""The structure prompt: geometry's input to the language model about each part.
 
-For every part the geometric builders propose the joints that each mechanism could have there. The
-language model reads where these candidates lie, how parts touch and what they look like, and
-chooses; the numbers of the URDF follow from the choice (the paper's "potential motion axes").
-All lengths are in the working frame of :mod:`model.prediction.geometric.assembly` (diagonal 1, +z
-up).
+For every part the geometric rules propose the joints of each mechanism. The language model reads
+where these candidates lie, how the parts touch, and the parts' features, and chooses; the numbers
+of the URDF follow from its choice (the paper's "potential motion axes"). Lengths are in the working
+frame of :mod:`model.prediction.geometric.sampled_object`: diagonal 1, +z up.
 """
 
 from __future__ import annotations
@@ -21,13 +20,13 @@ from model.core.motion_lexicon import MECHANISMS as ALL_MECHANISMS
 from model.core.motion_lexicon import Mechanism
 from model.core.part_names import mechanism_of
 from model.core.progress import Progress, no_progress
-from model.prediction.geometric.assembly import SAMPLE_BUDGET, Scene, make_scene
 from model.prediction.geometric.context import Assembly, PartContext
-from model.prediction.geometric.hypothesis import Hypothesis
-from model.prediction.geometric.mechanisms import BUILDERS, SWEPT, find_front
+from model.prediction.geometric.mechanisms import SWEPT_LIMITS, face_front, proposals_for
 from model.prediction.geometric.motion_scores import motion_scores
-from model.prediction.geometric.part_features import Looks, look
+from model.prediction.geometric.part_features import PartFeatures, measure_features
+from model.prediction.geometric.proposal import JointProposal
 from model.prediction.geometric.roles import guess_mechanisms
+from model.prediction.geometric.sampled_object import SAMPLE_BUDGET, SampledObject, sample_object
 from model.prediction.geometric.shape import rotation
 from model.prediction.geometric.tree import root_scores, spanning_parents
 
@@ -37,22 +36,22 @@ Floats = npt.NDArray[np.float32]
 MECHANISMS: tuple[Mechanism, ...] = tuple(m for m in ALL_MECHANISMS if m != "fixed")
 RANKS = 2
 SLOTS = len(MECHANISMS) * RANKS
-"""Candidates a part: the best ``RANKS`` of each mechanism; slot = mechanism * RANKS + rank."""
+"""Candidates per part: the best ``RANKS`` of each mechanism; slot = mechanism * RANKS + rank."""
 POINTS = 512
 """Points of each part (and of the whole object) for Point-BERT."""
 
 CANDIDATE_SCALARS = 7
 CANDIDATE_VECTORS = 2
 VECTORS = 5
-SIZES, LOOKS = 17, 35
-SCALARS = SIZES + LOOKS + 2 * len(MECHANISMS) + 2
-"""Numbers of a part: sizes and place, looks, a score a mechanism, what the name says."""
-FIRST_LOOK = 15
-"""Numbers from here on are judgements of the geometric rules."""
-NAME_SAYS = SCALARS - len(MECHANISMS) - 2
-"""Numbers from here on are what the name says; the last, that it says nothing."""
+SIZES, FEATURES = 17, 35
+SCALARS = SIZES + FEATURES + 2 * len(MECHANISMS) + 2
+"""Numbers per part: sizes and place, features, a score per mechanism, mechanism of the name."""
+FIRST_FEATURE = 15
+"""From this scalar on they are judgements of the geometric rules."""
+FIRST_NAME_SCALAR = SCALARS - len(MECHANISMS) - 2
+"""From this scalar on they depend on the name; the last one is 1 without a name."""
 AREA_ROOT = 12
-"""Which of them is the square root of the area."""
+"""Index of the square root of the area."""
 RELATIONS = 8
 
 
@@ -62,13 +61,13 @@ class StructureArrays:
 
     Attributes:
         points: (P, POINTS, 3) of each part.
-        scalars: (P, S) sizes, looks, scores of the mechanisms, what the name says.
+        scalars: (P, SCALARS), see there.
         box: (P, 6) centre and half extents along the working axes.
-        vectors: (P, VECTORS, 3) free direction, way out, contact, handle, panel normal.
-        candidate_scalars: (P, SLOTS, CANDIDATE_SCALARS); the first says whether it is there.
-        candidate_vectors: (P, SLOTS, CANDIDATE_VECTORS, 3): axis; nearest point of its line to the
-            part's centre, less the centre.
-        relations: (P, P, RELATIONS) of part i (row) to part j: gap, sizes, who is above.
+        vectors: (P, VECTORS, 3) open direction, exit, contact, handle, panel normal.
+        candidate_scalars: (P, SLOTS, CANDIDATE_SCALARS); the first is 1 if the candidate exists.
+        candidate_vectors: (P, SLOTS, CANDIDATE_VECTORS, 3): axis; point of its line nearest to the
+            part's centre, relative to the centre.
+        relations: (P, P, RELATIONS) of part i (row) to part j: gap, sizes, heights.
         parents: (P,) parent by geometry, -1 for the root.
     """
 
@@ -87,7 +86,7 @@ class StructureArrays:
     def turned(self, quarter: int, mirrored: bool) -> StructureArrays:
         """The same object after quarter turns about +z and a reflection of x.
 
-        Rotation axes are pseudo-vectors: a reflection turns them the other way.
+        Rotation axes are pseudo-vectors: a reflection reverses them.
         """
         m = rotation(np.array([0.0, 0.0, 1.0]), quarter * np.pi / 2)
         if mirrored:
@@ -111,7 +110,7 @@ class StructureArrays:
         )
 
     def ordered(self, order: npt.NDArray[np.int64]) -> StructureArrays:
-        """The same with part ``order[k]`` in place k."""
+        """The same with part ``order[k]`` at index k."""
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         parents = self.parents[order]
@@ -132,34 +131,35 @@ class Structure:
     """The candidates of one object.
 
     Attributes:
-        scene: the parts in the working frame.
-        assembly: with the tree that geometry alone would give.
-        slots: per part the hypotheses by slot, None where a mechanism has none.
+        sampled: the parts in the working frame.
+        assembly: with the tree from geometry alone.
+        slots: per part the proposals by slot; None for those that a mechanism lacks.
+        contexts: of the parts; the root is a child of the likeliest other base.
     """
 
-    scene: Scene
+    sampled: SampledObject
     assembly: Assembly
-    slots: list[list[Hypothesis | None]]
+    slots: list[list[JointProposal | None]]
     contexts: list[PartContext]
-    _offered: dict[tuple[int, int], Hypothesis] = field(default_factory=dict)
+    _candidates: dict[tuple[int, int], JointProposal] = field(default_factory=dict)
 
     @cached_property
-    def looks(self) -> list[Looks | None]:
-        """Cues of each part; None for the only part of an object."""
-        return [look(c) if len(self.scene) > 1 else None for c in self.contexts]
+    def features(self) -> list[PartFeatures | None]:
+        """Features of each part; None for the only part of an object."""
+        return [measure_features(c) if len(self.sampled) > 1 else None for c in self.contexts]
 
-    def offered(self, part: int, slot: int) -> Hypothesis | None:
-        """The candidate with its limits from the motion sweep, where its mechanism has that."""
+    def candidate(self, part: int, slot: int) -> JointProposal | None:
+        """The proposal in a slot, with limits from a motion sweep if its mechanism has them."""
         key = (part, slot)
-        if key not in self._offered:
+        if key not in self._candidates:
             found = self.slots[part][slot]
             if found is None:
                 return None
-            sweep = SWEPT.get(MECHANISMS[slot // RANKS])
+            sweep = SWEPT_LIMITS.get(MECHANISMS[slot // RANKS])
             if sweep is not None:
                 found = sweep(self.contexts[part], found)
-            self._offered[key] = found
-        return self._offered[key]
+            self._candidates[key] = found
+        return self._candidates[key]
 
 
 def read_structure(
@@ -172,53 +172,51 @@ def read_structure(
     """Find the candidates of every part.
 
     Args:
-        segmented: the parts; names are used where they are there.
-        seed: of the surface samples.
-        budget: surface points of all parts together.
-        progress: told of each part.
+        segmented: the parts, with or without names.
+        seed: of the surface samples. budget: surface points of all parts together.
+        progress: reports each part.
     """
-    scene = make_scene(segmented, seed, budget=budget)
-    scores = root_scores(scene)
+    sampled = sample_object(segmented, seed, budget=budget)
+    scores = root_scores(sampled)
     root = int(np.argmax(scores))
-    parent = spanning_parents(scene, root)
-    assembly = Assembly(scene, root, parent)
-    mechanisms, _, _ = guess_mechanisms(assembly)
-    assembly.front, assembly.front_certainty = find_front(assembly, mechanisms)
-    contexts = [PartContext(_as_child(assembly, scores, i), i) for i in range(len(scene))]
-    slots: list[list[Hypothesis | None]] = []
+    parent = spanning_parents(sampled, root)
+    assembly = Assembly(sampled, root, parent)
+    face_front(assembly, {i: g.mechanism for i, g in guess_mechanisms(assembly).items()})
+    contexts = [PartContext(_as_child(assembly, scores, i), i) for i in range(len(sampled))]
+    slots: list[list[JointProposal | None]] = []
     for i, context in enumerate(contexts):
-        progress(i / len(contexts), f"motions of {scene.shapes[i].link}")
-        slots.append(_slots(context) if len(scene) > 1 else [None] * SLOTS)
-    return Structure(scene, assembly, slots, contexts)
+        progress(i / len(contexts), f"proposals for {sampled.shapes[i].link}")
+        slots.append(_slots(context) if len(sampled) > 1 else [None] * SLOTS)
+    return Structure(sampled, assembly, slots, contexts)
 
 
 def _as_child(assembly: Assembly, scores: Array, part: int) -> Assembly:
-    """The assembly in which ``part`` hangs on something, the root on the next likely base."""
-    if assembly.parent[part] >= 0 or len(assembly.scene) == 1:
+    """The assembly with ``part`` as a child: a root hangs on the next likeliest base."""
+    if assembly.parent[part] >= 0 or len(assembly.sampled) == 1:
         return assembly
     others = [j for j in range(len(scores)) if j != part]
     parent = list(assembly.parent)
     base = max(others, key=lambda j: scores[j])
     parent[part], parent[base] = base, -1
-    return Assembly(assembly.scene, base, parent, assembly.front, assembly.front_certainty)
+    return Assembly(assembly.sampled, base, parent, assembly.front, assembly.front_certainty)
 
 
 FARTHEST = 2.0
-"""Axes farther from the part (diagonals) are no motion of it."""
+"""Largest distance (diagonals) of an axis from its part."""
 
 
-def _slots(context: PartContext) -> list[Hypothesis | None]:
-    out: list[Hypothesis | None] = []
+def _slots(context: PartContext) -> list[JointProposal | None]:
+    out: list[JointProposal | None] = []
     center = context.shape.center
     for mechanism in MECHANISMS:
-        near = [h for h in BUILDERS[mechanism](context) if _sound(h, center)]
+        near = [h for h in proposals_for(context, mechanism) if _sound(h, center)]
         found = sorted(near, key=lambda h: -h.score)[:RANKS]
         out += [*found, *[None] * (RANKS - len(found))]
     return out
 
 
-def _sound(h: Hypothesis, center: Array) -> bool:
-    # In plain numbers: numpy takes ten times as long for three of them.
+def _sound(h: JointProposal, center: Array) -> bool:
+    # Plain numbers: for three of them numpy takes ten times as long.
     a, b, c = (float(v) for v in h.axis)
     x, y, z = (float(v) for v in h.origin - center)
     off = math.hypot(b * z - c * y, c * x - a * z, a * y - b * x)
@@ -227,25 +225,25 @@ def _sound(h: Hypothesis, center: Array) -> bool:
 
 def structure_arrays(structure: Structure, rng: np.random.Generator) -> StructureArrays:
     """The structure prompt as numbers; ``rng`` draws the points."""
-    scene = structure.scene
-    n = len(scene)
-    looks = structure.looks
-    known = {i: k for i, k in enumerate(looks) if k is not None}
-    scores = root_scores(scene)
+    sampled = structure.sampled
+    n = len(sampled)
+    features = structure.features
+    known = {i: k for i, k in enumerate(features) if k is not None}
+    scores = root_scores(sampled)
     rows = [
-        _scalars(structure.contexts[i], looks[i], known, float(scores[i] - scores.max()))
+        _scalars(structure.contexts[i], features[i], known, float(scores[i] - scores.max()))
         for i in range(n)
     ]
-    candidates = [_candidates(structure.slots[i], scene.shapes[i].center) for i in range(n)]
+    candidates = [_candidates(structure.slots[i], sampled.shapes[i].center) for i in range(n)]
     box = [
         np.concatenate([(s.low + s.high) / 2, np.maximum((s.high - s.low) / 2, 1e-4)])
-        for s in scene.shapes
+        for s in sampled.shapes
     ]
     return StructureArrays(
-        np.stack([_drawn(s.points, POINTS, rng) for s in scene.shapes]).astype(np.float32),
+        np.stack([_drawn(s.points, POINTS, rng) for s in sampled.shapes]).astype(np.float32),
         np.clip(np.array(rows), -8, 8).astype(np.float32),
         np.array(box, np.float32),
-        np.stack([_vectors(c, k) for c, k in zip(structure.contexts, looks, strict=True)]),
+        np.stack([_vectors(c, k) for c, k in zip(structure.contexts, features, strict=True)]),
         np.stack([c[0] for c in candidates]),
         np.stack([c[1] for c in candidates]),
         _relations(structure, scores),
@@ -260,36 +258,36 @@ def _drawn(points: Array, count: int, rng: np.random.Generator) -> Array:
 
 
 def _scalars(
-    context: PartContext, k: Looks | None, others: dict[int, Looks], root_score: float
+    context: PartContext, k: PartFeatures | None, others: dict[int, PartFeatures], root_score: float
 ) -> list[float]:
-    shape, scene = context.shape, context.scene
+    shape, sampled = context.shape, context.sampled
     half = np.sort(shape.box.half)
     out = [
         root_score,
-        len(scene) / 10,
-        float(scene.scanned),
+        len(sampled) / 10,
+        float(sampled.scanned),
         10 * shape.noise,
         *(4 * half),
         *np.log(np.maximum(half, 1e-4)),
         shape.thinness,
         shape.slenderness,
         float(np.sqrt(max(shape.area, 0.0))),
-        float(shape.low[2] - scene.low[2]),
-        float(scene.high[2] - shape.high[2]),
+        float(shape.low[2] - sampled.low[2]),
+        float(sampled.high[2] - shape.high[2]),
         float(context.assembly.root == context.part),
         context.assembly.front_certainty,
     ]
-    out += _look_scalars(context, k)
+    out += _feature_scalars(context, k)
     scored = motion_scores(context, k, others) if k is not None else {}
     out += [scored.get(m, -2.0) for m in MECHANISMS]
-    said, _ = mechanism_of(shape.name, scene.category)
-    out += [float(said == m) for m in (*MECHANISMS, "fixed")] + [float(said is None)]
+    named, _ = mechanism_of(shape.name, sampled.category)
+    out += [float(named == m) for m in (*MECHANISMS, "fixed")] + [float(named is None)]
     return out
 
 
-def _look_scalars(context: PartContext, k: Looks | None) -> list[float]:
+def _feature_scalars(context: PartContext, k: PartFeatures | None) -> list[float]:
     if k is None:
-        return [0.0] * LOOKS
+        return [0.0] * FEATURES
     shape = context.shape
     around = [r.spread for r in shape.roundnesses[:3]]
     handle = context.handle
@@ -306,10 +304,10 @@ def _look_scalars(context: PartContext, k: Looks | None) -> list[float]:
         k.top,
         k.bottom,
         k.sides,
-        k.walls / 6,
+        k.covered_sides / 6,
         k.exposed,
         k.backed,
-        k.way_out,
+        k.exit_score,
         k.depth,
         *k.face,
         k.fill,
@@ -317,17 +315,17 @@ def _look_scalars(context: PartContext, k: Looks | None) -> list[float]:
         k.aligned,
         k.end_contact,
         *np.clip(k.contact_spread, 0, 2),
-        k.twins / 4,
-        3 * k.on_top,
+        k.same_size / 4,
+        3 * k.above_parent,
         *[5 * s for s in (*around, 1.0, 1.0, 1.0)[:3]],
-        float(context.touching),
+        float(context.in_contact),
         float(context.closed),
         handle.strength if handle is not None else 0.0,
         handle.share if handle is not None else 0.0,
     ]
 
 
-def _vectors(context: PartContext, k: Looks | None) -> Floats:
+def _vectors(context: PartContext, k: PartFeatures | None) -> Floats:
     out = np.zeros((VECTORS, 3), np.float32)
     if k is None:
         return out
@@ -341,14 +339,14 @@ def _vectors(context: PartContext, k: Looks | None) -> Floats:
     return out
 
 
-def _candidates(slots: list[Hypothesis | None], center: Array) -> tuple[Floats, Floats]:
+def _candidates(slots: list[JointProposal | None], center: Array) -> tuple[Floats, Floats]:
     scalars = np.zeros((SLOTS, CANDIDATE_SCALARS), np.float32)
     vectors = np.zeros((SLOTS, CANDIDATE_VECTORS, 3), np.float32)
     for k, h in enumerate(slots):
         if h is None:
             continue
         rotates = h.type in ("revolute", "continuous")
-        # Of a slide only the direction counts.
+        # A prismatic axis has only a direction.
         arm = (h.origin - center) - h.axis * float((h.origin - center) @ h.axis)
         best = slots[k - k % RANKS]
         assert best is not None
@@ -367,13 +365,13 @@ def _candidates(slots: list[Hypothesis | None], center: Array) -> tuple[Floats, 
 
 
 def _relations(structure: Structure, scores: Array) -> Floats:
-    scene = structure.scene
-    n = len(scene)
-    size = np.array([s.size for s in scene.shapes])
-    center = np.stack([s.center for s in scene.shapes])
+    sampled = structure.sampled
+    n = len(sampled)
+    size = np.array([s.size for s in sampled.shapes])
+    center = np.stack([s.center for s in sampled.shapes])
     parent = np.array(structure.assembly.parent)
     out = np.zeros((n, n, RELATIONS), np.float32)
-    gap = np.minimum(scene.gap, 1.0)
+    gap = np.minimum(sampled.gap, 1.0)
     out[..., 0] = np.exp(-gap / 0.01)
     out[..., 1] = np.sqrt(gap)
     out[..., 2] = parent[:, None] == np.arange(n)[None]

@@ -1,4 +1,4 @@
-"""What a mechanism may look at when it proposes the joint of one part."""
+"""One part within its object: the cues from which mechanisms propose its joint."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.part_names import category_key, words
-from model.prediction.geometric.assembly import TOUCHING, Scene
-from model.prediction.geometric.hypothesis import UP, unit
-from model.prediction.geometric.shape import Protrusion, Shape
+from model.prediction.geometric.proposal import UP, unit
+from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
+from model.prediction.geometric.shape import PartShape, Protrusion
 
 Array = npt.NDArray[np.float64]
 
 SQUARE = np.deg2rad(8)
-"""How far off the object's directions a panel may be that counts as shut."""
+"""Largest angle (rad) between a shut panel and the object's directions."""
 IN_FRONT = 0.1
-"""Largest gap (diagonals) between a shut panel and what it shuts."""
+"""Largest gap (diagonals) between a shut panel and its parent."""
 
 
 @dataclass(eq=False)
 class Assembly:
-    """A scene with its tree.
+    """The sampled parts with their tree.
 
     Attributes:
-        scene: the parts. root: index of the base. parent: index of each part's parent, -1 at the
-            root.
-        front: where the object faces, (3,) horizontal unit vector, and how sure that is (0..1).
+        sampled: the parts. root: index of the base.
+        parent: index of each part's parent, -1 for the root.
+        front: (3,) horizontal unit vector in which the object faces. front_certainty: 0..1.
     """
 
-    scene: Scene
+    sampled: SampledObject
     root: int
     parent: list[int]
     front: Array = field(default_factory=lambda: np.array([-1.0, 0.0, 0.0]))
@@ -39,8 +39,8 @@ class Assembly:
 
     @cached_property
     def category(self) -> str:
-        """Key of the category, "" where unknown."""
-        return category_key(self.scene.category)
+        """Key of the category, "" if unknown."""
+        return category_key(self.sampled.category)
 
 
 @dataclass(eq=False)
@@ -50,94 +50,94 @@ class PartContext:
     assembly: Assembly
     part: int
     barrels: dict[bytes, tuple[Array, int] | None] = field(default_factory=dict)
-    """By axis and place of an edge: its mechanisms share what is found there."""
+    """Hinge barrels by axis and origin of an edge, cached for all mechanisms."""
 
     @property
-    def scene(self) -> Scene:
+    def sampled(self) -> SampledObject:
         """All parts."""
-        return self.assembly.scene
+        return self.assembly.sampled
 
     @property
     def category(self) -> str:
-        """Key of the category, "" where unknown."""
+        """Key of the category, "" if unknown."""
         return self.assembly.category
 
     @property
-    def shape(self) -> Shape:
+    def shape(self) -> PartShape:
         """The part."""
-        return self.scene.shapes[self.part]
+        return self.sampled.shapes[self.part]
 
     @property
     def parent(self) -> int:
-        """Index of the part that it hangs on."""
+        """Index of the parent."""
         return self.assembly.parent[self.part]
 
     @property
-    def base(self) -> Shape:
-        """The part that it hangs on."""
-        return self.scene.shapes[self.parent]
+    def parent_shape(self) -> PartShape:
+        """Shape of the parent."""
+        return self.sampled.shapes[self.parent]
 
     @cached_property
     def words(self) -> tuple[str, ...]:
-        """Words of its name."""
+        """Words of the part's name."""
         return words(self.shape.name)
 
     @cached_property
     def distance(self) -> Array:
-        """(N,) of each sample to the parent."""
-        return self.scene.distances(self.part, self.parent)
+        """(N,) distance of each of the part's points to the parent."""
+        return self.sampled.distances(self.part, self.parent)
 
     @cached_property
     def contact(self) -> Array:
-        """(K, 3) samples nearest to the parent."""
-        return self.scene.contact(self.part, self.parent)
+        """(K, 3) the part's points nearest to the parent."""
+        return self.sampled.contact(self.part, self.parent)
 
     @cached_property
     def contact_center(self) -> Array:
-        """(3,) of the contact."""
+        """(3,) mean of :attr:`contact`."""
         return self.contact.mean(0)
 
     @cached_property
-    def touching(self) -> bool:
-        """Whether the part touches its parent."""
-        return bool(self.scene.gap[self.part, self.parent] < 2 * TOUCHING)
+    def in_contact(self) -> bool:
+        """Whether the part is in contact with its parent."""
+        return bool(self.sampled.gap[self.part, self.parent] < 2 * CONTACT_GAP)
 
     @cached_property
     def directions(self) -> Array:
-        """(6, 3) the part's box axes, both ways."""
+        """(6, 3) the part's box axes, then their opposites."""
         axes = self.shape.box.axes.T
         return np.concatenate([axes, -axes])
 
     @cached_property
     def covers(self) -> Array:
-        """(6,) how much of the part the parent lies in front of, along :attr:`directions`."""
+        """(6,) how much the parent covers the part along :attr:`directions`, 0..1."""
         return self.covers_of((self.parent,))
 
     def covers_of(self, others: tuple[int, ...]) -> Array:
-        """(6,) the same for other parts."""
+        """(6,) how much ``others`` cover the part along :attr:`directions`, 0..1."""
         axes = self.shape.box.axes
-        return np.array([self.scene.cover(self.part, d, others, axes) for d in self.directions])
+        return np.array([self.sampled.cover(self.part, d, others, axes) for d in self.directions])
 
     @cached_property
     def outward(self) -> Array:
-        """(3,) box direction in which the part is freest and the parent lies behind it."""
+        """(3,) the most open of :attr:`directions`, with the parent behind."""
         return self.directions[int(np.argmax(self.outwardness))]
 
     @cached_property
     def outwardness(self) -> Array:
-        """(6,) for each direction: parent behind, nothing in front, thin, away from the parent."""
+        """(6,) score: parent behind, nothing in front, thin, away from the parent."""
         covers = self.covers
         behind = np.roll(covers, 3)
-        away = self.directions @ unit(self.shape.center - self.base.center)
+        away = self.directions @ unit(self.shape.center - self.parent_shape.center)
         half = self.shape.box.half
         thin = 1 - half / max(float(half.max()), 1e-9)
         return behind - 1.3 * covers + 0.35 * away + 0.5 * np.concatenate([thin, thin])
 
     def panel_outward(self, axis: Array) -> Array:
-        """``axis`` turned to the side that faces away from the parent."""
-        there = self.scene.cover(self.part, axis, (self.parent,), self.shape.box.axes)
-        back = self.scene.cover(self.part, -axis, (self.parent,), self.shape.box.axes)
-        away = float(axis @ (self.shape.center - self.base.center))
+        """``axis`` or its opposite, whichever points away from the parent."""
+        there = self.sampled.cover(self.part, axis, (self.parent,), self.shape.box.axes)
+        back = self.sampled.cover(self.part, -axis, (self.parent,), self.shape.box.axes)
+        away = float(axis @ (self.shape.center - self.parent_shape.center))
         score = back - there + 0.6 * np.tanh(6 * away)
         normal = self.shape.panel.normal
         along = float(self.shape.box.axes[:, normal] @ axis)
@@ -150,22 +150,22 @@ class PartContext:
 
     @cached_property
     def panel_normal(self) -> Array:
-        """(3,) the panel's normal, away from the parent."""
+        """(3,) the panel's normal away from the parent."""
         return self.panel_outward(self.shape.box.axes[:, self.shape.panel.normal])
 
     @cached_property
     def handle(self) -> Protrusion | None:
-        """What sticks out of the panel's outer face."""
+        """The protrusion of the panel's outer face."""
         panel = self.shape.panel
         return panel.beyond(float(self.shape.box.axes[:, panel.normal] @ self.panel_normal))
 
     @cached_property
     def grips(self) -> list[tuple[Array, Array, float]]:
-        """What a hand would take on the panel: (place, spread) in box coordinates, and strength.
+        """Handles, latches at the rim, and knobs that are separate parts.
 
-        Handles of its own, latches at its rim, and knobs that are parts of their own.
+        Each is (centre, spread) in the panel's box coordinates, and strength 0..1.
         """
-        panel, box, scene = self.shape.panel, self.shape.box, self.scene
+        panel, box, sampled = self.shape.panel, self.shape.box, self.sampled
         out: list[tuple[Array, Array, float]] = []
         front = float(box.axes[:, panel.normal] @ self.panel_normal)
         for side in (front, -front):
@@ -176,15 +176,15 @@ class PartContext:
             if side == front or (rim > 0.85 and found.share < 0.05):
                 out.append((found.center, found.spread, found.strength))
         for j, above in enumerate(self.assembly.parent):
-            if above == self.part and scene.shapes[j].size < 0.5 * self.shape.size:
-                other = scene.shapes[j]
+            if above == self.part and sampled.shapes[j].size < 0.5 * self.shape.size:
+                other = sampled.shapes[j]
                 out.append((box.local(other.center[None])[0], box.local(other.points).std(0), 1.0))
         return out
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the panel lies in or on its parent's box, as closed doors and lids do."""
-        shape, base = self.shape, self.base
+        """Whether the panel lies in or on its parent's box, as shut doors and lids do."""
+        shape, base = self.shape, self.parent_shape
         panel, box = shape.panel, shape.box
         low, high = -box.half.copy(), box.half.copy()
         low[panel.normal], high[panel.normal] = panel.low, panel.high
@@ -196,16 +196,16 @@ class PartContext:
 
     @cached_property
     def shut(self) -> bool:
-        """Whether a door, a drawer or a lid was scanned shut: :attr:`closed`, or square to the
-        object and in front of its parent, with a gap between them."""
+        """Whether a door, drawer or lid is shut: :attr:`closed`, or square to the object and close
+        in front of its parent."""
         if self.closed:
             return True
-        shape, base = self.shape, self.base
+        shape, base = self.shape, self.parent_shape
         normal = self.panel_normal
         across = np.abs(normal) > 0.5
         if np.abs(normal).max() < np.cos(SQUARE):
             return False
-        # An open one stands beside what it shuts, seen along its own normal.
+        # Seen along its normal, an open door stands beside its parent.
         overlap = np.minimum(shape.high, base.high) - np.maximum(shape.low, base.low)
         shared = np.maximum(overlap + 0.03, 0) / np.maximum(shape.high - shape.low, 1e-6)
         return bool(
@@ -213,11 +213,11 @@ class PartContext:
         )
 
     @cached_property
-    def hand(self) -> bool:
-        """Whether it is a hand on a dial: called so, or a sliver on the face of a flat disc."""
+    def clock_hand(self) -> bool:
+        """Whether the part is a clock hand: by name, or a slender part on the face of a disc."""
         if "hand" in self.words:
             return True
-        shape, base = self.shape, self.base
+        shape, base = self.shape, self.parent_shape
         if shape.slenderness > 0.35 or base.thinness > 0.5:
             return False
         face = base.roundest
@@ -226,20 +226,22 @@ class PartContext:
             return False
         if face is not None:
             return shape.size < 1.2 * face.radius
-        # On a dial that isn't round only two that cross are hands.
+        # On a dial that isn't round, hands are two slender parts that cross.
         return 0.1 < shape.size < 0.5 * base.size and any(
-            self.scene.shapes[j].slenderness < 0.35
-            and self.scene.shapes[j].size > 0.1
+            self.sampled.shapes[j].slenderness < 0.35
+            and self.sampled.shapes[j].size > 0.1
             and self.assembly.parent[j] == self.parent
-            and abs(float(self.scene.shapes[j].box.axes[:, self.scene.shapes[j].order[0]] @ axis))
+            and abs(
+                float(self.sampled.shapes[j].box.axes[:, self.sampled.shapes[j].order[0]] @ axis)
+            )
             > 0.95
-            and self.scene.gap[self.part, j] < 0.02
-            for j in self.scene.others(self.part)
+            and self.sampled.gap[self.part, j] < 0.02
+            for j in self.sampled.others(self.part)
             if j != self.parent
         )
 
     def upright(self) -> Array:
-        """The part's box axis nearest to +z, pointing up."""
+        """The part's box axis nearest to +z, pointing up; +z if none is near."""
         axes = self.shape.box.axes
         k = int(np.argmax(np.abs(axes[2])))
         return axes[:, k] * (1.0 if axes[2, k] >= 0 else -1.0) if abs(axes[2, k]) > 0.9 else UP

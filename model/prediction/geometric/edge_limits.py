@@ -1,4 +1,4 @@
-"""How far doors, lids and arms open: what people expect of them, and a motion sweep."""
+"""Limits of edge hinges: typical opening angles and motion sweeps."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from model.core.part_names import mechanism_of
+from model.prediction.explanation import Reason
 from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.hypothesis import Hypothesis
+from model.prediction.geometric.proposal import JointProposal
+from model.prediction.geometric.shape import same_extents
 from model.prediction.geometric.sweep import free_turn
 
 OPENING: dict[str, float] = {
@@ -17,7 +19,7 @@ OPENING: dict[str, float] = {
     "flap": 1.75,
     "temple": 1.5,
 }
-"""How far it opens from closed, in rad, where nothing stops it."""
+"""Usual opening from shut (rad), unless something stops it earlier."""
 
 CATEGORY_OPENING: dict[tuple[str, str], float] = {
     ("refrigerator", "hinge"): 2.3,
@@ -36,26 +38,18 @@ CATEGORY_OPENING: dict[tuple[str, str], float] = {
     ("phone", "flap"): 2.6,
 }
 
-NOTED: dict[str, str] = {"temple": "folding arm"}
-"""What notes call a mechanism, where its own name is a narrow word."""
-
-IN_PLANE = "folds in the arms' plane"
-"""How the note of a folding arm goes on, where it stays beside its neighbours as it turns."""
-
 FOLDED_TOTAL = 3.0
-"""Whole range (rad) assumed for a panel that was scanned open, from closed to far open."""
-
+"""Whole range (rad), from shut to far open, assumed for a panel that was scanned open."""
 
 RECLINE = 0.35
-"""How far (rad) a backrest leans back, as the procedural chairs have it (0.2 to 0.45). The sweep's
-tolerance lets it pass the seat that it grazes; a finer one stops it somewhere near this."""
+"""Range (rad) of a backrest, from the procedural chairs (0.2 to 0.45): the sweep's tolerance would
+let it pass the seat that it grazes."""
 
 
-def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
-    """Limits of the chosen hinge from how far it turns before it hits its parent.
+def with_swept_limits(context: PartContext, best: JointProposal) -> JointProposal:
+    """The proposal with the limits within which the part is free of its parent.
 
-    A panel that was scanned closed opens one way. One scanned open closes as well: both free
-    ranges count.
+    A panel that was scanned shut opens one way; one that was scanned open also closes.
     """
     if {"pedal", "pad"} & set(context.words):
         arm = context.shape.center - best.origin
@@ -64,10 +58,10 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     if "backrest" in context.words and context.category != "foldingchair":
         return _reclining(context, best)
     twin = _mirrored_twin(context)
-    if best.note.startswith(NOTED["temple"]) and twin is not None and not context.closed:
-        # Arms of a pair fold towards each other.
+    if best.mechanism == "temple" and twin is not None and not context.closed:
+        # The arms of a pair fold towards each other.
         arm = context.shape.center - best.origin
-        inward = context.scene.shapes[twin].center - context.shape.center
+        inward = context.sampled.shapes[twin].center - context.shape.center
         axis = best.axis if float(np.cross(best.axis, arm) @ inward) >= 0 else -best.axis
         return replace(best, axis=axis, lower=0.0)
 
@@ -84,12 +78,11 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     )
     if closing + opening > 4.4 and many:
         return replace(best, lower=-closing, upper=opening)
-    if IN_PLANE in best.note and min(closing, opening) > best.upper:
-        return best  # arms that pass each other stop nowhere: as far as they usually go
-    key = (context.category, "flap")
-    total = (
-        CATEGORY_OPENING.get(key, FOLDED_TOTAL) if best.note.startswith("flap") else FOLDED_TOTAL
-    )
+    if Reason.CHAIN_PLANE in best.reasons and min(closing, opening) > best.upper:
+        return best  # members that pass each other collide nowhere: keep the usual limits
+    total = FOLDED_TOTAL
+    if best.mechanism == "flap":
+        total = CATEGORY_OPENING.get((context.category, "flap"), FOLDED_TOTAL)
     if closing > opening:
         return replace(
             best,
@@ -100,40 +93,38 @@ def with_swept_limits(context: PartContext, best: Hypothesis) -> Hypothesis:
     return replace(best, lower=-closing, upper=max(0.3, min(opening, total - closing)))
 
 
-def _reclining(context: PartContext, best: Hypothesis) -> Hypothesis:
-    """A backrest leans back from where it stands."""
+def _reclining(context: PartContext, best: JointProposal) -> JointProposal:
+    """A backrest leans back from its scanned pose."""
     arm = context.shape.center - best.origin
-    away = context.shape.center - context.scene.shapes[context.parent].center
+    away = context.shape.center - context.sampled.shapes[context.parent].center
     away[2] = 0.0
     axis = best.axis if float(np.cross(best.axis, arm) @ away) >= 0 else -best.axis
     return replace(best, axis=axis, lower=0.0, upper=RECLINE)
 
 
-def shut_front(context: PartContext, motion: Hypothesis) -> bool:
-    """Whether a motion is a door's or a drawer's that was scanned shut, or a lid's that lies."""
-    named, _ = mechanism_of(context.shape.name, context.scene.category)
-    noted = motion.note.partition(":")[0]
-    if "hinge" in (named, noted) or "drop" in (named, noted):
+def shut_front(context: PartContext, motion: JointProposal) -> bool:
+    """Whether a motion is that of a door, drawer or lid that was scanned shut."""
+    named, _ = mechanism_of(context.shape.name, context.sampled.category)
+    mechanisms = (named, motion.mechanism)
+    if "hinge" in mechanisms or "drop" in mechanisms:
         return context.shut
-    if "flap" in (named, noted):
-        # One that leans on a wall is open.
+    if "flap" in mechanisms:
+        # A lid that leans on a wall is open.
         return abs(float(context.panel_normal[2])) > 0.9 and context.shut
     return named == "slide_out" and context.closed
 
 
-def from_zero(context: PartContext, motion: Hypothesis) -> Hypothesis:
-    """A motion that starts where it was scanned, where that is shut."""
+def from_zero(context: PartContext, motion: JointProposal) -> JointProposal:
+    """The motion with 0 as its lower limit if the part was scanned shut."""
     two_ways = motion.lower < 0 < motion.upper and motion.type in ("revolute", "prismatic")
     return replace(motion, lower=0.0) if two_ways and shut_front(context, motion) else motion
 
 
 def _mirrored_twin(context: PartContext) -> int | None:
-    """Another part of the same size on the other side of the parent."""
-    own = np.sort(context.shape.box.half)
-    for j in context.scene.others(context.part):
-        other = context.scene.shapes[j]
+    """Another child of the parent with the same size."""
+    for j in context.sampled.others(context.part):
         if j == context.parent or context.assembly.parent[j] != context.parent:
             continue
-        if np.all(np.abs(np.sort(other.box.half) - own) < 0.3 * own + 0.01):
+        if same_extents(context.sampled.shapes[j], context.shape, 0.3):
             return j
     return None

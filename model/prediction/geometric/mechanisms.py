@@ -1,4 +1,4 @@
-"""From a mechanism to the scored joints that it may have."""
+"""From a part's mechanism to scored joint proposals, and the direction that an object faces."""
 
 from __future__ import annotations
 
@@ -9,131 +9,135 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
+from model.prediction.explanation import Reason
 from model.prediction.geometric.context import Assembly, PartContext
-from model.prediction.geometric.edge_hinges import edge_hypotheses
+from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.edge_limits import with_swept_limits
-from model.prediction.geometric.hypothesis import Hypothesis, unit
 from model.prediction.geometric.pins import (
-    lever_hypotheses,
-    pivot_hypotheses,
-    swing_hypotheses,
-    tilt_hypotheses,
-    toggle_hypotheses,
+    lever_proposals,
+    pivot_proposals,
+    swing_proposals,
+    tilt_proposals,
+    toggle_proposals,
     within_reach,
 )
 from model.prediction.geometric.prismatic import (
-    lift_hypotheses,
-    press_hypotheses,
-    slide_along_hypotheses,
-    slide_out_hypotheses,
+    lift_proposals,
+    press_proposals,
+    slide_along_proposals,
+    slide_out_proposals,
 )
-from model.prediction.geometric.revolute import screw_hypotheses, spin_hypotheses, swivel_hypotheses
+from model.prediction.geometric.proposal import JointProposal, unit
+from model.prediction.geometric.revolute import screw_proposals, spin_proposals, swivel_proposals
 
 Array = npt.NDArray[np.float64]
 
-BUILDERS: dict[Mechanism, Callable[[PartContext], list[Hypothesis]]] = {
-    "hinge": lambda c: edge_hypotheses(c, "hinge"),
-    "flap": lambda c: edge_hypotheses(c, "flap"),
-    "drop": lambda c: edge_hypotheses(c, "drop"),
-    "temple": lambda c: edge_hypotheses(c, "temple"),
-    "pivot": pivot_hypotheses,
-    "swing": swing_hypotheses,
-    "lever": lever_hypotheses,
-    "toggle": toggle_hypotheses,
-    "tilt": tilt_hypotheses,
-    "spin": spin_hypotheses,
-    "swivel": swivel_hypotheses,
-    "screw": screw_hypotheses,
-    "slide_out": slide_out_hypotheses,
-    "slide_along": slide_along_hypotheses,
-    "lift": lift_hypotheses,
-    "press": press_hypotheses,
-    "fixed": lambda c: [Hypothesis("fixed", np.array([0.0, 0.0, 1.0]), c.shape.center)],
+BUILDERS: dict[Mechanism, Callable[[PartContext], list[JointProposal]]] = {
+    "hinge": lambda c: edge_proposals(c, "hinge"),
+    "flap": lambda c: edge_proposals(c, "flap"),
+    "drop": lambda c: edge_proposals(c, "drop"),
+    "temple": lambda c: edge_proposals(c, "temple"),
+    "pivot": pivot_proposals,
+    "swing": swing_proposals,
+    "lever": lever_proposals,
+    "toggle": toggle_proposals,
+    "tilt": tilt_proposals,
+    "spin": spin_proposals,
+    "swivel": swivel_proposals,
+    "screw": screw_proposals,
+    "slide_out": slide_out_proposals,
+    "slide_along": slide_along_proposals,
+    "lift": lift_proposals,
+    "press": press_proposals,
+    "fixed": lambda c: [JointProposal("fixed", np.array([0.0, 0.0, 1.0]), c.shape.center)],
 }
+"""What proposes the joints of each mechanism; see :func:`proposals_for`."""
 
-SWEPT: dict[Mechanism, Callable[[PartContext, Hypothesis], Hypothesis]] = {
+SWEPT_LIMITS: dict[Mechanism, Callable[[PartContext, JointProposal], JointProposal]] = {
     "hinge": with_swept_limits,
     "flap": with_swept_limits,
     "drop": with_swept_limits,
     "temple": with_swept_limits,
     "pivot": within_reach,
 }
-"""Mechanisms whose limits come from a motion sweep of the chosen joint, and how."""
+"""Mechanisms whose limits come from a motion sweep of the chosen joint."""
 
 
-def propose(context: PartContext, mechanism: Mechanism) -> list[Hypothesis]:
-    """All joints that the mechanism may have here, best first, the best with its limits.
+def proposals_for(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
+    """The joints that a mechanism can have here, in no order, with its usual limits."""
+    return [replace(p, mechanism=mechanism) for p in BUILDERS[mechanism](context)]
 
-    Where it can have none, the part stays fixed, for a person to see.
+
+def propose(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
+    """The joints that a mechanism can have here, best first, the best one with its limits.
+
+    If there are none, a fixed joint, so that a person notices.
     """
-    found = sorted(BUILDERS[mechanism](context), key=lambda h: -h.score)
+    found = sorted(proposals_for(context, mechanism), key=lambda p: -p.score)
     if not found:
-        note = f"no {mechanism} fits here: left fixed"
-        return [replace(h, note=note) for h in BUILDERS["fixed"](context)]
-    if mechanism in SWEPT:
-        found[0] = SWEPT[mechanism](context, found[0])
+        reasons = (Reason.NO_PROPOSAL,)
+        return [replace(p, reasons=reasons) for p in proposals_for(context, "fixed")]
+    if mechanism in SWEPT_LIMITS:
+        found[0] = SWEPT_LIMITS[mechanism](context, found[0])
     return found
 
 
-def find_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Array, float]:
-    """Where the object faces, from the parts that people reach for.
+def face_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> None:
+    """Set the assembly's front from the parts that people reach for.
 
-    Returns:
-        A horizontal unit vector and 0..1 how sure it is. Without any sign: where most data sets'
-        objects face, -x of the object's frame.
+    Without any cue it is -x of the object's frame, where the objects of most data sets face.
+
+    Args:
+        mechanisms: by part index.
     """
-    scene = assembly.scene
-    default = scene.frame.object_from_working.T @ np.array([-1.0, 0.0, 0.0])
+    assembly.front, assembly.front_certainty = _front(assembly, mechanisms)
+
+
+def _front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Array, float]:
     if assembly.category == "faucet":
-        flat = np.concatenate([s.outline for s in scene.shapes])[:, :2]
-        base = scene.shapes[assembly.root]
-        low = base.points[
-            base.points[:, 2] < base.low[2] + 0.1 * (base.high[2] - base.low[2] + 1e-9)
-        ]
-        middle = (low if len(low) >= 8 else base.points)[:, :2].mean(0)
-        # The spout reaches farther from the foot than anything else.
-        far = flat[np.argmax(np.abs((flat - middle) @ _spout_axis(scene, assembly, middle)))]
-        axis = _spout_axis(scene, assembly, middle)
-        sign = 1.0 if (far - middle) @ axis >= 0 else -1.0
-        return np.array([*(sign * axis), 0.0]), 0.8
+        return _spout_direction(assembly), 0.8
     votes = np.zeros(3)
     for part, mechanism in mechanisms.items():
         if part == assembly.root:
             continue
-        context = PartContext(assembly, part)
-        shape = context.shape
-        if mechanism in ("hinge", "drop"):
-            n = context.panel_normal
-            weight = 2.0 * shape.size
-        elif mechanism in ("slide_out", "press", "spin") and not (
-            {"wheel", "caster"} & set(context.words)
-        ):
-            n = context.outward
-            weight = 1.0 if mechanism == "slide_out" else 0.4
-        elif mechanism == "flap" and ({"pedal", "pad"} & set(context.words)):
-            # One steps on it from the front.
-            n, weight = unit(shape.center - scene.shapes[assembly.root].center), 1.0
-        elif mechanism == "flap" and context.grips:
-            # A knob or latch on a lid is at the front.
-            at = max(context.grips, key=lambda g: g[2])[0]
-            n, weight = 0.5 * shape.box.axes @ (at / np.maximum(shape.box.half, 1e-6)), 0.5
-        else:
-            continue
-        votes += weight * np.array([n[0], n[1], 0.0])
+        normal, weight = _front_vote(PartContext(assembly, part), mechanism)
+        votes += weight * np.array([normal[0], normal[1], 0.0])
     length = float(np.linalg.norm(votes))
     if length < 0.1:
+        default = assembly.sampled.frame.object_from_working.T @ np.array([-1.0, 0.0, 0.0])
         return unit(np.array([default[0], default[1], 0.0])), 0.0
     return votes / length, float(np.clip(length / 1.5, 0, 1))
 
 
-def _spout_axis(scene: object, assembly: Assembly, middle: Array) -> Array:
-    """Horizontal axis (2,) along which the faucet reaches farthest to one side."""
-    flat = np.concatenate([s.outline for s in assembly.scene.shapes])[:, :2] - middle
-    best, out = -1.0, np.array([1.0, 0.0])
-    for axis in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
-        along = flat @ axis
+def _front_vote(context: PartContext, mechanism: Mechanism) -> tuple[Array, float]:
+    """The direction that one part suggests, and its weight."""
+    shape, words = context.shape, set(context.words)
+    if mechanism in ("hinge", "drop"):
+        return context.panel_normal, 2.0 * shape.size
+    if mechanism in ("slide_out", "press", "spin") and not {"wheel", "caster"} & words:
+        return context.outward, 1.0 if mechanism == "slide_out" else 0.4
+    if mechanism == "flap" and {"pedal", "pad"} & words:
+        base = context.sampled.shapes[context.assembly.root]
+        return unit(shape.center - base.center), 1.0  # pedals are at the front
+    if mechanism == "flap" and context.grips:
+        # So are the knob or latch of a lid.
+        at = max(context.grips, key=lambda g: g[2])[0]
+        return 0.5 * shape.box.axes @ (at / np.maximum(shape.box.half, 1e-6)), 0.5
+    return np.zeros(3), 0.0
+
+
+def _spout_direction(assembly: Assembly) -> Array:
+    """(3,) horizontal working axis along which a faucet reaches farthest from its foot."""
+    flat = np.concatenate([s.outline for s in assembly.sampled.shapes])[:, :2]
+    base = assembly.sampled.shapes[assembly.root]
+    low = base.points[base.points[:, 2] < base.low[2] + 0.1 * (base.high[2] - base.low[2] + 1e-9)]
+    foot = (low if len(low) >= 8 else base.points)[:, :2].mean(0)
+    best, axis = -1.0, np.array([1.0, 0.0])
+    for candidate in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
+        along = (flat - foot) @ candidate
         lopsided = abs(float(along.max() + along.min()))
         if lopsided > best:
-            best, out = lopsided, axis
-    del scene
-    return out
+            best, axis = lopsided, candidate
+    far = flat[np.argmax(np.abs((flat - foot) @ axis))]
+    sign = 1.0 if (far - foot) @ axis >= 0 else -1.0
+    return np.array([*(sign * axis), 0.0])

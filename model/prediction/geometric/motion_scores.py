@@ -1,8 +1,7 @@
-"""How much a part without a name looks like each mechanism.
+"""Scores of the mechanisms for a part without a name, from its features.
 
-Explicit scores of explicit cues (:mod:`model.prediction.geometric.part_features`), in the groups
-that people would
-think in: round things, things on top of others, panels, drawers, arms.
+The rules are grouped by kinds of objects: round parts, parts on top of others, panels, drawers,
+long parts, pairs.
 """
 
 from __future__ import annotations
@@ -12,41 +11,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.core.motion_lexicon import Mechanism
-from model.prediction.geometric.assembly import TOUCHING
 from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.hypothesis import UP, unit
-from model.prediction.geometric.part_features import Looks
-from model.prediction.geometric.pins import alike
-from model.prediction.geometric.shape import blades
+from model.prediction.geometric.part_features import PartFeatures
+from model.prediction.geometric.proposal import UP, unit
+from model.prediction.geometric.sampled_object import CONTACT_GAP
+from model.prediction.geometric.shape import blades, same_extents
 
 Scores = dict[Mechanism, float]
 
-LAP = 0.5 * TOUCHING
-"""How far (diagonals) panels that pass each other lap at least; the edges of neighbours in one
-plane are found to no more than that."""
+LAP = 0.5 * CONTACT_GAP
+"""Smallest overlap (diagonals) of panels that slide past each other; the edges of neighbours in one
+plane are located to within that."""
 
 NEXT_TO = 0.06
-"""Largest gap (diagonals) between fronts that are neighbours."""
+"""Largest gap (diagonals) between adjacent fronts."""
 
 
 def _step(value: float, at: float, width: float) -> float:
-    """0 well below ``at``, 1 well above; straight in between."""
+    """0 well below ``at``, 1 well above, linear in between."""
     return float(np.clip((value - at) / width + 0.5, 0, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class _Cues:
-    """Soft judgements (0..1) that several mechanisms share.
+    """Soft classifications (0..1) that several mechanisms share.
 
     Attributes:
-        small, large: size over the object. rod: long and thin. panel: flat and filled.
-        standing: the panel's normal is level. on_stem: held by a small part of it, from below.
-        upright_disc, level_disc: round about an upright or level axis.
+        small, large: in comparison to the object. rod: long and thin. panel: flat and filled.
+        standing: the panel's normal is horizontal. on_stem: held by a small area from below.
+        upright_disc, level_disc: round about a vertical or horizontal axis.
     """
 
     part: PartContext
-    looks: Looks
-    others: dict[int, Looks]
+    features: PartFeatures
+    others: dict[int, PartFeatures]
     small: float
     large: float
     rod: float
@@ -57,7 +55,7 @@ class _Cues:
     level_disc: bool
 
 
-def _cues(part: PartContext, k: Looks, others: dict[int, Looks]) -> _Cues:
+def _cues(part: PartContext, k: PartFeatures, others: dict[int, PartFeatures]) -> _Cues:
     rod = 1 - _step(k.slender, 0.42, 0.2)
     large = _step(k.size, 0.2, 0.15)
     held_below = k.end_contact > 0.4 or max(k.contact_spread[1:]) < 0.35
@@ -70,30 +68,32 @@ def _cues(part: PartContext, k: Looks, others: dict[int, Looks]) -> _Cues:
         rod=rod,
         panel=(1 - _step(k.panel, 0.32, 0.2)) * _step(k.fill, 0.5, 0.3) * (1 - 0.8 * rod),
         standing=1 - _step(k.normal_up, 0.5, 0.4),
-        on_stem=held_below and k.on_top > 0 and large > 0.5,
+        on_stem=held_below and k.above_parent > 0 and large > 0.5,
         upright_disc=k.disc is not None and k.axis_up > 0.8,
         level_disc=k.disc is not None and k.axis_up < 0.35,
     )
 
 
-def motion_scores(part: PartContext, looks: Looks, others: dict[int, Looks]) -> Scores:
-    """Mechanism → score; the largest wins.
+def motion_scores(
+    part: PartContext, features: PartFeatures, others: dict[int, PartFeatures]
+) -> Scores:
+    """Mechanism → score; the highest is the likeliest.
 
     Args:
-        part: the part. looks: its cues. others: the cues of all parts without a name.
+        part: within its object. features: of the part. others: of all unnamed parts, by index.
     """
-    c = _cues(part, looks, others)
+    c = _cues(part, features, others)
     scores: Scores = {}
-    for group in (_round_things, _things_on_top, _panels, _drawers, _arms, _pairs):
+    for group in (_round_parts, _parts_on_top, _panels, _drawers, _long_parts, _pairs):
         for mechanism, value in group(c).items():
             scores[mechanism] = scores.get(mechanism, 0.0) + value
     return scores
 
 
-def _round_things(c: _Cues) -> Scores:
-    """Knobs, wheels, balls, propellers, hands; and buttons, which are what else is small."""
-    k, disc = c.looks, c.looks.disc
-    press = 2.2 * c.small + 0.15 * min(k.twins, 6) * c.small - 0.5 * (1 - k.exposed)
+def _round_parts(c: _Cues) -> Scores:
+    """Knobs, wheels, balls, propellers, clock hands; all other small parts are buttons."""
+    k, disc = c.features, c.features.disc
+    press = 2.2 * c.small + 0.15 * min(k.same_size, 6) * c.small - 0.5 * (1 - k.exposed)
     spin = 0.0
     if disc is not None:
         clear = disc.radius > 10 * c.part.shape.noise
@@ -108,24 +108,24 @@ def _round_things(c: _Cues) -> Scores:
             spin += 1.0
         if k.ball and clear:
             spin += 2.5
-        covers_front = k.backed > 0.8 and not k.grounded and k.walls <= 2
+        covers_front = k.backed > 0.8 and not k.grounded and k.covered_sides <= 2
         if c.level_disc and covers_front and k.size > 0.3 and k.flat < 0.3:
             spin -= 1.5  # a round door
     if blades(c.part.shape) is not None:
         spin += 4.0
-    if c.part.hand:
+    if c.part.clock_hand:
         spin += 3.0
     if k.scanned and k.grounded and k.height < 0.2:
-        spin += 2.6 * c.small  # a wheel of which a scan shows too little to be round
-    drum = c.level_disc and k.walls >= 4 and k.size > 0.25
+        spin += 2.6 * c.small  # a wheel that was scanned in part
+    drum = c.level_disc and k.covered_sides >= 4 and k.size > 0.25
     if drum and disc is not None and abs(float(disc.axis @ k.exit)) > 0.9:
         spin += 2.5
     return {"press": press, "spin": spin}
 
 
-def _things_on_top(c: _Cues) -> Scores:
+def _parts_on_top(c: _Cues) -> Scores:
     """Caps, pot lids, turntables, casters, seats, heads on stems."""
-    k, disc, part = c.looks, c.looks.disc, c.part
+    k, disc, part = c.features, c.features.disc, c.part
     swivel, screw, lift = 0.0, 0.0, 0.1
     if c.upright_disc and k.flat < 0.35 and k.top > 0.5 and k.bottom > 0.5:
         swivel += 2.8  # a turntable inside
@@ -137,8 +137,8 @@ def _things_on_top(c: _Cues) -> Scores:
     if c.on_stem and wheels >= 3 and k.size > 0.4:
         screw = swivel + 1.0  # the seat of an office chair
     if c.upright_disc and disc is not None:
-        aside = float(np.linalg.norm((part.shape.center - part.base.center)[:2]))
-        width = 2 * float(np.sort(part.base.box.half)[0])
+        aside = float(np.linalg.norm((part.shape.center - part.parent_shape.center)[:2]))
+        width = 2 * float(np.sort(part.parent_shape.box.half)[0])
         cap = (
             k.top < 0.3
             and (k.bottom > 0.4 or k.scanned)
@@ -146,14 +146,14 @@ def _things_on_top(c: _Cues) -> Scores:
             and k.flat > 0.085
             and disc.radius > 0.1 * width
             and aside < 0.6 * disc.radius
-            and float(part.base.high[2]) < float(part.shape.high[2]) + 0.02
+            and float(part.parent_shape.high[2]) < float(part.shape.high[2]) + 0.02
         )
         if cap:
             tall = _tallness(part) > 1.1
             screw = max(screw, 2.9 if tall else 1.2)
             lift = 1.0 if tall else 2.9
     tilt = 0.3 + (1.2 * c.panel if c.on_stem else 0.0)
-    if part.parent != part.assembly.root and part.base.slenderness < 0.35:
+    if part.parent != part.assembly.root and part.parent_shape.slenderness < 0.35:
         tilt += 1.5 * (1 - c.small)  # the head of a lamp
         swivel -= 1.0
     return {"swivel": swivel, "screw": screw, "lift": lift, "tilt": tilt}
@@ -161,7 +161,7 @@ def _things_on_top(c: _Cues) -> Scores:
 
 def _panels(c: _Cues) -> Scores:
     """Doors, lids, sliding panels, rockers."""
-    k, part = c.looks, c.part
+    k, part = c.features, c.part
     hinge = 0.8 + c.panel * c.standing * (1.2 * c.large + 0.4 * k.exposed)
     flap = 0.5 + c.panel * (1 - c.standing) * (1.2 * c.large + 0.6 * (1 - k.top))
     if k.aligned < 0.985:  # ajar
@@ -175,35 +175,35 @@ def _panels(c: _Cues) -> Scores:
 
 
 def _drawers(c: _Cues) -> Scores:
-    """What can leave level, with the parent around and behind it."""
-    k, part = c.looks, c.part
-    embedded = _step(k.walls, 3.0, 2.0)
+    """Parts that can leave horizontally, with the parent around and behind them."""
+    k, part = c.features, c.part
+    embedded = _step(k.covered_sides, 3.0, 2.0)
     deep = _step(k.depth / max(min(k.face), 1e-6), 0.8, 0.5)
-    drawer = k.way_out * embedded * (0.5 + 1.5 * deep) + k.way_out * deep * c.large
+    drawer = k.exit_score * embedded * (0.5 + 1.5 * deep) + k.exit_score * deep * c.large
     wide = _step(k.face[0] / max(k.face[1], 1e-6), 1.9, 0.6)
-    low = 1 - _step(k.face[1] / max(part.base.size, 1e-6), 0.22, 0.1)
+    low = 1 - _step(k.face[1] / max(part.parent_shape.size, 1e-6), 0.22, 0.1)
     if k.scanned:
-        # Of a closed drawer a scan shows only the front, and perhaps a rim.
+        # A scan shows only the front of a closed drawer, and perhaps a rim.
         flat = 1 - _step(k.depth / max(k.face[0], 1e-6), 1.0, 0.4)
         drawer += 2.4 * part.closed * wide * low * c.large * flat
     else:
-        drawer += 1.8 * k.way_out * c.panel * c.standing * wide * low * c.large
+        drawer += 1.8 * k.exit_score * c.panel * c.standing * wide * low * c.large
     drawer += 3.4 * part.closed * c.panel * c.standing * c.large * spans_doors(part)
     return {"slide_out": 0.3 + drawer - (2.0 if k.disc is not None else 0.0)}
 
 
-def _arms(c: _Cues) -> Scores:
-    """Long things held at one end or at both."""
-    k, part = c.looks, c.part
+def _long_parts(c: _Cues) -> Scores:
+    """Long parts held at one or both ends."""
+    k, part = c.features, c.part
     temple = 0.2 + c.rod * (1.3 * k.end_contact + 0.4 * c.large)
-    if k.twins and not part.closed:
+    if k.same_size and not part.closed:
         temple += 0.5 * c.rod * k.end_contact
     middling = (1 - c.small) * (1 - _step(k.size, 0.42, 0.1)) * (0.5 if part.closed else 1.0)
     lever = 0.3 + middling * (1 - c.panel) * (0.9 + 0.8 * k.end_contact)
     lever += 2.6 * c.small * c.rod * k.end_contact * (1 - c.panel)
     bail, legs = _bail(part, k)
-    bail *= 1 - c.panel  # of a scanned door only one face is there, thin as a bow's wire
-    # A long-legged bow that stands on its parent is pulled out of it.
+    bail *= 1 - c.panel  # one face of a scanned door is as thin as a bail's wire
+    # A bail with long legs that stands on its parent is pulled out of it.
     return {
         "temple": temple,
         "lever": lever,
@@ -213,15 +213,16 @@ def _arms(c: _Cues) -> Scores:
 
 
 def _pairs(c: _Cues) -> Scores:
-    """Two long things, one turning in or sliding along the other, or two of a kind."""
-    k, part = c.looks, c.part
+    """Two long parts, one turning in or sliding along the other, or two equal ones."""
+    k, part = c.features, c.part
     scores: Scores = {"pivot": 0.2 + 0.5 * c.rod * (k.parts <= 4), "slide_along": 0.2}
-    pair = k.parts <= 3 and not k.twins and k.relative > 0.6 and part.base.slenderness < 0.33
-    pair = pair or (k.parts == 2 and k.relative > 0.85 and alike(part.shape, part.base))
+    base = part.parent_shape
+    pair = k.parts <= 3 and not k.same_size and k.relative > 0.6 and base.slenderness < 0.33
+    pair = pair or (k.parts == 2 and k.relative > 0.85 and same_extents(part.shape, base))
     if pair and c.rod > 0.5:
-        # A blade that is free on one edge turns out of its handle; one that is not slides.
+        # A blade free on one edge turns out of its handle; an enclosed one slides.
         middle = part.shape.order[1]
-        held = min(part.covers[middle], part.covers[middle + 3]) > 0.6 and k.walls >= 4
+        held = min(part.covers[middle], part.covers[middle + 3]) > 0.6 and k.covered_sides >= 4
         scores["slide_along" if held else "pivot"] += 3.2 * c.rod
     elif _caps_the_end(part):
         scores["slide_along"] += 2.6
@@ -229,8 +230,8 @@ def _pairs(c: _Cues) -> Scores:
 
 
 def _caps_the_end(part: PartContext) -> bool:
-    """Whether it sits on one end of a long parent and is as thick: the cap of a pen or a stick."""
-    shape, base = part.shape, part.base
+    """Whether it is on one end of a long parent and equally thick, as the cap of a pen."""
+    shape, base = part.shape, part.parent_shape
     thin, middle, long = base.order
     if base.slenderness > 0.5 or shape.size > 0.8 * base.size:
         return False
@@ -249,17 +250,17 @@ def _caps_the_end(part: PartContext) -> bool:
 
 def _tallness(context: PartContext) -> float:
     """Height over width of the whole object."""
-    extent = context.scene.high - context.scene.low
+    extent = context.sampled.high - context.sampled.low
     return float(extent[2] / max(extent[0], extent[1], 1e-6))
 
 
 def _holds_wheel(c: _Cues) -> bool:
-    """A small part near the ground that a wheel hangs on."""
+    """Whether it is a small part near the ground that carries a wheel."""
     context = c.part
-    if c.looks.size > 0.2 or c.looks.height > 0.3:
+    if c.features.size > 0.2 or c.features.height > 0.3:
         return False
     for j, other in c.others.items():
-        if j == context.part or context.scene.gap[j, context.part] > 2 * TOUCHING:
+        if j == context.part or context.sampled.gap[j, context.part] > 2 * CONTACT_GAP:
             continue
         wheel = other.disc is not None and other.axis_up < 0.35 and other.grounded
         if wheel and context.assembly.parent[j] == context.part:
@@ -268,19 +269,19 @@ def _holds_wheel(c: _Cues) -> bool:
 
 
 def passes_sibling(context: PartContext) -> bool:
-    """Whether another panel lies in a parallel plane and laps over this one at the side."""
-    shape, scene = context.shape, context.scene
+    """Whether another panel in a parallel plane partly overlaps this one."""
+    shape, sampled = context.shape, context.sampled
     n = shape.panel.normal
     axes = shape.box.axes
     thick = shape.panel.high - shape.panel.low
-    for j in scene.others(context.part):
-        other = scene.shapes[j]
+    for j in sampled.others(context.part):
+        other = sampled.shapes[j]
         if j in (context.parent, context.assembly.root) or other.size < 0.6 * shape.size:
             continue
         if abs(other.box.axes[:, other.panel.normal] @ axes[:, n]) < 0.98:
             continue
         step = axes.T @ (other.center - shape.center)
-        # Handles move the middles of boxes, not the planes.
+        # Handles shift the centres of boxes, but not the slabs.
         apart = abs(float(axes[:, n] @ (other.slab_center - shape.slab_center)))
         if not 0.6 * thick < apart < 5 * thick + 0.02:
             continue
@@ -296,23 +297,23 @@ def passes_sibling(context: PartContext) -> bool:
 
 
 def spans_doors(context: PartContext) -> bool:
-    """Whether it is wider than high and runs below or above two or more upright fronts that stand
-    side by side in its plane: the drawer across the doors of a refrigerator or a cupboard."""
-    shape, scene = context.shape, context.scene
+    """Whether it is a wide front above or below two or more adjacent doors in its plane, as the
+    freezer drawer of a refrigerator."""
+    shape, sampled = context.shape, context.sampled
     normal = context.panel_normal
     if abs(normal[2]) > 0.3:
         return False
     level = unit(np.cross(UP, normal))
     width, height = 2 * shape.box.reach(level), float(shape.high[2] - shape.low[2])
     doors: dict[float, list[float]] = {1.0: [], -1.0: []}
-    for j in scene.others(context.part):
-        other = scene.shapes[j]
+    for j in sampled.others(context.part):
+        other = sampled.shapes[j]
         if j in (context.parent, context.assembly.root):
             continue
         wide, tall = 2 * other.box.reach(level), float(other.high[2] - other.low[2])
         step = other.center - shape.center
-        in_plane = abs(float((other.slab_center - shape.slab_center) @ normal)) < 2 * TOUCHING
-        within = abs(float(step @ level)) + wide / 2 < width / 2 + 2 * TOUCHING
+        in_plane = abs(float((other.slab_center - shape.slab_center) @ normal)) < 2 * CONTACT_GAP
+        within = abs(float(step @ level)) + wide / 2 < width / 2 + 2 * CONTACT_GAP
         gap = abs(float(step[2])) - (height + tall) / 2
         if in_plane and within and tall > wide and abs(gap) < NEXT_TO:
             doors[float(np.sign(step[2]))].append(wide)
@@ -321,11 +322,11 @@ def spans_doors(context: PartContext) -> bool:
     )
 
 
-def _bail(context: PartContext, k: Looks) -> tuple[float, float]:
-    """How much it is a bow held at two far ends of one level axis, and whether it has long legs.
+def _bail(context: PartContext, k: PartFeatures) -> tuple[float, float]:
+    """Scores of a bail, held at the two ends of a horizontal axis, and of its long legs.
 
     Returns:
-        0..1, and 0..1: 1 where the bow stands upright on its parent and is higher than wide.
+        0..1, and 0..1: 1 if the bail stands upright on its parent and is higher than wide.
     """
     shape = context.shape
     if k.size < 0.15:
@@ -342,6 +343,6 @@ def _bail(context: PartContext, k: Looks) -> tuple[float, float]:
         if value > best:
             best = value
             tall = shape.box.reach(context.upright()) / max(shape.box.reach(axis), 1e-6)
-            legs = _step(tall, 0.95, 0.3) * float(k.on_top > 0)
+            legs = _step(tall, 0.95, 0.3) * float(k.above_parent > 0)
     thin_walled = 1 - _step(shape.area / max(2 * shape.size**2, 1e-9), 0.25, 0.3)
     return float(np.clip(best, 0, 1)) * thin_walled, legs

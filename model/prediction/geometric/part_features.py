@@ -1,4 +1,4 @@
-"""What a part looks like within its assembly: the cues from which its mechanism is guessed."""
+"""Features of a part within its object, from which its mechanism is predicted."""
 
 from __future__ import annotations
 
@@ -8,40 +8,39 @@ import numpy as np
 import numpy.typing as npt
 
 from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.hypothesis import UP
-from model.prediction.geometric.outline import Roundness
+from model.prediction.geometric.proposal import UP
+from model.prediction.geometric.shape import Roundness, same_extents
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
-    """Cues of one part; lengths in diagonals of the object.
+class PartFeatures:
+    """Features of one part; lengths in diagonals of the object.
 
     Attributes:
         size: diagonal of the part's box. relative: over that of its parent.
-        disc: circle that the outline makes, None where it is not round.
-        flat: half thickness over radius of the disc; 0 where there is none.
-        axis_up: 0..1, how upright the disc's axis is. scanned: it is a cloud: what lies behind may
-            be missing.
-        ball: round about three axes.
-        height: 0 at the object's foot, 1 at its top (the part's middle). grounded: touches down.
+        disc: circle fit along the symmetry axis, None if the part isn't round.
+        flat: half thickness over radius of the disc; 0 without one.
+        axis_up: 0..1, how vertical the disc's axis is.
+        scanned: a cloud, so the back may be missing. ball: round about three axes.
+        height: of the part's centre, 0 at the object's bottom, 1 at its top.
+        grounded: reaches the object's bottom.
         top, bottom, sides: how much the parent covers it from above, from below, and from the
-            four sides (mean). walls: number of the six sides that are covered.
-        outward: free direction. exposed: how free it is there (1 - cover). backed: how much of
-            the parent lies behind.
-        exit: level direction in which a drawer would leave. way_out: 0..1, nothing is in front of
-            it there and the parent is behind it.
-        depth: extent along exit. face: the two extents across exit, level one first.
-        fill: share of the panel's face that it covers.
-        panel: thin extent over the middle one. slender: middle extent over the long one.
-        normal_up: 0..1, how upright the thin axis is. aligned: 0..1, how well the box lies along
-            the object's directions.
-        end_contact: -1..1, whether it is held at one end of its long axis (1) or not (0).
-        end: which end that is, +1 or -1 along the box's long axis.
+            four sides on average, 0..1. covered_sides: number of covered sides of six.
+        outward: open direction. exposed: how open it is, 0..1. backed: how much of the parent
+            lies behind, 0..1.
+        exit: horizontal direction in which a drawer would open. exit_score: 0..1, 1 with nothing
+            in front and the parent behind.
+        depth: extent along exit. face: horizontal and other extent across exit.
+        fill: share of its rectangle that a panel fills.
+        panel: thin over middle extent. slender: middle over long extent.
+        normal_up: 0..1, how vertical the thin axis is. aligned: 0..1, how well the box is aligned
+            with the object's directions.
+        end_contact: 0..1, 1 if it is held at one end of its long axis.
         contact_spread: extent of the contact over that of the part, along (thin, middle, long).
-        twins: number of other parts of nearly the same size.
-        on_top: the part's middle is above the parent's.
+        same_size: number of other parts of nearly the same size.
+        above_parent: height of its centre above that of the parent.
         parts: number of parts of the object.
     """
 
@@ -57,12 +56,12 @@ class Looks:
     top: float
     bottom: float
     sides: float
-    walls: int
+    covered_sides: int
     outward: Array
     exposed: float
     backed: float
     exit: Array
-    way_out: float
+    exit_score: float
     depth: float
     face: tuple[float, float]
     fill: float
@@ -71,73 +70,64 @@ class Looks:
     normal_up: float
     aligned: float
     end_contact: float
-    end: float
     contact_spread: Array
-    twins: int
-    on_top: float
+    same_size: int
+    above_parent: float
     parts: int
 
 
-def look(context: PartContext) -> Looks:
+def measure_features(context: PartContext) -> PartFeatures:
     """Measure one part."""
-    scene, shape, base = context.scene, context.shape, context.base
-    box = shape.box
-    height = max(float(scene.high[2] - scene.low[2]), 1e-6)
-    disc = shape.roundest
-    axis_up = abs(float(disc.axis @ UP)) if disc is not None else 0.0
-    covers = context.covers
+    sampled, shape, base = context.sampled, context.shape, context.parent_shape
+    box, disc, covers = shape.box, shape.roundest, context.covers
+    height = max(float(sampled.high[2] - sampled.low[2]), 1e-6)
     axes = context.directions
     up = int(np.argmax(axes[:, 2]))
     down = (up + 3) % 6
     side = [k for k in range(6) if k not in (up, down)]
     outward = int(np.argmax(context.outwardness))
-    ways = {k: (1 - covers[k]) * (0.35 + 0.65 * covers[(k + 3) % 6]) for k in side}
-    exit_ = max(ways, key=lambda k: (round(ways[k], 2), -k))
-    across = [2 * float(box.half[k]) for k in (x % 3 for x in side) if k != exit_ % 3][:1]
-    across.append(2 * float(box.half[up % 3]))
-    thin, middle, long = shape.order
-    end_contact, end = _end_contact(context, long)
+    exits = {k: (1 - covers[k]) * (0.35 + 0.65 * covers[(k + 3) % 6]) for k in side}
+    exit_ = max(exits, key=lambda k: (round(exits[k], 2), -k))
+    across = next(k % 3 for k in side if k % 3 != exit_ % 3)
+    thin, _, long = shape.order
     contact = box.local(context.contact)
-    spread = np.array(
-        [np.ptp(contact[:, k]) / max(2 * float(box.half[k]), 1e-6) for k in (thin, middle, long)]
-    )
-    return Looks(
+    spread = [np.ptp(contact[:, k]) / max(2 * float(box.half[k]), 1e-6) for k in shape.order]
+    return PartFeatures(
         size=shape.size,
         relative=shape.size / max(base.size, 1e-6),
         disc=disc,
         # Noise thickens a thin disc.
         flat=max(0.0, disc.half - 2.5 * shape.noise) / max(disc.radius, 1e-6) if disc else 0.0,
-        axis_up=axis_up,
+        axis_up=abs(float(disc.axis @ UP)) if disc is not None else 0.0,
         scanned=shape.scanned,
         ball=shape.ball,
-        height=float((shape.center[2] - scene.low[2]) / height),
-        grounded=float(shape.low[2] - scene.low[2]) < 0.03 * height + 0.005,
+        height=float((shape.center[2] - sampled.low[2]) / height),
+        grounded=float(shape.low[2] - sampled.low[2]) < 0.03 * height + 0.005,
         top=float(covers[up]),
         bottom=float(covers[down]),
         sides=float(np.mean(covers[side])),
-        walls=int((covers > 0.5).sum()),
+        covered_sides=int((covers > 0.5).sum()),
         outward=axes[outward],
         exposed=1 - float(covers[outward]),
         backed=float(covers[(outward + 3) % 6]),
         exit=axes[exit_],
-        way_out=float(ways[exit_]),
+        exit_score=float(exits[exit_]),
         depth=2 * float(box.half[exit_ % 3]),
-        face=(across[0], across[1]),
+        face=(2 * float(box.half[across]), 2 * float(box.half[up % 3])),
         fill=shape.panel.fill,
         panel=shape.thinness,
         slender=shape.slenderness,
         normal_up=abs(float(box.axes[2, thin])),
         aligned=float(np.abs(box.axes).max(0).min()),
-        end_contact=end_contact,
-        end=end,
-        contact_spread=spread,
-        twins=_twins(context),
-        on_top=float(shape.center[2] - base.center[2]),
-        parts=len(scene),
+        end_contact=_end_contact(context, long),
+        contact_spread=np.array(spread),
+        same_size=_count_same_size(context),
+        above_parent=float(shape.center[2] - base.center[2]),
+        parts=len(sampled),
     )
 
 
-def _end_contact(context: PartContext, long: int) -> tuple[float, float]:
+def _end_contact(context: PartContext, long: int) -> float:
     half = float(context.shape.box.half[long])
     along = context.shape.box.local(context.shape.points)[:, long] / max(half, 1e-6)
     d = context.distance
@@ -145,18 +135,11 @@ def _end_contact(context: PartContext, long: int) -> tuple[float, float]:
     for side in (-1.0, 1.0):
         band = side * along > 0.75
         near[side] = float(np.median(d[band])) if band.sum() >= 3 else float(np.median(d))
-    end = 1.0 if near[1.0] < near[-1.0] else -1.0
     gain = abs(near[1.0] - near[-1.0]) / max(2 * half, 1e-6)
-    return float(np.clip((gain - 0.1) / 0.4, 0, 1)), end
+    return float(np.clip((gain - 0.1) / 0.4, 0, 1))
 
 
-def _twins(context: PartContext) -> int:
-    own = np.sort(context.shape.box.half)
-    count = 0
-    for j in context.scene.others(context.part):
-        if j == context.assembly.root:
-            continue
-        other = np.sort(context.scene.shapes[j].box.half)
-        if np.all(np.abs(other - own) < 0.25 * own + 0.002):
-            count += 1
-    return count
+def _count_same_size(context: PartContext) -> int:
+    shapes, root = context.sampled.shapes, context.assembly.root
+    others = (shapes[j] for j in context.sampled.others(context.part) if j != root)
+    return sum(same_extents(other, context.shape, 0.25, 0.002) for other in others)

@@ -1,24 +1,25 @@
-"""Parts that slide: drawers, sliding panels and blades, lids that lift, buttons."""
+"""Prismatic proposals: drawers, sliding panels and blades, lids that lift, buttons."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
+from model.prediction.explanation import Reason
 from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.hypothesis import Hypothesis, unit
+from model.prediction.geometric.proposal import JointProposal, unit
 from model.prediction.geometric.shape import fit_panel
 from model.prediction.geometric.sweep import TOLERANCE, free_range
 
 Array = npt.NDArray[np.float64]
 
 DRAWER_TRAVEL = 0.79
-"""Of a drawer's depth: what people leave in the rails."""
+"""Travel of a drawer over its depth; the rest stays in the rails."""
 
 
-def slide_out_hypotheses(context: PartContext) -> list[Hypothesis]:
-    """A drawer leaves through the side where nothing is in front of it."""
-    shape, base = context.shape, context.base
+def slide_out_proposals(context: PartContext) -> list[JointProposal]:
+    """A drawer slides out of the open side of its parent."""
+    shape, base = context.shape, context.parent_shape
     covers = context.covers
     found = []
     front, certainty = context.assembly.front, context.assembly.front_certainty
@@ -36,17 +37,16 @@ def slide_out_hypotheses(context: PartContext) -> list[Hypothesis]:
         score += 0.8 * certainty * float(direction @ front)
         score += 0.3 * float(direction @ unit(shape.center - base.center))
         depth = _drawer_depth(context, direction)
-        note = "drawer: open side" if covers[k] < 0.3 else "drawer"
+        reasons = (Reason.OPEN_SIDE,) if covers[k] < 0.3 else ()
+        travel = DRAWER_TRAVEL * depth
         found.append(
-            Hypothesis(
-                "prismatic", direction, shape.center, 0.0, DRAWER_TRAVEL * depth, score, note
-            )
+            JointProposal("prismatic", direction, shape.center, 0.0, travel, score, reasons=reasons)
         )
     return found
 
 
 def _handle_beyond(context: PartContext, k: int, direction: Array) -> float:
-    """1 where a handle sticks out that way, -1 where one does the other way."""
+    """1 if a handle points in that direction, -1 if one points the other way, 0 if both or none."""
     panel = fit_panel(context.shape, k)
     sign = float(np.sign(context.shape.box.axes[:, k] @ direction))
     out = 0.0
@@ -58,18 +58,18 @@ def _handle_beyond(context: PartContext, k: int, direction: Array) -> float:
 
 
 def _drawer_depth(context: PartContext, direction: Array) -> float:
-    """Depth of the drawer; what the body leaves for it where only its front is there."""
+    """Depth of the drawer; estimated from its parent if only the front was scanned or modelled."""
     own = 2 * context.shape.box.reach(direction)
-    behind = 2 * context.base.box.reach(direction)
+    behind = 2 * context.parent_shape.box.reach(direction)
     if context.shape.scanned and own < 0.4 * behind:
         return 0.8 * behind
-    # A front without a drawer behind it: half the body is left for one.
+    # A front without a drawer: half the parent's depth.
     return own if own > 0.25 * behind else max(own, 0.5 * behind)
 
 
-def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
-    """A panel or blade moves within its own plane, along the parent where it can."""
-    shape, base = context.shape, context.base
+def slide_along_proposals(context: PartContext) -> list[JointProposal]:
+    """A panel or blade slides within its own plane, preferably along the parent."""
+    shape, base = context.shape, context.parent_shape
     _, middle, long = shape.order
     axes = shape.box.axes
     found = []
@@ -77,7 +77,7 @@ def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
         for sign in (-1.0, 1.0):
             direction = sign * axes[:, k]
             free = free_range(
-                context.scene,
+                context.sampled,
                 context.part,
                 (context.parent,),
                 rotates=False,
@@ -89,7 +89,7 @@ def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
             wanted = max(1e-6, min(1.0, 2 * float(shape.box.half[k])))
             along = float(abs(base.box.axes[:, base.order[2]] @ direction))
             away = float(direction @ unit(shape.center - base.center))
-            # Sliding doors and sashes move level; blades move along the handle.
+            # Sliding doors and sashes move horizontally, blades along their handle.
             level = 1.0 - abs(direction[2])
             score = 1.2 * free / wanted + 0.5 * along + 0.4 * away
             if shape.panel.normal != int(np.argmax(np.abs(axes[2]))):
@@ -98,15 +98,17 @@ def slide_along_hypotheses(context: PartContext) -> list[Hypothesis]:
                 score += 1.5
             if {"lid", "cap", "cover", "blade"} & set(context.words):
                 score += 1.0 * along
-            note = "slides within its own plane"
+            travel, reasons = 0.8 * wanted, (Reason.OWN_PLANE,)
             found.append(
-                Hypothesis("prismatic", direction, shape.center, 0.0, 0.8 * wanted, score, note)
+                JointProposal(
+                    "prismatic", direction, shape.center, 0.0, travel, score, reasons=reasons
+                )
             )
     return found
 
 
-def lift_hypotheses(context: PartContext) -> list[Hypothesis]:
-    """Straight up (or along the part's own upright axis)."""
+def lift_proposals(context: PartContext) -> list[JointProposal]:
+    """A lid or plunger moves along its vertical axis, a toaster's lever downwards."""
     up = context.upright()
     height = 2 * context.shape.box.reach(up)
     travel = {"kitchenpot": 0.012, "bottle": 0.06, "suitcase": 0.75 * height, "kettle": 0.12}.get(
@@ -115,12 +117,13 @@ def lift_hypotheses(context: PartContext) -> list[Hypothesis]:
     down = context.category == "toaster"
     axis = -up if down else up
     if down:
-        travel = 0.5 * 2 * context.base.box.reach(up)
-    return [Hypothesis("prismatic", axis, context.shape.center, 0.0, travel, 1.0, "moves upright")]
+        travel = 0.5 * 2 * context.parent_shape.box.reach(up)
+    center, reasons = context.shape.center, (Reason.UPRIGHT,)
+    return [JointProposal("prismatic", axis, center, 0.0, travel, 1.0, reasons=reasons)]
 
 
-def press_hypotheses(context: PartContext) -> list[Hypothesis]:
-    """Into the surface that the button sits on."""
+def press_proposals(context: PartContext) -> list[JointProposal]:
+    """A button moves into the surface around it."""
     shape = context.shape
     found = []
     normals = _parent_normals(context)
@@ -133,29 +136,33 @@ def press_hypotheses(context: PartContext) -> list[Hypothesis]:
     surface = unit(shape.center - _surface_center(context))
     sides = np.abs(shape.box.axes.T @ np.stack([d for d, _ in choices]).T).T @ shape.box.half
     flat = 1 - sides / max(float(sides.max()), 1e-9)
-    sure = 2.0 if shape.scanned else 1.2
+    normal_weight = 2.0 if shape.scanned else 1.2
     for (direction, (ahead, behind)), reach, thin in zip(choices, sides, flat, strict=True):
         score = 1.2 * behind - 1.2 * ahead + thin * (0.5 if shape.scanned else 1.0)
         if len(normals):
-            score += sure * float(np.mean(np.abs(normals @ direction)))
+            score += normal_weight * float(np.mean(np.abs(normals @ direction)))
         if shape.scanned:
             score += 1.0 * float(np.mean(np.abs(shape.normals @ direction)))
         score += 0.5 * float(direction @ surface)
         score += 0.15 * float(direction @ context.assembly.front) + 0.1 * max(0.0, direction[2])
         travel = float(np.clip(0.6 * 2 * reach, 0.002, 0.02))
-        note = "pressed into its surface"
-        found.append(Hypothesis("prismatic", -direction, shape.center, 0.0, travel, score, note))
+        reasons = (Reason.INTO_SURFACE,)
+        found.append(
+            JointProposal(
+                "prismatic", -direction, shape.center, 0.0, travel, score, reasons=reasons
+            )
+        )
     return found
 
 
 def _covered(context: PartContext) -> list[tuple[float, float]]:
-    """For each of the part's directions: what is in front, and what is behind."""
+    """For each of the part's directions: coverage in front, and behind."""
     covers = context.covers
     return [(float(covers[k]), float(covers[(k + 3) % 6])) for k in range(6)]
 
 
 def _surface_normal(normals: Array) -> Array | None:
-    """(3,) the direction that most of the normals share; None where they don't agree."""
+    """(3,) the direction shared by most of the normals; None if they don't agree."""
     if len(normals) < 6:
         return None
     values, vectors = np.linalg.eigh(normals.T @ normals / len(normals))
@@ -164,17 +171,17 @@ def _surface_normal(normals: Array) -> Array | None:
 
 def _parent_normals(context: PartContext) -> Array:
     """(K, 3) normals of the parent's surface around the part."""
-    scene, shape = context.scene, context.shape
+    sampled, shape = context.sampled, context.shape
     reach = max(0.6 * shape.size, 0.03)
-    index = scene.tree(context.parent).query_ball_point(shape.center, reach)
-    return context.base.normals[np.asarray(index, int)]
+    index = sampled.tree(context.parent).query_ball_point(shape.center, reach)
+    return context.parent_shape.normals[np.asarray(index, int)]
 
 
 def _surface_center(context: PartContext) -> Array:
-    """(3,) middle of the parent's surface around the part; of the parent where none is near."""
-    scene, shape = context.scene, context.shape
+    """(3,) centre of the parent's surface around the part; of the parent if none is near."""
+    sampled, shape = context.sampled, context.shape
     reach = max(0.8 * shape.size, 0.04)
-    index = scene.tree(context.parent).query_ball_point(shape.center, reach)
+    index = sampled.tree(context.parent).query_ball_point(shape.center, reach)
     if len(index) < 4:
-        return context.base.center
-    return context.base.points[np.asarray(index, int)].mean(0)
+        return context.parent_shape.center
+    return context.parent_shape.points[np.asarray(index, int)].mean(0)

@@ -1,6 +1,8 @@
-"""How each part moves: by its name where that says it, else by what it looks like."""
+"""The mechanism of each part: from its name, else from its features."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,87 +10,75 @@ from model.core.motion_lexicon import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
 from model.core.part_names import mechanism_of
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.motion_scores import Scores, motion_scores, passes_sibling
-from model.prediction.geometric.part_features import Looks, look
+from model.prediction.geometric.part_features import PartFeatures, measure_features
 
 CATEGORY_BONUS = 1.2
-"""Score for what parts of the object's category usually do."""
+"""Score of the mechanisms that are usual for the object's category."""
+NAMED = 0.95
+"""Probability of the mechanism that a part's name implies."""
 
 
-def guess_mechanisms(
-    assembly: Assembly,
-) -> tuple[dict[int, Mechanism], dict[int, str], dict[int, float]]:
-    """Mechanism, reason and certainty (0..1) of each part but the root."""
-    mechanisms: dict[int, Mechanism] = {}
-    reasons: dict[int, str] = {}
-    sureness: dict[int, float] = {}
-    unnamed: dict[int, Looks] = {}
-    for i, shape in enumerate(assembly.scene.shapes):
+@dataclass(frozen=True)
+class MechanismGuess:
+    """The mechanism of a part, its probability, and whether its name implies it."""
+
+    mechanism: Mechanism
+    probability: float
+    named: bool
+
+
+def guess_mechanisms(assembly: Assembly) -> dict[int, MechanismGuess]:
+    """The likeliest mechanism of each part but the root, by index."""
+    guesses: dict[int, MechanismGuess] = {}
+    unnamed: dict[int, PartFeatures] = {}
+    for i in range(len(assembly.sampled)):
         if i == assembly.root:
             continue
-        said = named_mechanism(PartContext(assembly, i))
-        if said is not None:
-            mechanisms[i], reasons[i], sureness[i] = said, f"named {shape.name!r}", 0.95
+        context = PartContext(assembly, i)
+        named = named_mechanism(context)
+        if named is not None:
+            guesses[i] = MechanismGuess(named, NAMED, True)
         else:
-            unnamed[i] = look(PartContext(assembly, i))
-    for i, looks in unnamed.items():
-        scores = mechanism_scores(PartContext(assembly, i), looks, unnamed)
+            unnamed[i] = measure_features(context)
+    for i, features in unnamed.items():
+        scores = mechanism_scores(PartContext(assembly, i), features, unnamed)
         best = max(scores, key=lambda m: scores[m])
         values = np.array(list(scores.values()))
         weights = np.exp(1.5 * (values - values.max()))
-        mechanisms[i] = best
-        reasons[i] = f"looks like a part that {MOTION_WORDS[best]}"
-        sureness[i] = float(0.9 * weights.max() / weights.sum())
-    return mechanisms, reasons, sureness
+        probability = float(0.9 * weights.max() / weights.sum())
+        guesses[i] = MechanismGuess(best, probability, False)
+    return guesses
 
 
-def mechanism_scores(part: PartContext, looks: Looks, unnamed: dict[int, Looks]) -> Scores:
-    """How much a part looks like each mechanism, what its category usually does included.
+def mechanism_scores(
+    part: PartContext, features: PartFeatures, unnamed: dict[int, PartFeatures]
+) -> Scores:
+    """Scores from a part's features, with the bonus of its category's usual mechanisms.
 
     Args:
-        unnamed: the cues of all parts without a name, by index; this part's too.
+        unnamed: features of all unnamed parts by index, including this one.
     """
-    scores = motion_scores(part, looks, unnamed)
+    scores = motion_scores(part, features, unnamed)
     for usual in CATEGORY_MOTIONS.get(part.category, ()):
         scores[usual] = scores.get(usual, 0.0) + CATEGORY_BONUS
     return scores
 
 
-MOTION_WORDS: dict[Mechanism, str] = {
-    "hinge": "swings like a door",
-    "flap": "opens like a lid",
-    "drop": "drops open",
-    "temple": "folds about its end",
-    "pivot": "turns about a pin",
-    "swing": "swings like a bail",
-    "lever": "turns like a lever",
-    "toggle": "rocks",
-    "tilt": "tilts",
-    "spin": "spins",
-    "swivel": "swivels",
-    "screw": "screws off",
-    "slide_out": "pulls out",
-    "slide_along": "slides",
-    "lift": "lifts off",
-    "press": "is pressed",
-    "fixed": "stays",
-}
-
-
 def named_mechanism(part: PartContext) -> Mechanism | None:
-    """What a part's name says; where a word leaves two ways to move, the shape decides."""
-    said, _ = mechanism_of(part.shape.name, part.scene.category)
+    """The mechanism that a part's name implies; its shape decides if the name is ambiguous."""
+    named, _ = mechanism_of(part.shape.name, part.sampled.category)
     turns = any(w in TURN_PREFIX for w in part.words)
-    if said == "hinge" and not turns and passes_sibling(part):
-        return "slide_along"  # sashes and doors that pass each other
-    if said == "screw" and part.category == "dispenser" and part.shape.roundest is None:
+    if named == "hinge" and not turns and passes_sibling(part):
+        return "slide_along"  # sashes and doors that slide past each other
+    if named == "screw" and part.category == "dispenser" and part.shape.roundest is None:
         return "press"  # a pump, not a cap
-    if said == "toggle" and not turns and part.category != "switch" and _flat_round(part):
-        return "press"  # it has no side to rock to
-    return said
+    if named == "toggle" and not turns and part.category != "switch" and _flat_round(part):
+        return "press"  # a disc has no side to tilt to
+    return named
 
 
 def _flat_round(part: PartContext) -> bool:
-    """Whether it is a flat disc that lies on its parent."""
+    """Whether a part is a flat disc that lies on its parent."""
     disc = part.shape.roundest
     if disc is None or disc.half > disc.radius:
         return False
@@ -96,5 +86,5 @@ def _flat_round(part: PartContext) -> bool:
     faces = [part.distance[side * along > 0.5 * disc.half] for side in (-1, 1)]
     if not all(len(f) for f in faces):
         return False
-    # Of a wheel that stands on it both faces are equally far away.
+    # Both faces of a wheel that stands on its parent are equally far from it.
     return abs(float(np.median(faces[0]) - np.median(faces[1]))) > 0.5 * disc.half

@@ -1,8 +1,7 @@
-"""What one part looks like: a deterministic surface sample, its box, and how round it is.
+"""The shape of one part: surface sample, oriented box, panel with protrusions, roundness.
 
-All lengths are in the working frame of :mod:`model.prediction.geometric.assembly`: the object's
-diagonal is 1
-and its dominant horizontal directions lie along x and y.
+Lengths are in the working frame of :mod:`model.prediction.geometric.sampled_object`: the object's
+diagonal is 1 and its main horizontal directions lie along x and y.
 """
 
 from __future__ import annotations
@@ -12,10 +11,87 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-
-from model.prediction.geometric.outline import Roundness, extent, roundness
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 Array = npt.NDArray[np.float64]
+
+ROUND = 0.055
+"""Largest spread of a circle, see :class:`Roundness` (a hexagon has 0.047, a square 0.11)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Roundness:
+    """A circle fitted to the outline seen along ``axis``.
+
+    Attributes:
+        axis: (3,) unit. center: (3,) on the axis, halfway along the part. radius: of the circle.
+        spread: standard deviation of the outline's radius over its mean; 0 is a perfect circle.
+        half: half the part's extent along the axis.
+    """
+
+    axis: Array
+    center: Array
+    radius: float
+    spread: float
+    half: float
+
+    @property
+    def round(self) -> bool:
+        """Whether the outline counts as a circle."""
+        return self.spread < ROUND
+
+
+def extent(points: Array, scanned: bool) -> Array:
+    """(2, D) lowest and highest values; clouds lose the outermost 0.4 % on each side."""
+    if scanned and len(points) >= 200:
+        return np.quantile(points, [0.004, 0.996], axis=0)
+    return np.stack([points.min(0), points.max(0)])
+
+
+def roundness(points: Array, axis: Array, scanned: bool, noise: float = 0.0) -> Roundness | None:
+    """Fit a circle to the convex outline of ``points`` seen along ``axis``.
+
+    The spread is reduced by that of a circle with this much noise.
+    """
+    u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    u /= np.linalg.norm(u)
+    v = np.cross(axis, u)
+    flat = points @ np.stack([u, v], 1)
+    if len(flat) < 4:
+        return None
+    if scanned and len(flat) >= 50:
+        middle = np.median(flat, axis=0)
+        r = np.linalg.norm(flat - middle, axis=1)
+        flat = flat[r <= np.quantile(r, 0.985)]
+    try:
+        hull = np.asarray(flat[ConvexHull(flat).vertices], np.float64)
+    except (QhullError, ValueError):
+        return None
+    ring = _resampled(hull, 96)
+    scale = float(np.ptp(ring, axis=0).max())
+    if scale < 1e-9:
+        return None
+    a = np.column_stack([2 * ring, np.ones(len(ring))])
+    solution, *_ = np.linalg.lstsq(a, (ring**2).sum(1), rcond=None)
+    middle = solution[:2]
+    radii = np.linalg.norm(ring - middle, axis=1)
+    along = points @ axis
+    low, high = extent(along[:, None], scanned)[:, 0]
+    center = middle[0] * u + middle[1] * v + axis * (low + high) / 2
+    mean = float(radii.mean())
+    spread = np.sqrt(max(0.0, float(radii.std()) ** 2 - (1.2 * noise) ** 2))
+    if mean > 0.65 * scale:
+        spread = mean  # a sliver fits a huge circle, but isn't round
+    return Roundness(axis, center, mean, float(spread / mean), float(high - low) / 2)
+
+
+def _resampled(polygon: Array, count: int) -> Array:
+    """Evenly spaced points along a closed polygon."""
+    closed = np.vstack([polygon, polygon[:1]])
+    step = np.linalg.norm(np.diff(closed, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    at = np.linspace(0.0, along[-1], count, endpoint=False)
+    return np.stack([np.interp(at, along, closed[:, i]) for i in range(2)], 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +109,7 @@ class Box:
 
     @property
     def volume(self) -> float:
-        """Of the box, with a floor for flat ones."""
+        """Volume, not quite 0 for flat boxes."""
         return float(np.prod(2 * self.half + 1e-3))
 
     def local(self, points: Array) -> Array:
@@ -46,16 +122,16 @@ class Box:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """One part's geometry.
+class PartShape:
+    """One part's geometry in the working frame.
 
     Attributes:
         link: its link. name: the given part name or None.
         points: (N, 3) surface sample. normals: (N, 3) unit, sign unknown.
         outline: (M, 3) points that give exact extents (mesh vertices, or the cloud).
-        area: surface area in squared diagonals (of clouds: an estimate).
-        scanned: the geometry is a cloud, so extents are noisy and sides may be missing.
-        noise: standard deviation of its points across the surface.
+        area: surface area in squared diagonals; an estimate for clouds.
+        scanned: a cloud, so extents are noisy and sides may be missing.
+        noise: standard deviation of the points across the surface.
     """
 
     link: str
@@ -69,12 +145,12 @@ class Shape:
 
     @cached_property
     def box(self) -> Box:
-        """Smallest of a few boxes, with a preference for the object's own directions."""
+        """See :func:`fit_box`."""
         return fit_box(self.outline, self.scanned, self.noise)
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the box."""
+        """Diagonal of the oriented box."""
         return float(2 * np.linalg.norm(self.box.half))
 
     @cached_property
@@ -93,7 +169,7 @@ class Shape:
 
     @property
     def center(self) -> Array:
-        """(3,) of the box."""
+        """(3,) centre of the oriented box."""
         return self.box.center
 
     @cached_property
@@ -105,7 +181,7 @@ class Shape:
 
     @cached_property
     def roundnesses(self) -> tuple[Roundness, ...]:
-        """For each candidate axis (box axes, then principal axes), roundest first."""
+        """Circle fits along the box axes and principal axes, roundest first."""
         axes = [*self.box.axes.T]
         if self.scanned:
             axes += [*np.eye(3)]
@@ -124,57 +200,56 @@ class Shape:
 
     @cached_property
     def roundest(self) -> Roundness | None:
-        """The axis about which the part is round; None where it is not.
+        """Circle fit along the part's symmetry axis; None if the part isn't round.
 
-        Where several are (a ball, a short cylinder) the one with the shorter extent wins.
+        Of several (a ball, a short cylinder) the one with the shortest extent wins.
         """
-        # What is hardly larger than the noise looks round whatever it is.
+        # Anything hardly larger than the noise would pass for round.
         found = [r for r in self.roundnesses if r.round and r.radius > 6 * self.noise]
         return min(found, key=lambda r: (round(r.spread / 0.02), r.half)) if found else None
 
     @property
     def ball(self) -> bool:
-        """Whether it is round about three axes."""
+        """Whether the part is round about three axes."""
         return sum(r.round for r in self.roundnesses) >= 3
 
     @cached_property
     def order(self) -> tuple[int, int, int]:
-        """Indices of the box axes: thin, middle, long."""
+        """Indices of the box axes by extent: thin, middle, long."""
         a, b, c = np.argsort(self.box.half, kind="stable")
         return int(a), int(b), int(c)
 
     @cached_property
     def thinness(self) -> float:
-        """Thin over middle extent: small for a panel or a flat blade."""
+        """Thin over middle extent: small for panels and blades."""
         thin, middle, _ = self.order
         return float(self.box.half[thin] / max(self.box.half[middle], 1e-6))
 
     @cached_property
     def slenderness(self) -> float:
-        """Middle over long extent: small for a rod or a blade."""
+        """Middle over long extent: small for rods and blades."""
         _, middle, long = self.order
         return float(self.box.half[middle] / max(self.box.half[long], 1e-6))
 
     @cached_property
     def panel(self) -> Panel:
-        """The part seen as a panel with something sticking out."""
+        """See :func:`fit_panel`."""
         return fit_panel(self)
 
     @property
     def slab_center(self) -> Array:
-        """(3,) of the panel's slab, without what sticks out of it."""
+        """(3,) centre of the panel without its protrusions."""
         panel, axis = self.panel, self.box.axes[:, self.panel.normal]
         return self.box.center + axis * (panel.low + panel.high) / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Protrusion:
-    """What sticks out of one face of a panel: a handle, or what reaches into the body.
+    """The part of a panel beyond one of its faces: a handle, or a drawer behind its front.
 
     Attributes:
         center: (3,) mean of its points, box coordinates. spread: (3,) their standard deviation.
-        share: of the part's sample.
-        height: how far it sticks out.
+        share: of the part's sample. height: above the face.
     """
 
     center: Array
@@ -184,7 +259,7 @@ class Protrusion:
 
     @property
     def strength(self) -> float:
-        """0..1: how much it is like a handle, not like a seam, a step or a frame."""
+        """0..1: resemblance to a handle rather than a seam, a step or a frame."""
         return float(np.clip((self.height - 0.004) / 0.008, 0, 1)) * float(
             np.clip((0.3 - self.share) / 0.15, 0, 1)
         )
@@ -192,12 +267,12 @@ class Protrusion:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The part seen as a slab with something sticking out of its faces.
+    """A part as a slab with protrusions.
 
     Attributes:
         normal: index of the box axis across the slab.
         low, high: the slab's two faces along that axis, in box coordinates.
-        below, above: what sticks out beyond ``low`` and beyond ``high``, or None.
+        below, above: protrusion beyond ``low`` and beyond ``high``, or None.
         fill: share of the box's face that the part covers, 1 for a full panel.
     """
 
@@ -209,16 +284,20 @@ class Panel:
     fill: float = 1.0
 
     def beyond(self, sign: float) -> Protrusion | None:
-        """What sticks out towards the positive or the negative side of the normal."""
+        """Protrusion on the positive or the negative side of the normal."""
         return self.above if sign > 0 else self.below
 
 
 FACE_COVER = 0.3
-"""Share of the panel's outline that a layer must cover to be its face and not a handle."""
+"""Share of the panel's area that a layer must cover to be its face rather than a handle."""
 
 
-def fit_panel(shape: Shape, normal: int | None = None) -> Panel:
-    """Find the slab's faces: from outside, the first layers that cover enough of the outline."""
+def fit_panel(shape: PartShape, normal: int | None = None) -> Panel:
+    """Find the slab's faces: from outside, the first layers that cover enough of its area.
+
+    Args:
+        normal: index of the box axis across the slab; the thinnest by default.
+    """
     box = shape.box
     k = shape.order[0] if normal is None else normal
     local = box.local(shape.points)
@@ -267,6 +346,16 @@ def _box_in(points: Array, axes: Array, scanned: bool) -> Box:
     return Box(axes, axes @ ((low + high) / 2), np.maximum((high - low) / 2, 1e-6))
 
 
+def same_extents(a: PartShape, b: PartShape, tolerance: float = 0.25, slack: float = 0.01) -> bool:
+    """Whether two boxes have nearly the same extents.
+
+    Args:
+        tolerance: share of the extents of ``b``. slack: diagonals added to it.
+    """
+    x, y = np.sort(a.box.half), np.sort(b.box.half)
+    return bool(np.all(np.abs(x - y) < tolerance * y + slack))
+
+
 def rotation(axis: Array, angle: float) -> Array:
     """(3, 3) right-handed rotation about a unit axis (rad)."""
     x, y, z = axis
@@ -275,10 +364,10 @@ def rotation(axis: Array, angle: float) -> Array:
 
 
 def fit_box(points: Array, scanned: bool, noise: float = 0.0) -> Box:
-    """The object's directions, unless a turned box is clearly smaller.
+    """The axis-aligned box, unless a rotated one is clearly smaller.
 
-    By a tenth for meshes; by more for clouds, whose sides may be missing, and never for what is
-    hardly larger than its noise.
+    It must be a tenth smaller for meshes and more for clouds, whose sides may be missing. Parts
+    hardly larger than their noise keep the axis-aligned box.
     """
     points = points[:: max(1, len(points) // 3000)] if scanned else points
     best = _box_in(points, np.eye(3), scanned)
@@ -315,7 +404,7 @@ def _near_identity(axes: Array) -> Array:
 
 
 def _turned_box(points: Array, coarse: Array, k: int, scanned: bool) -> Box:
-    """Smallest box after a turn about working axis ``k``, to half a degree."""
+    """Smallest box rotated about working axis ``k``, to half a degree."""
 
     def areas(p: Array, angles: Array) -> Array:
         i, j = [x for x in range(3) if x != k]
@@ -331,12 +420,12 @@ def _turned_box(points: Array, coarse: Array, k: int, scanned: bool) -> Box:
     fine = rough + np.deg2rad(np.arange(-3, 3.01, 0.5))
     angle = float(fine[np.argmin(areas(points, fine))])
     e = np.eye(3)[k]
-    # (i, j) is (z, x) reversed for k = 1, so the sense of the turn changes there.
+    # For k = 1 the pair (i, j) is left-handed, so the angle changes its sign.
     return _box_in(points, rotation(e, angle if k != 1 else -angle), scanned)
 
 
 def _rim(points: Array, axis: Array) -> float:
-    """Smallest over largest reach around an axis: near 1 for plates and rings, small for blades."""
+    """Smallest over largest radius around an axis: near 1 for discs and rings, small for blades."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     v = np.cross(axis, u)
@@ -348,13 +437,11 @@ def _rim(points: Array, axis: Array) -> float:
     return float(np.quantile(reach, 0.1) / max(reach.max(), 1e-9))
 
 
-def blades(shape: Shape) -> tuple[Array, Array, int] | None:
-    """Axis, centre and number of the blades of a part like a propeller; None for other parts.
+def blades(shape: PartShape) -> tuple[Array, Array, int] | None:
+    """Axis, centre and number of blades of a part like a propeller; None for other parts.
 
-    The part is flat, not filled, and lies on itself after a turn by a full turn over 3, 4, 5 or 6.
+    Such a part is flat, not filled, and has a rotational symmetry of order 3, 4, 5 or 6.
     """
-    from scipy.spatial import KDTree
-
     axis = shape.box.axes[:, shape.order[0]]
     if shape.roundest is not None or shape.thinness > 0.6 or shape.slenderness < 0.75:
         return None

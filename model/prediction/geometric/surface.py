@@ -1,17 +1,14 @@
-"""Parts as samples of their surface, the same every time for the same parts."""
+"""Deterministic samples of a part's surface, their noise, and less noisy versions of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
 
 Array = npt.NDArray[np.float64]
 
@@ -21,26 +18,26 @@ class Noise:
     """How far points lie off their surface.
 
     Attributes:
-        sigma: standard deviation across the surface (m), or no less than it where it isn't told.
-        told: the points lie along a surface, so that ``sigma`` is their noise (and what is bent of
-            the surface).
+        sigma: standard deviation across the surface (m), curvature included; only an upper bound
+            unless ``measured``.
+        measured: the points lie along a surface, so that their noise can be told from its shape.
         coarse: the noise is larger than the spacing of the points.
     """
 
     sigma: float = 0.0
-    told: bool = False
+    measured: bool = False
     coarse: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
-    """A part's surface, metres, object frame.
+class SurfaceSample:
+    """A sampled surface in metres, object frame.
 
     Attributes:
         points: (N, 3). normals: (N, 3) unit, sign unknown.
         outline: (M, 3) points that give the extents.
-        area: m², of clouds an estimate.
-        noise: see :class:`Noise` (m); of meshes 0 and not told.
+        area: m²; an estimate for clouds.
+        noise: 0 for meshes.
     """
 
     points: Array
@@ -50,16 +47,12 @@ class Sampled:
     noise: Noise
 
 
-def part_surface(part: Part, count: int, seed: int) -> Sampled:
-    """Sample a part.
+def part_surface(part: Part, count: int, seed: int) -> SurfaceSample:
+    """Sample a part's mesh, or its cloud if it has no mesh.
 
     Args:
-        part: mesh (which leads) or cloud.
-        count: points wanted; fewer where a cloud has fewer.
+        part: to sample. count: points wanted; a small cloud gives fewer.
         seed: of the sampling.
-
-    Returns:
-        See :class:`Sampled`.
     """
     rng = np.random.default_rng(seed)
     mesh = part.mesh
@@ -68,59 +61,55 @@ def part_surface(part: Part, count: int, seed: int) -> Sampled:
         total = float(area.sum())
         if total <= 0:
             points = mesh.vertices[np.unique(mesh.faces)][:count]
-            return Sampled(points, np.zeros_like(points), points, 0.0, Noise())
-        # Stratified along the cumulated area: even cover from few points.
+            return SurfaceSample(points, np.zeros_like(points), points, 0.0, Noise())
+        # Stratified along the cumulated area: even coverage from few points.
         at = (np.arange(count) + rng.random(count)) / count * total
         face = np.minimum(np.searchsorted(np.cumsum(area), at), len(area) - 1)
         s, t = np.sqrt(rng.random(count)), rng.random(count)
         w = np.stack([1 - s, s * (1 - t), s * t], 1)
         points = np.einsum("nk,nkd->nd", w, mesh.triangles[face])
         used = mesh.vertices[np.unique(mesh.faces[area > 0])]
-        return Sampled(points, mesh.face_normals[face], used, total, Noise())
+        return SurfaceSample(points, mesh.face_normals[face], used, total, Noise())
     assert part.cloud is not None
     cloud = part.cloud
     points = cloud.points.astype(np.float64)
     index = np.arange(len(points))
     if len(points) > count:
         index = np.sort(rng.choice(len(points), count, replace=False))
-    index = index[~strays(points[index])]
+    index = index[~outliers(points[index])]
     kept = points[index]
     outline = points if len(points) <= 20000 else points[:: len(points) // 20000]
-    outline = outline[~strays(outline)]
+    outline = outline[~outliers(outline)]
     normals, spacing, noise = cloud_normals(kept)
     if cloud.normals is not None:
         normals = cloud.normals[index].astype(np.float64)
-    return Sampled(kept, normals, outline, float(len(kept) * spacing**2), noise)
+    return SurfaceSample(kept, normals, outline, float(len(kept) * spacing**2), noise)
 
 
-STRAY = 4.0
-"""Times the usual distance to its neighbours at which a point is no part of the surface."""
-MOST_STRAYS = 0.1
-"""A larger share of far points is a thinner piece of the part."""
+OUTLIER_DISTANCE = 4.0
+"""Multiple of the median distance to the neighbours beyond which a point is an outlier."""
+MAX_OUTLIER_SHARE = 0.1
+"""A larger share of distant points is a sparsely sampled region of the part."""
 
 
-def strays(points: Array) -> npt.NDArray[np.bool_]:
-    """(N,) which points float about alone (statistical outlier removal, Rusu et al., 2008)."""
-    from scipy.spatial import KDTree
-
+def outliers(points: Array) -> npt.NDArray[np.bool_]:
+    """(N,) mask of isolated points (statistical outlier removal, Rusu et al., 2008)."""
     if len(points) < 50:
         return np.zeros(len(points), bool)
     distance = KDTree(points).query(points, k=7)[0][:, 1:].mean(1)
-    found = distance > STRAY * np.median(distance)
-    return found if found.mean() <= MOST_STRAYS else np.zeros(len(points), bool)
+    found = distance > OUTLIER_DISTANCE * np.median(distance)
+    return found if found.mean() <= MAX_OUTLIER_SHARE else np.zeros(len(points), bool)
 
 
 NEIGHBOURS = (14, 40, 100)
-"""Neighbourhoods in which noise is sought, smallest first."""
-ROUNDISH = (0.62, 0.35)
-"""Thin over middle and over long spread of neighbourhoods above which they are more noise than
-surface (of pure noise .74 and .55; of surfaces below .55, also at edges)."""
+"""Sizes of the neighbourhoods in which noise is measured, smallest first."""
+ISOTROPIC = (0.62, 0.35)
+"""Smallest over middle and over largest spread of a neighbourhood above which it is noise rather
+than surface (pure noise has .74 and .55, surfaces below .55, also at edges)."""
 
 
 def cloud_normals(points: Array) -> tuple[Array, float, Noise]:
-    """(N, 3) normals from the nearest neighbours' plane, the point spacing, and the noise."""
-    from scipy.spatial import KDTree
-
+    """(N, 3) normals of planes through the nearest neighbours, point spacing (m), and noise."""
     if len(points) < 4:
         return np.zeros_like(points), 0.0, Noise()
     tree = KDTree(points)
@@ -138,13 +127,13 @@ def _spreads(neighbours: Array) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(values, 0.0)), vectors
 
 
-BOARD = 2.2
-"""Kurtosis of the places across a surface below which they lie on two faces of a board; of noise
-it is 3, of two faces 1."""
+TWO_FACES = 2.2
+"""Kurtosis of the offsets across a surface below which they lie on the two faces of a thin board:
+that of Gaussian noise is 3, that of two faces 1."""
 
 
 def _noise(points: Array, tree: KDTree, spreads: Array) -> Noise:
-    """The thin spread of the smallest neighbourhoods that are flat."""
+    """Smallest spread of the smallest neighbourhoods that are flat."""
     some = points[:: max(1, len(points) // 300)]
     for step, k in enumerate(NEIGHBOURS):
         across = None
@@ -155,7 +144,7 @@ def _noise(points: Array, tree: KDTree, spreads: Array) -> Noise:
             spreads, directions = _spreads(near)
             across = np.einsum("nki,ni->nk", near - near.mean(1, keepdims=True), directions[..., 0])
         thin, middle, long = np.median(spreads, axis=0)
-        flat, round_ = thin <= ROUNDISH[0] * middle, thin > ROUNDISH[1] * long
+        flat, round_ = thin <= ISOTROPIC[0] * middle, thin > ISOTROPIC[1] * long
         if flat and across is not None:
             return _flat_noise(across)
         if flat or not round_:
@@ -164,22 +153,79 @@ def _noise(points: Array, tree: KDTree, spreads: Array) -> Noise:
 
 
 def _flat_noise(across: Array) -> Noise:
-    """From the places (N, K) across flat neighbourhoods: noise on one face, or a board's two."""
+    """Noise from offsets (N, K) across flat neighbourhoods: on one face, or on a board's two."""
     variance = float(np.median((across**2).mean(1)))
     fourth = float(np.median((across**4).mean(1)))
-    if variance <= 0 or fourth > BOARD * variance**2:
+    if variance <= 0 or fourth > TWO_FACES * variance**2:
         return Noise(variance**0.5, True, True)
-    # Two faces at a distance of 2 a: variance a² + sigma², fourth cumulant -2 a⁴.
+    # Two faces 2 a apart: variance a² + sigma², fourth cumulant -2 a⁴.
     apart = np.sqrt((3 * variance**2 - fourth) / 2)
     return Noise(float(np.sqrt(max(variance - apart, 0.0))), True, False)
 
 
+REMAINING = {True: 0.5, False: 0.6}
+"""Share of the noise left after denoising, by whether it was measured."""
+
+
+def denoised(sample: SurfaceSample, sigma: float) -> SurfaceSample:
+    """The same part with less noise.
+
+    Where the points lie along a surface, each goes onto its neighbours' plane; a part that is
+    hardly larger than the noise only shrinks to the extents that it has without it.
+
+    Args:
+        sampled: any part; one without noise (a mesh) stays as it is.
+        sigma: standard deviation of the scanner's noise (m); the part's own counts where it is
+            larger.
+    """
+    noise = sample.noise
+    if not noise.sigma:
+        return sample
+    worst = max(noise.sigma, sigma)
+    if not noise.coarse or len(sample.points) < NEIGHBOURS[1]:
+        return replace(sample, noise=replace(noise, sigma=worst))
+    move = _flattened if noise.measured else _shrunk
+    points = move(sample.points, sample.points, sigma)
+    outline = points
+    if len(sample.outline) != len(sample.points):
+        outline = move(sample.outline, sample.points, sigma)
+    normals, _, _ = cloud_normals(points)
+    left = replace(noise, sigma=REMAINING[noise.measured] * worst)
+    return replace(sample, points=points, outline=outline, normals=normals, noise=left)
+
+
+def _shrunk(points: Array, reference: Array, sigma: float) -> Array:
+    """Points scaled so that the variance along each principal axis loses that of the noise."""
+    center = reference.mean(0)
+    variance, axes = np.linalg.eigh(np.cov((reference - center).T))
+    kept = np.maximum(variance - sigma**2, 0.05 * variance)
+    return (
+        center + (points - center) @ (axes * np.sqrt(kept / np.maximum(variance, 1e-12))) @ axes.T
+    )
+
+
+def _flattened(points: Array, reference: Array, sigma: float) -> Array:
+    """Each point projected onto the plane of its neighbours within three sigma."""
+    tree = KDTree(reference)
+    k = min(NEIGHBOURS[-1], len(reference))
+    distance, index = tree.query(points, k=k)
+    reach = np.maximum(3 * sigma, distance[:, min(NEIGHBOURS[0], k) - 1])[:, None]
+    weights = np.exp(-0.5 * (2 * distance / reach) ** 2)
+    weights /= weights.sum(1, keepdims=True)
+    near = reference[index]
+    middle = np.einsum("nk,nki->ni", weights, near)
+    local = near - middle[:, None]
+    _, vectors = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weights, local, local))
+    normal = vectors[:, :, 0]
+    return points - normal * np.einsum("ni,ni->n", points - middle, normal)[:, None]
+
+
 def dominant_yaw(normals: Array, weights: Array, points: list[Array]) -> float:
-    """Turn about +z (rad, in (-pi/4, pi/4]) that brings the object's main directions onto x and y.
+    """Angle about +z of the object's main directions to x and y: rad, in (-pi/4, pi/4].
 
     Args:
         normals: (N, 3) of all parts. weights: (N,) area of each sample.
-        points: per part, for objects whose normals don't say (round ones).
+        points: per part; they decide for round objects, whose normals favour no direction.
     """
     flat = np.linalg.norm(normals[:, :2], axis=1)
     kept = flat > 0.7
@@ -205,7 +251,7 @@ def dominant_yaw(normals: Array, weights: Array, points: list[Array]) -> float:
 
 
 def _footprint_yaw(points: list[Array]) -> float:
-    """Turn that makes the parts' upright boxes smallest."""
+    """Angle at which the parts' upright boxes are smallest."""
 
     def cost(angles: Array) -> Array:
         c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -219,6 +265,6 @@ def _footprint_yaw(points: list[Array]) -> float:
     coarse = np.deg2rad(np.arange(-45, 45, 3.0))
     values = cost(coarse)
     if values.min() > 0.97 * cost(np.zeros(1))[0]:
-        return 0.0  # a round object: any yaw will do
+        return 0.0  # a round object: any yaw fits
     fine = coarse[np.argmin(values)] + np.deg2rad(np.arange(-3, 3.01, 0.25))
     return float(fine[np.argmin(cost(fine))])

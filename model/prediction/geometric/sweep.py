@@ -1,4 +1,4 @@
-"""How far a part of a scene moves before it runs into another: the motion sweep for guesses."""
+"""Collision-free range of a proposed joint, by a motion sweep."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.kinematics.sweep import free_until
-from model.prediction.geometric.assembly import Scene
 from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.shape import Shape
+from model.prediction.geometric.sampled_object import SampledObject
+from model.prediction.geometric.shape import PartShape
 
 Array = npt.NDArray[np.float64]
 
 TOLERANCE = 0.024
-"""Depth (diagonals) up to which parts may meet: an axis that is guessed lies a bit beside the true
-one, and its part then grazes what the true motion passes."""
+"""Penetration (diagonals) that is tolerated: a proposed axis lies a little beside the true one, so
+that its part grazes what the true motion passes."""
 OWN_THICKNESS = 0.5
-"""The same in the moving part's thickness, where that is less: a thin one passes through what it
-meets."""
+"""Upper bound of the tolerance in thicknesses of the moving part: a thin part would otherwise pass
+through obstacles."""
 POINTS = 1024
-"""Samples a part."""
+"""Surface points per part."""
 
 
 def free_range(
-    scene: Scene,
+    sampled: SampledObject,
     part: int,
     obstacles: tuple[int, ...],
     *,
@@ -37,22 +37,22 @@ def free_range(
     stop: float,
     tolerance: float | None = None,
 ) -> float:
-    """The largest q in [0, stop] (or [stop, 0]) that is reached without a collision.
+    """The q of largest magnitude between 0 and ``stop`` that is reached without a collision.
 
     Args:
-        scene: all parts.
-        part: which one moves. obstacles: which ones stand still.
+        sampled: all parts.
+        part: index of the moving part. obstacles: of those that stand still.
         rotates, axis, origin: the motion, working frame.
         stop: rad or diagonals; its sign gives the direction.
-        tolerance: depth (diagonals) that is no collision yet; what suits the part by default.
-            What a network reads has :data:`TOLERANCE`, as its weights were trained.
+        tolerance: tolerated penetration (diagonals); :func:`own_tolerance` by default. The
+            network's input needs :data:`TOLERANCE`, with which it was trained.
     """
     if not obstacles or stop == 0:
         return stop
-    frame = scene.frame
+    frame = sampled.frame
     unit = 1.0 if rotates else frame.diagonal
     direction, point = frame.direction_in_object(axis), frame.point_in_object(origin)
-    mover = scene.parts[part]
+    mover = sampled.parts[part]
     others = f"not {mover.link}"
     joint = Joint(
         "joint",
@@ -64,12 +64,12 @@ def free_range(
         None if rotates else min(stop * unit, 0.0),
         None if rotates else max(stop * unit, 0.0),
     )
-    made = {scene.parts[k].link: surface_of(scene.parts[k], POINTS) for k in (part, *obstacles)}
+    made = {sampled.parts[k].link: surface_of(sampled.parts[k], POINTS) for k in (part, *obstacles)}
     surfaces = {link: s for link, s in made.items() if s is not None}
     tree = KinematicTree((others, mover.link), (joint,))
     finest = max((s.resolution for s in surfaces.values()), default=0.0)
     if tolerance is None:
-        tolerance = own_tolerance(scene.shapes[part])
+        tolerance = own_tolerance(sampled.shapes[part])
     depth = max(tolerance * frame.diagonal, finest)
     reached = free_until(tree, joint, surfaces, stop * unit, depth)
     return reached / unit
@@ -80,7 +80,7 @@ def free_turn(
 ) -> float:
     """:func:`free_range` of the part's turn (rad) against its parent."""
     return free_range(
-        context.scene,
+        context.sampled,
         context.part,
         (context.parent,),
         rotates=True,
@@ -91,8 +91,8 @@ def free_turn(
     )
 
 
-def own_tolerance(shape: Shape) -> float:
-    """Diagonals that a part may go into others: less than :data:`TOLERANCE` where it is thin, and
-    no less than the gate allows."""
+def own_tolerance(shape: PartShape) -> float:
+    """Penetration (diagonals) tolerated for a part: at most :data:`TOLERANCE`, less for thin parts,
+    at least the tolerance of validation."""
     thickness = min(2 * float(shape.box.half.min()), shape.panel.high - shape.panel.low)
     return float(np.clip(OWN_THICKNESS * thickness, SWEPT, TOLERANCE))

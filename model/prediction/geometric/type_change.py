@@ -1,4 +1,4 @@
-"""The joint that a part would have if it moved another way than it was taken to."""
+"""The joint of a part after a change of its type."""
 
 from __future__ import annotations
 
@@ -12,53 +12,52 @@ from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import MECHANISMS, SLIDING, TURNING, Mechanism
 from model.core.tree import KinematicTree, moving_chain
-from model.prediction.geometric.assembly import Scene, make_scene
 from model.prediction.geometric.context import Assembly, PartContext
-from model.prediction.geometric.edge_hinges import edge_hypotheses
+from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.edge_limits import from_zero
-from model.prediction.geometric.hypothesis import Hypothesis
-from model.prediction.geometric.mechanisms import find_front, propose
-from model.prediction.geometric.part_features import look
-from model.prediction.geometric.predictor import joints_of
+from model.prediction.geometric.mechanisms import face_front, propose
+from model.prediction.geometric.part_features import measure_features
+from model.prediction.geometric.proposal import JointProposal, joints_of
 from model.prediction.geometric.roles import guess_mechanisms, mechanism_scores, named_mechanism
+from model.prediction.geometric.sampled_object import SampledObject, sample_object
 
 Array = npt.NDArray[np.float64]
 
-SLIDES: tuple[Mechanism, ...] = ("slide_out", "slide_along", "lift", "press")
-SPINS: tuple[Mechanism, ...] = ("spin", "swivel", "screw")
-TURNS: tuple[Mechanism, ...] = tuple(m for m in MECHANISMS if m not in (*SLIDES, *SPINS, "fixed"))
+PRISMATIC: tuple[Mechanism, ...] = ("slide_out", "slide_along", "lift", "press")
+CONTINUOUS: tuple[Mechanism, ...] = ("spin", "swivel", "screw")
+REVOLUTE: tuple[Mechanism, ...] = tuple(
+    m for m in MECHANISMS if m not in (*PRISMATIC, *CONTINUOUS, "fixed")
+)
 MECHANISMS_OF: dict[JointType, tuple[Mechanism, ...]] = {
-    "prismatic": SLIDES,
-    "revolute": (*TURNS, *SPINS),
-    "continuous": SPINS,
+    "prismatic": PRISMATIC,
+    "revolute": (*REVOLUTE, *CONTINUOUS),
+    "continuous": CONTINUOUS,
 }
-"""What may move a part by a joint of that type."""
+"""Mechanisms of each joint type."""
 ROCKER = 0.6
-"""Size over the object's from which nothing is a rocker: it is a front that opens."""
+"""Size over the object's above which a part is no rocker, but a front."""
 NAMED = 1.0
-"""Score for the way in which a part of that name would slide, or turn, if it did."""
+"""Score of the mechanism that the part's name would imply for the other joint type."""
 ALONG = 0.95
-"""Cosine from which two directions are taken for one."""
+"""Cosine above which two directions count as the same."""
 FREE, HELD = 0.3, 0.5
-"""How much of a drawer is covered at most in front, and at least on both sides and behind."""
+"""Largest coverage of a drawer in front, and smallest behind and on both sides."""
 DEEP = 0.5
-"""Depth over its front's shorter side from which it is no front alone."""
+"""Depth over the front's shorter side above which a drawer is more than its front."""
 TURN, SLIDE = math.pi / 2, 0.3
-"""Range where nothing says more: radians, and the object's diagonals."""
+"""Default range: rad, and diagonals of the object."""
 
 
-def retyped(
+def change_joint_type(
     segmented: SegmentedObject, tree: KinematicTree, child: str, kind: JointType, seed: int = 0
 ) -> Joint:
-    """The joint of ``child`` as one of another type, where the geometry says such a joint is.
+    """The joint of ``child`` with another type, and the likeliest axis and limits for that type.
 
-    Axis, origin and limits are those of the likeliest motion of that type; name, parent and child
-    stay. A joint that turns keeps its line where it only gets or loses its limits, and so does one
-    that moves no part of its own.
+    Name, parent and child stay. Between revolute and continuous the axis stays too, and for a link
+    that moves no part everything but the type and the limits.
 
     Args:
-        segmented: parts, object frame, metres. tree: the joints as they are; they say what hangs
-            on what.
+        segmented: parts, object frame, metres. tree: the present joints.
         child: a part's link, or the helper link of a part with several joints.
         kind: the new type.
     """
@@ -66,9 +65,9 @@ def retyped(
     if kind == joint.type:
         return joint
     usual = TURN if kind != "prismatic" else SLIDE * _diagonal(segmented)
-    # The ratio to a joint that it follows means nothing to another type.
+    # The ratio of a mimic means nothing for another type.
     bare = replace(joint, type=kind, lower=0.0, upper=usual, mimic=None, give_way=False)
-    if joint.rotates != bare.rotates:  # nor do N s/m
+    if joint.rotates != bare.rotates:  # nor does a damping in N s/m
         bare = replace(bare, dynamics=None)
     if kind == "fixed" or (joint.rotates and bare.rotates):
         return bare
@@ -76,35 +75,37 @@ def retyped(
     moved = moving_chain(tree, child, parts.__contains__)[-1]
     if moved not in parts:
         return bare
-    scene = make_scene(segmented, seed)
-    assembly = _assembly(scene, tree)
-    links = [s.link for s in scene.shapes]
-    part = links.index(moved)
+    sampled = sample_object(segmented, seed)
+    assembly = _assembly(sampled, tree)
+    part = [s.link for s in sampled.shapes].index(moved)
     if part == assembly.root:
         return bare
     context = PartContext(assembly, part)
-    mechanisms, _, _ = guess_mechanisms(assembly)
+    guesses = guess_mechanisms(assembly)
+    mechanisms: dict[int, Mechanism] = {i: g.mechanism for i, g in guesses.items()}
     mechanisms[part] = _mechanism(context, kind)
-    assembly.front, assembly.front_certainty = find_front(assembly, mechanisms)
-    out = scene.frame.object_from_working.T @ np.asarray(joint.axis)
-    best = _front_flap(context, out) if kind == "revolute" else None
+    face_front(assembly, mechanisms)
+    out = sampled.frame.object_from_working.T @ np.asarray(joint.axis)
+    best = _drawer_hinge(context, out) if kind == "revolute" else None
     if best is None:
         best = from_zero(context, propose(context, mechanisms[part])[0])
     if best.type == "fixed":
         return bare
-    [found] = joints_of(scene, links, part, context.parent, replace(best, travel=None))
+    [found] = joints_of(sampled, part, context.parent, replace(best, travel=None))
     limits = found if found.type == kind else bare
     return canonical_axis_sign(
         replace(bare, axis=found.axis, origin=found.origin, lower=limits.lower, upper=limits.upper)
     )
 
 
-def _front_flap(context: PartContext, out: Array) -> Hypothesis | None:
-    """How a drawer opens that is made to turn, as its front is what one means: about the lower
-    edge of a wide front, about a side of a tall one. None for what is no drawer.
+def _drawer_hinge(context: PartContext, out: Array) -> JointProposal | None:
+    """The hinge of a drawer's front: at its lower edge if it is wide, else at a side.
 
     Args:
-        out: (3,) unit, working frame, the way in which it slides.
+        out: (3,) unit, working frame, the direction in which the drawer opens.
+
+    Returns:
+        None if the part is no drawer.
     """
     box = context.shape.box
     deep = int(np.argmax(np.abs(out @ box.axes)))
@@ -118,27 +119,27 @@ def _front_flap(context: PartContext, out: Array) -> Hypothesis | None:
     covers = context.covers
     beside = min(covers[wide], covers[wide + 3])
     if covers[ahead] > FREE or beside < HELD or covers[ahead - 3] < HELD:
-        return None  # it is in nothing, or comes out another way
+        return None  # not enclosed, or it opens another way
     if box.half[deep] < DEEP * min(box.half[up], box.half[wide]):
-        return None  # a front alone: what it looks like says how it opens
+        return None  # a front alone: its features decide
     flap = bool(box.half[up] <= box.half[wide])
     edge = wide if flap else up
     fitting = [
-        h
-        for h in edge_hypotheses(context, "drop" if flap else "hinge", front=out)
-        if abs(float(h.axis @ box.axes[:, edge])) > ALONG
-        and (not flap or h.origin[2] < box.center[2])
+        p
+        for p in edge_proposals(context, "drop" if flap else "hinge", front=out)
+        if abs(float(p.axis @ box.axes[:, edge])) > ALONG
+        and (not flap or p.origin[2] < box.center[2])
     ]
-    return max(fitting, key=lambda h: h.score)
+    return max(fitting, key=lambda p: p.score)
 
 
 def _diagonal(segmented: SegmentedObject) -> float:
     return float(np.linalg.norm(np.ptp(segmented.bounds, axis=0)))
 
 
-def _assembly(scene: Scene, tree: KinematicTree) -> Assembly:
-    """What hangs on what as the tree has it; helper links are passed over."""
-    index = {s.link: i for i, s in enumerate(scene.shapes)}
+def _assembly(sampled: SampledObject, tree: KinematicTree) -> Assembly:
+    """The sampled parts with the parents of ``tree``, skipping helper links."""
+    index = {s.link: i for i, s in enumerate(sampled.shapes)}
     parent = []
     for link in index:
         above = link
@@ -150,24 +151,24 @@ def _assembly(scene: Scene, tree: KinematicTree) -> Assembly:
     root = index.get(tree.root, parent.index(-1))
     parent = [k if k >= 0 else root for k in parent]
     parent[root] = -1
-    return Assembly(scene, root, parent)
+    return Assembly(sampled, root, parent)
 
 
 def _mechanism(context: PartContext, kind: JointType) -> Mechanism:
-    """The likeliest way in which the part moves by such a joint: by its name, else its looks."""
+    """The likeliest mechanism of a joint type for a part: by its name, else by its features."""
     fit = MECHANISMS_OF[kind]
-    said = named_mechanism(context)
-    if said in fit:
-        return said
-    others = [PartContext(context.assembly, i) for i in range(len(context.scene))]
+    named = named_mechanism(context)
+    if named in fit:
+        return named
+    others = [PartContext(context.assembly, i) for i in range(len(context.sampled))]
     unnamed = {
-        i: look(other)
+        i: measure_features(other)
         for i, other in enumerate(others)
         if i != context.assembly.root and (i == context.part or named_mechanism(other) is None)
     }
     scores = mechanism_scores(context, unnamed[context.part], unnamed)
-    if said is not None:
-        other = (SLIDING if kind == "prismatic" else TURNING).get(said)
+    if named is not None:
+        other = (SLIDING if kind == "prismatic" else TURNING).get(named)
         if other is not None:
             scores[other] = scores.get(other, 0.0) + NAMED
     if context.shape.size > ROCKER:

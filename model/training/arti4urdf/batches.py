@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import LINE_REACH
-from model.prediction.arti4urdf.grammar import FREE, Choice, Feed, Grammar
+from model.prediction.arti4urdf.grammar import FREE, Choice, Grammar, Token
 from model.prediction.arti4urdf.network import Prompt
-from model.prediction.arti4urdf.structure import FIRST_LOOK, NAME_SAYS, StructureArrays
+from model.prediction.arti4urdf.structure import FIRST_FEATURE, FIRST_NAME_SCALAR, StructureArrays
 from model.training.arti4urdf.labels import Labels
 from model.training.arti4urdf.samples import Sample
 
@@ -46,7 +46,7 @@ PLAIN = Augmentation(turns=False, shuffle=False, nameless=0.0, plain=0.0, jitter
 
 
 @dataclass(frozen=True, eq=False)
-class Taught:
+class Target:
     """One decision of the answer to teach.
 
     Attributes:
@@ -66,8 +66,8 @@ class Example:
     """A prompt with the answer to teach."""
 
     prompt: Prompt
-    feeds: tuple[Feed, ...]
-    taught: tuple[Taught, ...]
+    tokens: tuple[Token, ...]
+    targets: tuple[Target, ...]
     types: npt.NDArray[np.int64]
 
 
@@ -98,7 +98,7 @@ def augmented(sample: Sample, how: Augmentation, rng: np.random.Generator) -> tu
 def without_names(arrays: StructureArrays) -> StructureArrays:
     """Without what the parts' names say of their motion."""
     scalars = arrays.scalars.copy()
-    scalars[:, NAME_SAYS:] = 0
+    scalars[:, FIRST_NAME_SCALAR:] = 0
     scalars[:, -1] = 1
     return replace(arrays, scalars=scalars)
 
@@ -106,7 +106,7 @@ def without_names(arrays: StructureArrays) -> StructureArrays:
 def without_judgements(arrays: StructureArrays) -> StructureArrays:
     """Without what the geometric rules think: only places, sizes and candidate motions remain."""
     scalars, candidates = arrays.scalars.copy(), arrays.candidate_scalars.copy()
-    scalars[:, FIRST_LOOK:] = 0
+    scalars[:, FIRST_FEATURE:] = 0
     candidates[..., 1:3] = 0
     return replace(arrays, scalars=scalars, candidate_scalars=candidates)
 
@@ -149,17 +149,17 @@ def _ordered(labels: Labels, order: npt.NDArray[np.int64]) -> Labels:
     return Labels(parents=np.where(parents >= 0, place[parents], -1), **rest)
 
 
-def teach(
+def teacher_forced(
     prompt: Prompt, labels: Labels, rng: np.random.Generator, *, json_step: bool = True
 ) -> Example:
     """The answer to teach, drawn among those that are right."""
     scalars = prompt.arrays.candidate_scalars
     grammar = Grammar(scalars[..., 0] > 0, scalars[..., 6] > 0, json_step=json_step)
-    feeds: list[Feed] = []
-    taught: list[Taught] = []
-    teacher = _Teacher(labels, grammar)
+    tokens: list[Token] = []
+    targets: list[Target] = []
+    teacher = _Oracle(labels, grammar)
     while True:
-        feeds += grammar.forced()
+        tokens += grammar.forced()
         asked = grammar.choice()
         if asked is None:
             break
@@ -170,15 +170,15 @@ def teach(
             words, parts = asked.words, asked.parts  # never: every truth can be said
         options = [*np.flatnonzero(words), *(v.SIZE + np.flatnonzero(parts))]
         pick = int(options[int(rng.integers(len(options)))])
-        taught.append(Taught(len(feeds), asked, words, parts))
+        targets.append(Target(len(tokens), asked, words, parts))
         if pick < v.SIZE:
-            feeds.append(grammar.take(pick))
+            tokens.append(grammar.take(pick))
         else:
-            feeds.append(grammar.take(-1, pick - v.SIZE))
-    return Example(prompt, tuple(feeds), tuple(taught), labels.types)
+            tokens.append(grammar.take(-1, pick - v.SIZE))
+    return Example(prompt, tuple(tokens), tuple(targets), labels.types)
 
 
-class _Teacher:
+class _Oracle:
     """Which answers to a choice are right."""
 
     def __init__(self, labels: Labels, grammar: Grammar) -> None:
@@ -250,14 +250,14 @@ class Batch:
 
 def collate(examples: Sequence[Example]) -> Batch:
     """Put examples side by side."""
-    lengths = tuple(len(e.feeds) for e in examples)
+    lengths = tuple(len(e.tokens) for e in examples)
     words = np.zeros((len(examples), max(lengths)), np.int64)
     parts = np.full_like(words, -1)
     most = max(len(e.prompt.arrays) for e in examples)
     for b, e in enumerate(examples):
-        words[b, : lengths[b]] = [f.word for f in e.feeds]
-        parts[b, : lengths[b]] = [f.part for f in e.feeds]
-    every = [(b, t) for b, e in enumerate(examples) for t in e.taught]
+        words[b, : lengths[b]] = [f.word for f in e.tokens]
+        parts[b, : lengths[b]] = [f.part for f in e.tokens]
+    every = [(b, t) for b, e in enumerate(examples) for t in e.targets]
     allowed = np.zeros((len(every), v.SIZE + most), bool)
     right = np.zeros_like(allowed)
     for c, (_, t) in enumerate(every):

@@ -23,7 +23,7 @@ from model.evaluation.calibration import compared
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import robust_map
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.confidence import FORMAT, SHIPPED, Weighing, fit
+from model.prediction.confidence import FORMAT, SHIPPED, ConfidenceModel, fit
 
 PREDICTORS = ("hybrid", "arti4urdf", "geometric")
 TABLE = "joints.jsonl"
@@ -93,7 +93,7 @@ def fit_confidence(
         place = {i: k for k, i in enumerate(ids)}
         tested = np.array([place[r.object_id] // len(families) % TEST_EVERY == 0 for r in own])
         # What is written has seen them all; how good it is, a fit without the tested ones tells.
-        found["predictors"][predictor] = _fitted(own).to_json()
+        found["predictors"][predictor] = asdict(_fitted(own))
         part = _fitted([r for r, t in zip(own, tested, strict=True) if not t])
         left = [r for r, t in zip(own, tested, strict=True) if t]
         found["record"][predictor] = {"joints": len(own), **reliability(left, part)}
@@ -105,7 +105,7 @@ def fit_confidence(
     return found
 
 
-def _fitted(rows: Sequence[JointRow]) -> Weighing:
+def _fitted(rows: Sequence[JointRow]) -> ConfidenceModel:
     names = tuple(rows[0].evidence)
     values = np.array([[r.evidence[n] for n in names] for r in rows])
     right = np.array([float(r.right) for r in rows])
@@ -129,12 +129,12 @@ def _row_weights(rows: Sequence[JointRow]) -> np.ndarray:
     return np.array([min(1.0, MOST_OF_ONE / counts[r.object_id]) for r in rows])
 
 
-def reliability(rows: Sequence[JointRow], weighing: Weighing) -> dict[str, Any]:
+def reliability(rows: Sequence[JointRow], confidence_model: ConfidenceModel) -> dict[str, Any]:
     """Of joints that were left out of the fit: calibration error, Brier score, and what they would
     be if all were as sure as they are on average."""
     if not rows:
         return {"tested": 0}
-    sure = np.array([weighing.of(r.evidence) for r in rows])
+    sure = np.array([confidence_model.confidence(r.evidence) for r in rows])
     right = np.array([float(r.right) for r in rows])
     weights = _row_weights(rows)
     found = compared(sure, right, weights)
@@ -179,7 +179,7 @@ def joint_rows(predictors: Sequence[str], object_id: str) -> list[JointRow]:
         out = []
         for name in predictors:
             given = {} if name == "geometric" else {"structure": structure}
-            answer, known = _loaded(name).explained(segmented, **given)
+            answer, known = _loaded(name).predict_with_evidence(segmented, **given)
             score = score_object(truth.object, answer.tree, confidence=answer.confidence)
             for j in score.joints:
                 if j.present and j.child in known:

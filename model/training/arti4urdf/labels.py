@@ -13,7 +13,7 @@ from model.core.joint import Joint
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
 from model.prediction.arti4urdf.structure import SLOTS, Structure
 from model.prediction.arti4urdf.vocabulary import TYPES
-from model.prediction.geometric.hypothesis import Hypothesis
+from model.prediction.geometric.proposal import JointProposal
 
 Array = npt.NDArray[np.float64]
 
@@ -50,8 +50,8 @@ class Labels:
 
 def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
     """Labels of ``truth``; None where its tree can't be said in the model's words."""
-    scene = structure.scene
-    links = [s.link for s in scene.shapes]
+    sampled = structure.sampled
+    links = [s.link for s in sampled.shapes]
     index = {link: i for i, link in enumerate(links)}
     parts = frozenset(links)
     n = len(links)
@@ -70,12 +70,12 @@ def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
             return None
         types[i] = TYPES.index(kind)
         joint = next((j for j in joints if j.rotates), joints[0])
-        axis = scene.frame.object_from_working.T @ np.asarray(joint.axis)
-        origin = scene.frame.to_working(np.asarray(joint.origin)[None])[0]
-        arm = origin - scene.shapes[i].center
+        axis = sampled.frame.object_from_working.T @ np.asarray(joint.axis)
+        origin = sampled.frame.to_working(np.asarray(joint.origin)[None])[0]
+        arm = origin - sampled.shapes[i].center
         arm = arm - axis * float(arm @ axis)
         limited = next((j for j in joints if j.limited), None)
-        scale = scene.frame.diagonal
+        scale = sampled.frame.diagonal
         true_limits = _limits(limited, scale)
         axes[i], limits[i] = axis, true_limits
         lines[i] = arm if joint.rotates else 0.0
@@ -88,7 +88,7 @@ def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
             if kind == "continuous":
                 offered[i, slot] = True
                 continue
-            final = structure.offered(i, slot)
+            final = structure.candidate(i, slot)
             assert final is not None
             own = final.travel if kind == "screw" else (final.lower, final.upper)
             if own is None or (kind == "revolute" and h.type == "continuous"):
@@ -118,7 +118,7 @@ def _limits(joint: Joint | None, diagonal: float) -> tuple[float, float]:
     return joint.lower / scale, joint.upper / scale
 
 
-def _agrees(h: Hypothesis, axis: Array, origin: Array, rotates: bool) -> tuple[bool, bool]:
+def _agrees(h: JointProposal, axis: Array, origin: Array, rotates: bool) -> tuple[bool, bool]:
     along = float(h.axis @ axis)
     if abs(along) < math.cos(GOOD_AXIS):
         return False, along > 0

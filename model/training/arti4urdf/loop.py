@@ -19,7 +19,7 @@ from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.network import ArtiModel
 from model.prediction.arti4urdf.weights import save_weights
-from model.training.arti4urdf.batches import PLAIN, Batch, augmented, collate, teach
+from model.training.arti4urdf.batches import PLAIN, Batch, augmented, collate, teacher_forced
 from model.training.arti4urdf.config import TrainingConfig
 from model.training.arti4urdf.loss import batch_loss, by_kind
 from model.training.arti4urdf.samples import Sample, read_shard
@@ -70,7 +70,7 @@ def _batches(shards: Shards, config: TrainingConfig, start: int) -> Iterator[tup
         chosen = pool[step % POOL]
         varied = [augmented(s, config.augmentation, rng) for s in chosen]
         json_step = config.model.json_step
-        yield step, collate([teach(*pair, rng, json_step=json_step) for pair in varied])
+        yield step, collate([teacher_forced(*pair, rng, json_step=json_step) for pair in varied])
 
 
 class Schedule(Protocol):
@@ -294,7 +294,7 @@ def _validation(folder: Path | None, json_step: bool, most: int = 200) -> list[B
     shards.refresh()
     rng = np.random.default_rng(0)
     pairs = [augmented(s, PLAIN, rng) for s in shards.samples[:most]]
-    examples = [teach(*pair, rng, json_step=json_step) for pair in pairs]
+    examples = [teacher_forced(*pair, rng, json_step=json_step) for pair in pairs]
     return [collate(examples[k : k + 32]) for k in range(0, len(examples), 32)]
 
 

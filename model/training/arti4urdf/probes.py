@@ -10,7 +10,13 @@ import torch
 
 from model.prediction.arti4urdf.network import ArtiModel, Prompt, whole_cloud
 from model.prediction.arti4urdf.structure import POINTS
-from model.training.arti4urdf.batches import PLAIN, augmented, collate, teach, without_judgements
+from model.training.arti4urdf.batches import (
+    PLAIN,
+    augmented,
+    collate,
+    teacher_forced,
+    without_judgements,
+)
 from model.training.arti4urdf.loss import batch_loss, by_kind
 from model.training.arti4urdf.samples import Sample
 
@@ -43,12 +49,14 @@ def probe(model: ArtiModel, samples: Sequence[Sample], change: Change | None = N
         prompts = change(prompts, rng)
     step = model.config.json_step
     taught_pairs = zip(prompts, (labels for _, labels in pairs), strict=True)
-    taught = [teach(prompt, labels, rng, json_step=step) for prompt, labels in taught_pairs]
+    targets = [
+        teacher_forced(prompt, labels, rng, json_step=step) for prompt, labels in taught_pairs
+    ]
     model.eval()
     with torch.no_grad():
         batches = [
-            batch_loss(model, collate(taught[start : start + 32]))
-            for start in range(0, len(taught), 32)
+            batch_loss(model, collate(targets[start : start + 32]))
+            for start in range(0, len(targets), 32)
         ]
     kinds = np.concatenate([b.kinds for b in batches])
     mean = by_kind(kinds, torch.cat([b.hits for b in batches]))
@@ -70,11 +78,11 @@ def shuffled_shapes(prompts: Sequence[Prompt], rng: np.random.Generator) -> list
     for prompt in prompts:
         arrays, order = prompt.arrays, _elsewhere(len(prompt.arrays), rng)
         moved = _with_shapes(prompt, arrays.points[order]).arrays
-        looks = {
+        features = {
             name: getattr(arrays, name)[order]
             for name in ("scalars", "vectors", "candidate_scalars", "candidate_vectors")
         }
-        out.append(replace(prompt, arrays=replace(moved, **looks)))
+        out.append(replace(prompt, arrays=replace(moved, **features)))
     return out
 
 

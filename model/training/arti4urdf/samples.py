@@ -79,7 +79,7 @@ def make_sample(truth: GroundTruth, *, named: bool, seed: int) -> Sample | None:
     if labels is None:
         return None
     arrays = structure_arrays(structure, rng)
-    names = tuple(s.name or "" for s in structure.scene.shapes)
+    names = tuple(s.name or "" for s in structure.sampled.shapes)
     return Sample(truth.id, segmented.category or "", names, arrays, labels)
 
 

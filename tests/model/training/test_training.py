@@ -1,4 +1,4 @@
-"""Labels say the truth, samples survive the disk, a run can be stopped and goes on."""
+"""Labels, samples on disk, and resumable runs of the small model."""
 
 import json
 from dataclasses import replace
@@ -12,19 +12,21 @@ pytest.importorskip("torch", reason="torch is not installed")
 import torch
 
 from model.core.errors import ArtiworldError, ConfigurationError
+from model.data.procedural.generate import family_names
 from model.evaluation.joint_metrics import score_object
 from model.prediction.arti4urdf.answer import joints_of_decision
 from model.prediction.arti4urdf.grammar import Grammar
 from model.prediction.arti4urdf.language_model import DecoderConfig
-from model.prediction.arti4urdf.network import ModelConfig
+from model.prediction.arti4urdf.network import ArtiModel, ModelConfig
 from model.prediction.arti4urdf.point_bert import PointBertConfig
 from model.prediction.arti4urdf.predictor import make_prompt
 from model.prediction.arti4urdf.structure import read_structure, structure_arrays
 from model.prediction.arti4urdf.vocabulary import SIZE, TYPES
 from model.prediction.arti4urdf.weights import load_weights
-from model.prediction.geometric.predictor import assemble
-from model.training.arti4urdf import batches
-from model.training.arti4urdf.batches import Augmentation, augmented, collate, teach
+from model.prediction.builder import PredictionBuilder
+from model.prediction.confidence import load_confidence
+from model.training.arti4urdf import batches, confidence
+from model.training.arti4urdf.batches import Augmentation, augmented, collate, teacher_forced
 from model.training.arti4urdf.config import TrainingConfig
 from model.training.arti4urdf.labels import label
 from model.training.arti4urdf.loop import LOG, export_weights, rate, train
@@ -67,7 +69,7 @@ def data(samples: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.mark.parametrize("family", ["StorageFurniture", "Bottle", "Chair", "Scissors", "Composite"])
 @pytest.mark.parametrize("index", [1, 2])
-def test_whoever_chooses_as_the_labels_say_is_usable(
+def test_choices_that_follow_the_labels_are_usable(
     family: str, index: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     truth, named = draw_truth(family, 31, index)
@@ -75,27 +77,28 @@ def test_whoever_chooses_as_the_labels_say_is_usable(
     structure = read_structure(segmented, budget=8000)
     labels = label(structure, truth.object)
     assert labels is not None
-    said: list[Grammar] = []
+    grammars: list[Grammar] = []
 
     class Recorded(Grammar):
         def __init__(self, *settings: object, **more: object) -> None:
             super().__init__(*settings, **more)  # type: ignore[arg-type]
-            said.append(self)
+            grammars.append(self)
 
     monkeypatch.setattr(batches, "Grammar", Recorded)
-    teach(make_prompt(structure, segmented, 0), labels, np.random.default_rng(0))
-    links = [s.link for s in structure.scene.shapes]
-    moving = [i for i in range(len(links)) if i != said[0].root]
-    built = [joints_of_decision(structure, i, said[0].decisions[i]) for i in moving]
-    helpers = tuple(j.child for some in built for j in some[:-1])
-    tree, problems = assemble(tuple(links), helpers, [j for some in built for j in some], ())
-    assert problems == []
-    score = score_object(truth.object, tree)
+    teacher_forced(make_prompt(structure, segmented, 0), labels, np.random.default_rng(0))
+    links = tuple(s.link for s in structure.sampled.shapes)
+    builder = PredictionBuilder(links, (), load_confidence("hybrid"))
+    for i, decision in enumerate(grammars[0].decisions):
+        if i != grammars[0].root:
+            builder.add(joints_of_decision(structure, i, decision), {}, "")
+    prediction = builder.build("labels", 0)
+    assert not prediction.problems
+    score = score_object(truth.object, prediction.tree)
     assert score.tree_right
     assert score.usable, [j for j in score.joints if not j.usable]
 
 
-def test_samples_come_back_from_disk(samples: list[Sample], data: Path) -> None:
+def test_samples_survive_the_disk(samples: list[Sample], data: Path) -> None:
     found = read_shard(data / "a.npz")
     assert [s.id for s in found] == [s.id for s in samples]
     for a, b in zip(found, samples, strict=True):
@@ -105,8 +108,8 @@ def test_samples_come_back_from_disk(samples: list[Sample], data: Path) -> None:
         assert np.array_equal(a.labels.right, b.labels.right)
 
 
-def test_a_turned_object_has_turned_candidates_and_labels(samples: list[Sample]) -> None:
-    """Candidates that were right have the true axis and line after any turn and reflection."""
+def test_candidates_and_labels_follow_the_rotation(samples: list[Sample]) -> None:
+    """Correct candidates keep the true axis and line under rotations and reflections."""
     how = Augmentation(shuffle=True, nameless=0, plain=0, jitter=0)
     for seed, sample in enumerate(samples * 3):
         prompt, labels = augmented(sample, how, np.random.default_rng(seed))
@@ -120,7 +123,7 @@ def test_a_turned_object_has_turned_candidates_and_labels(samples: list[Sample])
                 assert np.linalg.norm(np.cross(off, labels.axis[part])) < 0.06
 
 
-def test_turning_back_and_reflecting_twice_change_nothing() -> None:
+def test_inverse_rotations_and_double_reflections_are_identities() -> None:
     truth, _ = draw_truth("StorageFurniture", 5, 0)
     structure = read_structure(truth.segmented())
     arrays = structure_arrays(structure, np.random.default_rng(0))
@@ -132,12 +135,10 @@ def test_turning_back_and_reflecting_twice_change_nothing() -> None:
 
 
 def test_learning_lowers_the_loss(samples: list[Sample]) -> None:
-    from model.prediction.arti4urdf.network import ArtiModel
-
     torch.manual_seed(0)
     model = ArtiModel(TINY.model)
     rng = np.random.default_rng(0)
-    batch = collate([teach(*augmented(s, batches.PLAIN, rng), rng) for s in samples[:4]])
+    batch = collate([teacher_forced(*augmented(s, batches.PLAIN, rng), rng) for s in samples[:4]])
     optimizer = torch.optim.AdamW(model.parameters(), lr=3e-3)
     first = last = float(batch_loss(model, batch).total.detach())
     for _ in range(60):
@@ -151,7 +152,7 @@ def test_learning_lowers_the_loss(samples: list[Sample]) -> None:
     assert missing == []
 
 
-def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(data: Path, tmp_path: Path) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(data: Path, tmp_path: Path) -> None:
     whole = train(TINY, data, tmp_path / "whole", validation=data)
     slices = tmp_path / "slices"
     for _ in range(3):
@@ -201,13 +202,10 @@ def test_held_out_families_are_not_trained_on() -> None:
     assert len(training_families()) >= 40
 
 
-def test_confidence_is_fitted_to_what_became_of_the_joints(
+def test_confidence_is_fitted_to_the_outcome_of_joints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run that was stopped goes on; what is written can be read."""
-    from model.data.procedural.generate import family_names
-    from model.prediction.confidence import weighing_of
-    from model.training.arti4urdf import confidence
+    """A stopped run resumes, and its result can be loaded."""
 
     def made(predictors: tuple[str, ...], object_id: str) -> list[confidence.JointRow]:
         assert object_id not in asked
@@ -226,23 +224,22 @@ def test_confidence_is_fitted_to_what_became_of_the_joints(
     with pytest.raises(ConfigurationError, match="too few"):
         confidence.fit_confidence(tmp_path / "run", None, samples=10)
     with pytest.raises(ConfigurationError, match="too few"):
-        # One of each family: all of them test, and none would be left to fit.
+        # One of each family: all of them are for testing.
         confidence.fit_confidence(tmp_path / "run", None, samples=len(family_names()))
     assert not asked
     weights = tmp_path / "weights"
     found = confidence.fit_confidence(tmp_path / "run", weights, samples=400)
     assert len(asked) == 400
-    told = found["record"]["hybrid"]
-    assert told["calibration_error"] < 0.1 and told["brier"] < told["brier_of_the_mean"]
-    weighing_of.cache_clear()
-    weighing = weighing_of("geometric", weights / "confidence.json")
-    assert weighing.of({"score": 3.0}) == pytest.approx(1 / (1 + np.exp(-1.0)), abs=0.06)
-    weighing_of.cache_clear()
+    record = found["record"]["hybrid"]
+    assert record["calibration_error"] < 0.1 and record["brier"] < record["brier_of_the_mean"]
+    load_confidence.cache_clear()
+    confidence_model = load_confidence("geometric", weights / "confidence.json")
+    expected = pytest.approx(1 / (1 + np.exp(-1.0)), abs=0.06)
+    assert confidence_model.confidence({"score": 3.0}) == expected
+    load_confidence.cache_clear()
 
 
-def test_rows_of_a_made_object() -> None:
-    from model.training.arti4urdf.confidence import joint_rows
-
-    rows = joint_rows(("geometric",), "Lamp_5_0")
+def test_rows_of_a_procedural_object() -> None:
+    rows = confidence.joint_rows(("geometric",), "Lamp_5_0")
     assert rows and all(r.predictor == "geometric" and r.object_id == "Lamp_5_0" for r in rows)
     assert len({tuple(r.evidence) for r in rows}) == 1

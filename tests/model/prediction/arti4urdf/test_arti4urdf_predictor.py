@@ -15,10 +15,10 @@ from model.data.procedural.generate import make
 from model.prediction.arti4urdf import decoding
 from model.prediction.arti4urdf.answer import parse_answer
 from model.prediction.arti4urdf.decoding import decode
-from model.prediction.arti4urdf.network import ArtiModel, feeds_to_tensors
+from model.prediction.arti4urdf.network import ArtiModel, token_tensors
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.confidence import weighing_of
+from model.prediction.confidence import load_confidence
 
 
 def _parts(family: str, index: int = 0) -> SegmentedObject:
@@ -65,8 +65,8 @@ def test_the_network_computes_on_one_thread_unless_the_person_says_otherwise(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     seen = []
-    monkeypatch.setattr(decoding, "feeds_to_tensors", lambda *how: seen.append(
-        torch.get_num_threads()) or feeds_to_tensors(*how))  # fmt: skip
+    monkeypatch.setattr(decoding, "token_tensors", lambda *how: seen.append(
+        torch.get_num_threads()) or token_tensors(*how))  # fmt: skip
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     try:
@@ -81,7 +81,7 @@ def test_forced_spans_change_nothing_but_the_number_of_passes(tiny_model: ArtiMo
     segmented = _parts("StorageFurniture", 1)
     prompt = make_prompt(read_structure(segmented), segmented, 0)
     spans, single = decode(tiny_model, prompt), decode(tiny_model, prompt, span=False)
-    assert spans.feeds == single.feeds
+    assert spans.tokens == single.tokens
     assert spans.decisions == single.decisions
     assert spans.passes < single.passes
 
@@ -127,9 +127,9 @@ def test_odd_objects_get_an_answer(tiny_model: ArtiModel, what: str) -> None:
 def test_what_a_confidence_is_made_of(tiny_model: ArtiModel, hybrid: HybridSettings | None) -> None:
     predictor = Arti4UrdfPredictor(tiny_model, hybrid=hybrid)
     segmented = _parts("StorageFurniture", 1)
-    found, known = predictor.explained(segmented)
+    found, known = predictor.predict_with_evidence(segmented)
     assert set(known) == set(found.confidence) == set(found.notes)
-    weighing = weighing_of("arti4urdf" if hybrid is None else "hybrid")
+    confidence_model = load_confidence("arti4urdf" if hybrid is None else "hybrid")
     for link, evidence in known.items():
-        assert set(weighing.names) <= set(evidence)
-        assert found.confidence[link] == weighing.of(evidence)
+        assert set(confidence_model.names) <= set(evidence)
+        assert found.confidence[link] == confidence_model.confidence(evidence)

@@ -1,4 +1,4 @@
-"""The predictor's contract: what it does with odd input, locked joints, order, scale, cancel."""
+"""The predictor's contract: odd input, locked joints, order, scale, cancellation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
+from model.core.tree import KinematicTree
 from model.data.procedural.generate import make
+from model.data.protocol import GroundTruth
+from model.evaluation.corruption import Corruption, corrupt
+from model.evaluation.joint_metrics import axis_angle
 from model.prediction.geometric.mechanisms import BUILDERS
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.protocol import Predictor
@@ -71,13 +75,13 @@ ODD = {
 
 
 @pytest.mark.parametrize("case", ODD)
-def test_odd_input_gets_an_answer(case: str) -> None:
+def test_odd_input_gets_a_prediction(case: str) -> None:
     check(SegmentedObject(case, tuple(ODD[case])))
 
 
-def test_what_does_not_touch_is_said() -> None:
+def test_a_part_without_contact_is_reported() -> None:
     prediction = PREDICTOR.predict(SegmentedObject("apart", tuple(ODD["far apart"])))
-    assert any("doesn't touch" in p for p in prediction.problems)
+    assert any("isn't in contact" in p for p in prediction.problems)
 
 
 def test_a_mechanism_without_any_joint_leaves_the_part_fixed(
@@ -102,7 +106,7 @@ def test_two_hundred_parts_in_bounded_time() -> None:
     assert obj.tree.root == "link_base"
 
 
-def test_the_order_of_the_parts_means_nothing() -> None:
+def test_the_order_of_the_parts_has_no_effect() -> None:
     answers = []
     for seed in (None, 1, 2):
         order = None if seed is None else np.random.default_rng(seed)
@@ -118,7 +122,7 @@ def test_the_same_twice() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.001, 100.0])
-def test_size_and_place_mean_nothing(scale: float) -> None:
+def test_scale_and_position_have_no_effect(scale: float) -> None:
     obj = cabinet().segmented()
     shift = np.array([3.0, -2.0, 1.0]) * scale
     parts = tuple(
@@ -150,7 +154,7 @@ def test_locked_joints_come_out_unchanged() -> None:
 
 
 def test_a_locked_joint_may_turn_the_tree_over() -> None:
-    """The base by looks hangs on the door because a person said so: another root is found."""
+    """A locked joint makes the base a child of the door, so that another part is the root."""
     locked = Joint("mine", "revolute", "link_left", "link_base", (0, 0, 1), (0, 0, 0), 0.0, 1.0)
     prediction = PREDICTOR.predict(cabinet().segmented(), locked=(locked,))
     assert prediction.tree is not None
@@ -159,7 +163,7 @@ def test_a_locked_joint_may_turn_the_tree_over() -> None:
 
 
 def test_a_locked_screw_keeps_its_helper() -> None:
-    """Both joints of a compound motion are settled; the helper link comes back."""
+    """Both joints of a compound motion are locked; the helper link stays."""
     slide = Joint("up", "prismatic", "link_base", "helper_lid", (0, 0, 1), (0, 0, 0), 0.0, 0.1)
     spin = Joint("turn", "continuous", "helper_lid", "link_lid", (0, 0, 1), (0, 0, 0))
     prediction = PREDICTOR.predict(THINGS["kettle"]().segmented(), locked=(slide, spin))
@@ -202,7 +206,7 @@ def test_shut_doors_side_by_side_hang_on_the_body_and_start_at_zero(
 @pytest.mark.parametrize("hung", ["door", "body"])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_door_turns_about_its_barrels(side: float, hung: str) -> None:
-    """They lie before the front, at one edge; nothing else tells the edges apart."""
+    """The barrels in front of one edge are the only cue."""
     place = np.array((side * 0.295, -0.026, 0.0))
     knuckles = [
         trimesh.creation.cylinder(0.006, 0.06, sections=16).apply_translation(place + (0, 0, z))
@@ -229,8 +233,8 @@ def test_a_door_turns_about_its_barrels(side: float, hung: str) -> None:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("turned", ["upright", "level"])
-def test_a_door_that_stands_ajar_turns_about_its_nearer_edge(side: float, turned: str) -> None:
-    """Four degrees, and nothing else tells the edges apart."""
+def test_a_door_ajar_turns_about_its_nearer_edge(side: float, turned: str) -> None:
+    """An angle of four degrees is the only cue."""
     half = np.array((0.298, 0.01, 0.298))
     axis = np.array((0, 0, 1.0) if turned == "upright" else (1.0, 0, 0))
     hinge = np.array(
@@ -303,11 +307,6 @@ def test_progress_and_cancel() -> None:
 @pytest.mark.parametrize("name", ["cabinet", "oven", "washer", "microwave", "pedal_bin"])
 def test_one_sided_noisy_scans(name: str) -> None:
     """As seen from the front and above, with noise: types and axes stay right."""
-    from model.core.tree import KinematicTree
-    from model.data.protocol import GroundTruth
-    from model.evaluation.corruption import Corruption, corrupt
-    from model.evaluation.joint_metrics import axis_angle
-
     thing = THINGS[name]()
     obj = thing.segmented()
     links = tuple(p.link for p in obj.parts)
@@ -325,7 +324,7 @@ def test_one_sided_noisy_scans(name: str) -> None:
 
 @pytest.mark.parametrize("seed", [0, 16])
 def test_a_backrest_leans_back_a_little(seed: int) -> None:
-    """It grazes the seat by less than the sweep's tolerance, and was let turn up to 156°."""
+    """It grazes the seat by less than the sweep's tolerance, which would allow 156°."""
     truth = make("Chair", seed)
     (rest,) = [p.link for p in truth.object.parts if p.name == "backrest"]
     segmented = SegmentedObject("chair", truth.object.parts, truth.object.category)
@@ -336,8 +335,8 @@ def test_a_backrest_leans_back_a_little(seed: int) -> None:
     assert joint.lower == 0.0 and joint.upper == pytest.approx(expected.upper, abs=0.2)
 
 
-def test_a_lever_under_a_seat_turns_square_to_itself() -> None:
-    """Where the middle of the seat is says nothing of how the lever beside it turns."""
+def test_a_lever_under_a_seat_turns_normal_to_itself() -> None:
+    """The centre of the seat is no cue for the axis of its lever."""
     seat = trimesh.util.concatenate(
         [
             trimesh.creation.box(bounds=[[-0.3, -0.23, 0.419], [0.3, 0.23, 0.48]]),
@@ -358,7 +357,7 @@ def test_a_lever_under_a_seat_turns_square_to_itself() -> None:
 @pytest.mark.parametrize("name", ["geometric", "hybrid"])
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_lever_under_a_seat_is_held_at_its_inner_end(name: str, seed: int) -> None:
-    """Both of its ends are as near to the seat: chance had put the pin at the free one."""
+    """Both of its ends are equally near to the seat."""
     truth = make("Chair", seed)
     (lever,) = [p.link for p in truth.object.parts if p.name == "lever"]
     segmented = SegmentedObject("chair", truth.object.parts, truth.object.category)

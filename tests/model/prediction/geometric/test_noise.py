@@ -1,4 +1,4 @@
-"""Noise of clouds: how much there is, and what is left of it."""
+"""Noise of clouds: its measurement and removal."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from scipy.spatial import KDTree
 from model.core.articulated_object import Part
 from model.core.point_cloud import PointCloud
 from model.data.procedural_set import ProceduralSet
-from model.prediction.geometric.denoising import denoised
 from model.prediction.geometric.predictor import GeometricPredictor
-from model.prediction.geometric.surface import Noise, cloud_normals, part_surface, strays
+from model.prediction.geometric.surface import (
+    Noise,
+    cloud_normals,
+    denoised,
+    outliers,
+    part_surface,
+)
 
 
 def _box(size, count: int = 1024) -> np.ndarray:
@@ -30,19 +35,19 @@ def _sampled(points: np.ndarray, sigma: float):
 
 
 @pytest.mark.parametrize("sigma", [0.002, 0.01, 0.02])
-def test_the_noise_of_a_surface_is_told(sigma: float) -> None:
+def test_the_noise_of_a_surface_is_measured(sigma: float) -> None:
     """Below the points' spacing (here .02) and above it."""
     noise = _sampled(_box((0.7, 0.6, 0.5), 4000), sigma).noise
-    assert noise.told
+    assert noise.measured
     assert noise.sigma == pytest.approx(sigma, rel=0.45)
 
 
-def test_small_parts_and_rods_do_not_tell_theirs() -> None:
+def test_noise_of_small_parts_and_rods_is_not_measured() -> None:
     button = _sampled(_box((0.04, 0.04, 0.02)), 0.01).noise
-    assert button.coarse and not button.told
+    assert button.coarse and not button.measured
     rod = np.zeros((500, 3))
     rod[:, 0] = np.linspace(0, 1, 500)
-    assert not _sampled(rod, 0.0005).noise.told
+    assert not _sampled(rod, 0.0005).noise.measured
     assert cloud_normals(np.zeros((3, 3)))[2] == Noise()
 
 
@@ -53,22 +58,22 @@ def test_a_clean_cloud_stays_as_it_is() -> None:
     assert after.noise == sampled.noise
 
 
-def test_points_that_float_alone_are_left_out() -> None:
+def test_outliers_are_removed() -> None:
     rng = np.random.default_rng(3)
     panel = _box((0.6, 0.5, 0.02))
-    stray = rng.uniform(-0.5, 0.5, (20, 3)) + (0, 0, 1.0)
-    sampled = _sampled(np.concatenate([panel, stray]), 0.001)
+    floating = rng.uniform(-0.5, 0.5, (20, 3)) + (0, 0, 1.0)
+    sampled = _sampled(np.concatenate([panel, floating]), 0.001)
     assert len(sampled.points) == len(sampled.outline) == len(panel)
     assert np.ptp(sampled.outline, axis=0) == pytest.approx((0.6, 0.5, 0.02), abs=0.02)
     dense = rng.random((2000, 3)) * 0.05
-    assert not strays(np.concatenate([dense, panel])).any()  # a thinner piece, not strays
+    assert not outliers(np.concatenate([dense, panel])).any()  # a sparse region
 
 
 def test_surfaces_are_smoothed() -> None:
-    """A noisy panel's points come nearer to the panel by a third and more."""
+    """A noisy panel loses at least a third of its noise."""
     flat = _box((0.6, 0.5, 1e-6))
     sampled = _sampled(flat, 0.02)
-    assert sampled.noise.told and sampled.noise.coarse
+    assert sampled.noise.measured and sampled.noise.coarse
     after = denoised(sampled, sampled.noise.sigma).points
     assert np.abs(after[:, 2]).mean() < 0.65 * np.abs(sampled.points[:, 2]).mean()
     assert len(after) == len(flat)
@@ -84,7 +89,7 @@ def test_a_button_gets_its_size_back() -> None:
 
 
 def test_noisy_keys_are_pressed_not_turned() -> None:
-    """Noise makes balls of small things."""
+    """Small parts look like balls under noise."""
     truth = ProceduralSet(seed=2, families=("Remote",), fault="noise").load("Remote_2_0")
     predicted = GeometricPredictor().predict(truth.segmented(names=False)).tree
     assert predicted is not None

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.mesh import Mesh
-from model.prediction.geometric.assembly import make_scene
-from model.prediction.geometric.outline import roundness
-from model.prediction.geometric.shape import fit_box, rotation
+from model.prediction.geometric.sampled_object import sample_object
+from model.prediction.geometric.shape import fit_box, rotation, roundness
 from model.prediction.geometric.sweep import free_range
 from tests.model.prediction.geometric.archetypes import box, join, rod
 
@@ -20,9 +19,9 @@ def part(link: str, mesh) -> Part:
     return Part(link, Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)))
 
 
-def scene(*meshes):
+def sampled(*meshes):
     parts = tuple(part(f"link_{i}", m) for i, m in enumerate(meshes))
-    return make_scene(SegmentedObject("scene", parts))
+    return sample_object(SegmentedObject("scene", parts))
 
 
 @settings(max_examples=40, deadline=None)
@@ -55,7 +54,7 @@ def test_round_and_not_round() -> None:
 
 def test_a_handle_sticks_out_of_its_side() -> None:
     door = join(box((0, 0, 0.5), (0.02, 0.6, 1.0)), box((-0.03, 0.25, 0.5), (0.04, 0.02, 0.2)))
-    s = scene(door, box((0.3, 0, 0.5), (0.5, 0.6, 1.0))).shapes[0]
+    s = sampled(door, box((0.3, 0, 0.5), (0.5, 0.6, 1.0))).shapes[0]
     panel = s.panel
     front = float(s.box.axes[:, panel.normal] @ (-1.0, 0.0, 0.0))
     handle = panel.beyond(front)
@@ -68,14 +67,14 @@ def test_yaw_is_taken_out() -> None:
     turn = rotation(np.array([0.0, 0, 1]), 0.4)
     mesh = box((0, 0, 0), (2, 1, 0.5))
     mesh.vertices = mesh.vertices @ turn.T
-    made = scene(mesh)
+    made = sampled(mesh)
     assert np.abs(made.shapes[0].box.axes).max(0) == pytest.approx(1.0, abs=1e-6)
     back = made.frame.object_from_working @ np.array([1.0, 0, 0])
     assert max(abs(back @ turn[:, 0]), abs(back @ turn[:, 1])) == pytest.approx(1.0, abs=1e-4)
 
 
 def test_sweep_stops_at_the_wall() -> None:
-    made = scene(box((0, 0, 0), (0.2, 0.2, 0.2)), box((1.0, 0, 0), (0.1, 1.0, 1.0)))
+    made = sampled(box((0, 0, 0), (0.2, 0.2, 0.2)), box((1.0, 0, 0), (0.1, 1.0, 1.0)))
     size = made.frame.diagonal
     axis = np.array([1.0, 0, 0])
     center = made.shapes[0].center
@@ -88,7 +87,7 @@ def test_sweep_stops_at_the_wall() -> None:
 def test_what_touches_at_rest_is_no_collision() -> None:
     """A drawer rubs its rails all the way."""
     rails = join(box((0, -0.26, 0), (1, 0.02, 0.3)), box((0, 0.26, 0), (1, 0.02, 0.3)))
-    made = scene(box((0, 0, 0), (1.0, 0.5, 0.25)), rails)
+    made = sampled(box((0, 0, 0), (1.0, 0.5, 0.25)), rails)
     axis = np.array([1.0, 0, 0])
     reached = free_range(
         made, 0, (1,), rotates=False, axis=axis, origin=made.shapes[0].center, stop=0.5
@@ -97,12 +96,12 @@ def test_what_touches_at_rest_is_no_collision() -> None:
 
 
 def test_cover_tells_the_open_side() -> None:
-    made = scene(box((0, 0, 0), (0.5, 0.5, 0.5)), box((0.5, 0, 0), (0.1, 1.0, 1.0)))
+    made = sampled(box((0, 0, 0), (0.5, 0.5, 0.5)), box((0.5, 0, 0), (0.1, 1.0, 1.0)))
     assert made.cover(0, np.array([1.0, 0, 0]), (1,)) > 0.9
     assert made.cover(0, np.array([-1.0, 0, 0]), (1,)) == 0.0
     assert made.cover(0, np.array([0.0, 0, 1.0]), (1,)) == 0.0
 
 
 def test_gap_between_parts() -> None:
-    made = scene(rod((0, 0, 0), (0, 0, 1), 0.1, 1.0), box((0.3, 0, 0), (0.2, 0.2, 1.0)))
+    made = sampled(rod((0, 0, 0), (0, 0, 1), 0.1, 1.0), box((0.3, 0, 0), (0.2, 0.2, 1.0)))
     assert made.gap[0, 1] * made.frame.diagonal == pytest.approx(0.1, abs=0.02)

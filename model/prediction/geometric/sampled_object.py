@@ -1,7 +1,7 @@
-"""All parts of one object in the working frame, and how they stand to each other.
+"""The sampled parts of one object in the working frame, with their distances and contacts.
 
-The working frame: origin at the middle of the object's bounding box, +z up, the dominant
-horizontal directions along x and y, the bounding box's diagonal is 1.
+Working frame: origin at the centre of the object's bounding box, +z up, the main horizontal
+directions along x and y, the bounding box's diagonal is 1.
 """
 
 from __future__ import annotations
@@ -14,21 +14,20 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.prediction.geometric.denoising import denoised
-from model.prediction.geometric.shape import Shape, rotation
-from model.prediction.geometric.surface import Noise, dominant_yaw, part_surface
+from model.prediction.geometric.shape import PartShape, rotation
+from model.prediction.geometric.surface import Noise, denoised, dominant_yaw, part_surface
 
 Array = npt.NDArray[np.float64]
 
-TOUCHING = 0.012
-"""Gap (diagonals) below which two sampled surfaces count as touching."""
+CONTACT_GAP = 0.012
+"""Gap (diagonals) below which two sampled surfaces are in contact."""
 SAMPLE_BUDGET = 26000
-"""Surface points of all parts together."""
+"""Surface points per object."""
 
 
 @dataclass(frozen=True)
 class WorkingFrame:
-    """Between the object's frame (metres) and the working frame (diagonals)."""
+    """Transforms between the object's frame (metres) and the working frame (diagonals)."""
 
     center: Array
     yaw: float
@@ -40,31 +39,30 @@ class WorkingFrame:
         return rotation(np.array([0.0, 0.0, 1.0]), self.yaw)
 
     def to_working(self, points: Array) -> Array:
-        """(N, 3) metres → (N, 3) diagonals."""
+        """Points of the object's frame, (N, 3) → (N, 3)."""
         return (points - self.center) @ self.object_from_working / self.diagonal
 
     def point_in_object(self, point: Array) -> Array:
-        """(3,) diagonals → (3,) metres."""
+        """A point of the working frame, (3,) → (3,)."""
         return self.object_from_working @ point * self.diagonal + self.center
 
     def direction_in_object(self, direction: Array) -> Array:
-        """(3,) → (3,)."""
+        """A direction of the working frame, (3,) → (3,)."""
         return self.object_from_working @ direction
 
 
 @dataclass(eq=False)
-class Scene:
-    """Parts with their shapes and neighbourhood.
+class SampledObject:
+    """The parts of one object with their shapes.
 
     Attributes:
-        name, category: of the object. parts: as they were given.
-        shapes: one a part, in the order given.
-        frame: where the working frame is.
+        name, category: of the object. parts: as given, object frame.
+        shapes: of the parts, in their order. frame: the working frame.
     """
 
     name: str
     category: str | None
-    shapes: tuple[Shape, ...]
+    shapes: tuple[PartShape, ...]
     frame: WorkingFrame
     parts: tuple[Part, ...]
     _trees: dict[int, KDTree] = field(default_factory=dict)
@@ -75,13 +73,13 @@ class Scene:
         return len(self.shapes)
 
     def tree(self, i: int) -> KDTree:
-        """KD-tree of part ``i``'s sample."""
+        """KD-tree of part ``i``'s points."""
         if i not in self._trees:
             self._trees[i] = KDTree(self.shapes[i].points)
         return self._trees[i]
 
     def distances(self, i: int, j: int) -> Array:
-        """(N_i,) distance of each sample of part ``i`` to part ``j``."""
+        """(N_i,) distance of each point of part ``i`` to part ``j``."""
         key = (i, j)
         if key not in self._distances:
             self._distances[key] = self.tree(j).query(self.shapes[i].points)[0]
@@ -89,7 +87,7 @@ class Scene:
 
     @cached_property
     def gap(self) -> Array:
-        """(P, P) gap between the surfaces, symmetric; bounding boxes' gap where they are far."""
+        """(P, P) gap between surfaces, symmetric; of distant parts that between bounding boxes."""
         n = len(self)
         low = np.stack([s.low for s in self.shapes])
         high = np.stack([s.high for s in self.shapes])
@@ -102,31 +100,31 @@ class Scene:
                     d = self.distances(a, b)
                     k = min(len(d) - 1, max(2, len(d) // 200))
                     near = float(np.partition(d, k)[k])
-                    # Sampled surfaces that touch are half a spacing apart.
+                    # Samples of surfaces in contact are half a spacing apart.
                     out[i, j] = out[j, i] = max(0.0, near - 0.5 * self.spacing(b))
         return out
 
     @cached_property
     def noise(self) -> float:
-        """Largest noise of the parts (diagonals); 0 for meshes."""
+        """Largest noise of a part (diagonals); 0 for meshes."""
         return max(s.noise for s in self.shapes)
 
     def spacing(self, i: int) -> float:
-        """Typical distance between neighbouring samples of part ``i``."""
+        """Typical distance between neighbouring points of part ``i``."""
         s = self.shapes[i]
         return float(np.sqrt(s.area / max(1, len(s.points)))) if s.area > 0 else 0.0
 
     def contact(self, i: int, j: int, share: float = 0.06) -> Array:
-        """(K, 3) the samples of part ``i`` that are nearest to part ``j``."""
+        """(K, 3) points of part ``i`` nearest to part ``j``."""
         d = self.distances(i, j)
         k = min(len(d), max(6, int(share * len(d))))
-        limit = max(float(d.min()) + 0.008, TOUCHING)
+        limit = max(float(d.min()) + 0.008, CONTACT_GAP)
         near = np.argpartition(d, k - 1)[:k]
         close = near[d[near] <= limit]
         return self.shapes[i].points[close if len(close) >= 4 else near]
 
     def union(self, members: tuple[int, ...]) -> Array:
-        """(N, 3) samples of several parts."""
+        """(N, 3) points of several parts."""
         if not members:
             return np.zeros((0, 3))
         return np.concatenate([self.shapes[m].points for m in members])
@@ -147,17 +145,21 @@ class Scene:
 
     @cached_property
     def scanned(self) -> bool:
-        """Whether the parts are clouds."""
+        """Whether most parts are clouds."""
         return sum(s.scanned for s in self.shapes) * 2 > len(self)
 
     def cover(
         self, i: int, direction: Array, others: tuple[int, ...], axes: Array | None = None
     ) -> float:
-        """Share of part ``i``'s face, seen from ``direction``, that other parts lie in front of.
+        """Share of part ``i`` that other parts cover, seen from ``direction``.
 
-        1: it can't leave that way; 0: nothing is in front of it.
+        1: the part can't move that way; 0: nothing is in front of it.
+
+        Args:
+            axes: (3, 3) columns: directions of the grid in which parts are compared; the working
+                axes by default.
         """
-        # Every mechanism asks anew about the same few sides.
+        # All mechanisms ask about the same few sides.
         key = (i, direction.tobytes(), others, b"" if axes is None else axes.tobytes())
         if key not in self._covers:
             self._covers[key] = self._cover(i, direction, others, axes)
@@ -199,14 +201,16 @@ class Scene:
         theirs = np.full(nu * nv, -np.inf)
         if inside.any():
             np.maximum.at(theirs, index(rest[inside]), rest[inside, k] * sign)
-        seen = np.isfinite(mine)
-        return float((theirs[seen] > mine[seen] + 0.004).mean())
+        hit = np.isfinite(mine)
+        return float((theirs[hit] > mine[hit] + 0.004).mean())
 
 
-def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPLE_BUDGET) -> Scene:
-    """Sample the parts (``budget`` points in all) and turn them into the working frame.
+def sample_object(
+    segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPLE_BUDGET
+) -> SampledObject:
+    """Sample the parts (``budget`` points in all) and transform them to the working frame.
 
-    The sampling depends on each part's geometry alone, not on the order of the parts.
+    A part's sample depends on its geometry alone, not on the order of the parts.
     """
     bounds = segmented.bounds
     diagonal = float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
@@ -215,17 +219,17 @@ def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPL
     rough = np.array([_rough_area(p.bounds) for p in parts])
     share = np.sqrt(rough + 1e-12)
     counts = np.clip(budget * share / share.sum(), 160, 6000).astype(int)
-    sampled = [part_surface(p, int(c), seed) for p, c in zip(parts, counts, strict=True)]
-    noise = _common_noise([s.noise for s in sampled])
-    sampled = [denoised(s, noise) for s in sampled]
-    normals = np.concatenate([s.normals for s in sampled])
+    samples = [part_surface(p, int(c), seed) for p, c in zip(parts, counts, strict=True)]
+    noise = _common_noise([s.noise for s in samples])
+    samples = [denoised(s, noise) for s in samples]
+    normals = np.concatenate([s.normals for s in samples])
     weights = np.concatenate(
-        [np.full(len(s.points), s.area / max(1, len(s.points))) for s in sampled]
+        [np.full(len(s.points), s.area / max(1, len(s.points))) for s in samples]
     )
-    yaw = dominant_yaw(normals, weights, [s.points for s in sampled])
+    yaw = dominant_yaw(normals, weights, [s.points for s in samples])
     frame = WorkingFrame(center, yaw, diagonal)
     shapes = tuple(
-        Shape(
+        PartShape(
             part.link,
             part.name,
             frame.to_working(s.points),
@@ -235,15 +239,15 @@ def make_scene(segmented: SegmentedObject, seed: int = 0, *, budget: int = SAMPL
             part.mesh is None or not len(part.mesh.faces),
             s.noise.sigma / diagonal,
         )
-        for part, s in zip(parts, sampled, strict=True)
+        for part, s in zip(parts, samples, strict=True)
     )
-    return Scene(segmented.name, segmented.category, shapes, frame, parts)
+    return SampledObject(segmented.name, segmented.category, shapes, frame, parts)
 
 
 def _common_noise(each: list[Noise]) -> float:
-    """One scanner, one noise: small parts and rods can't tell theirs."""
-    told = sorted(n.sigma for n in each if n.told)
-    found = told or sorted(n.sigma for n in each if n.sigma)
+    """The scanner's noise, for small parts and rods on which it can't be measured."""
+    measured = sorted(n.sigma for n in each if n.measured)
+    found = measured or sorted(n.sigma for n in each if n.sigma)
     return found[len(found) // 2] if found else 0.0
 
 

@@ -11,7 +11,7 @@ import pytest
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.prediction.geometric.type_change import retyped
+from model.prediction.geometric.type_change import change_joint_type
 from tests.model.prediction.geometric.archetypes import (
     THINGS,
     Thing,
@@ -55,7 +55,7 @@ def test_axis_place_and_range_fit_the_new_type(thing: str, part: str, names: boo
     made = THINGS[thing]()
     truth, tree = made.truth[part], mistaken(made)
     wrong = tree.joint_of[f"link_{part}"]
-    joint = retyped(made.segmented(names=names), tree, wrong.child, truth.type)  # type: ignore[arg-type]
+    joint = change_joint_type(made.segmented(names=names), tree, wrong.child, truth.type)  # type: ignore[arg-type]
     assert (joint.name, joint.parent, joint.child) == (wrong.name, wrong.parent, wrong.child)
     assert joint.type == truth.type
     assert abs(np.dot(joint.axis, truth.axis)) > 0.99
@@ -70,7 +70,7 @@ def test_axis_place_and_range_fit_the_new_type(thing: str, part: str, names: boo
 
 def test_a_drawer_taken_for_a_door_comes_out_to_the_front() -> None:
     made = THINGS["cabinet"]()
-    drawer = retyped(made.segmented(), mistaken(made), "link_drawer", "prismatic")
+    drawer = change_joint_type(made.segmented(), mistaken(made), "link_drawer", "prismatic")
     assert drawer.axis == pytest.approx((-1, 0, 0), abs=1e-6)
     assert drawer.lower == 0.0
     assert drawer.upper == pytest.approx(0.8 * 0.45, abs=0.05), "within its rails"
@@ -93,7 +93,7 @@ def test_a_drawer_that_is_made_to_turn_opens_at_its_front(names: bool) -> None:
     for made, upright in ((in_a_case(0.8, 0.3), False), (in_a_case(0.3, 0.7), True)):
         slide = replace(SLID, axis=(-1.0, 0.0, 0.0), child="link_drawer")
         tree = KinematicTree(("link_base", "link_drawer"), (slide,))
-        front = retyped(made.segmented(names=names), tree, "link_drawer", "revolute")
+        front = change_joint_type(made.segmented(names=names), tree, "link_drawer", "revolute")
         low, high = np.asarray(made.parts["drawer"][1].bounds)
         assert front.origin[0] == pytest.approx(low[0], abs=0.01), "at the face"
         assert abs(front.axis[2 if upright else 1]) > 0.99
@@ -112,7 +112,7 @@ def test_a_large_front_opens_and_does_not_rock() -> None:
     kept = [p for p in made.segmented(names=False).parts if p.link in ("link_base", "link_drawer")]
     tree = KinematicTree(("link_base", "link_drawer"), (mistaken(made).joint_of["link_drawer"],))
     slide = replace(tree.joint_of["link_drawer"], type="prismatic", axis=(-1, 0, 0), upper=0.3)
-    front = retyped(
+    front = change_joint_type(
         SegmentedObject("cupboard", tuple(kept)), tree.with_joint(slide), "link_drawer", "revolute"
     )
     assert front.lower == 0.0 and front.upper is not None and front.upper > 1.0
@@ -122,12 +122,12 @@ def test_a_joint_that_turns_keeps_its_line_without_limits() -> None:
     made = THINGS["cabinet"]()
     follows = replace(mistaken(made).joint_of["link_left"], type="revolute", axis=(0, 0, 1))
     tree = mistaken(made).with_joint(replace(follows, mimic=Mimic("joint_right", -1.0)))
-    free = retyped(made.segmented(), tree, "link_left", "continuous")
+    free = change_joint_type(made.segmented(), tree, "link_left", "continuous")
     assert (free.axis, free.origin, free.mimic) == (follows.axis, follows.origin, None)
-    again = retyped(made.segmented(), tree.with_joint(free), "link_left", "revolute")
+    again = change_joint_type(made.segmented(), tree.with_joint(free), "link_left", "revolute")
     assert (again.axis, again.origin) == (follows.axis, follows.origin)
     assert (again.lower, again.upper) == (0.0, math.pi / 2)
-    assert not retyped(made.segmented(), tree, "link_left", "fixed").moves
+    assert not change_joint_type(made.segmented(), tree, "link_left", "fixed").moves
 
 
 def test_both_joints_of_a_part_are_about_that_part() -> None:
@@ -137,6 +137,6 @@ def test_both_joints_of_a_part_are_about_that_part() -> None:
     first = Joint("first", "revolute", "link_base", "helper_drawer", (0, 0, 1), lower=0, upper=1)
     kept = tuple(j for j in tree.joints if j.child != "link_drawer")
     tree = KinematicTree((*tree.links, "helper_drawer"), (*kept, first, turns))
-    slides = retyped(made.segmented(), tree, "helper_drawer", "prismatic")
+    slides = change_joint_type(made.segmented(), tree, "helper_drawer", "prismatic")
     assert (slides.name, slides.child) == ("first", "helper_drawer")
     assert slides.axis == pytest.approx((-1, 0, 0), abs=1e-6)
