@@ -147,7 +147,8 @@ def _settings(spec: Option, hint: Any, default: Any) -> dict[str, Any]:
     """What argparse is told of an option whose field has the type ``hint``."""
     if get_origin(hint) in (Union, UnionType):
         (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
-    text = {"help": spec.help + _default_text(spec.help, default)}
+    repeat = "; may be repeated" if spec.repeat else ""
+    text = {"help": spec.help + _default_text(spec.help, default) + repeat}
     if hint is bool:
         return text | {"action": argparse.BooleanOptionalAction if spec.negatable else "store_true"}
     settings: dict[str, Any] = text | {"metavar": spec.metavar}

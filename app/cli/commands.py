@@ -44,18 +44,15 @@ class ServeCommand(Command):
 
     log_level: ClassVar[int] = logging.INFO
     paths: tuple[Path, ...] = argument(
-        "meshes, scans, URDFs, MJCFs or folders to open, or one scene "
-        "(default: the bundled examples)",
-        "PATH", nargs="*", default=(),
-    )  # fmt: skip
-    assets: tuple[Path, ...] = repeated(
-        "open PATH as a scene with the assets in this folder; may be repeated "
-        "(a scene description without it: those beside it)", "DIR",
-    )  # fmt: skip
-    scene: bool = flag(
-        "open PATH as a scene even where it is a mesh or a scan, such as a scanned room "
-        "out of which objects are picked"
+        "meshes, scans, URDFs, MJCFs, folders, or one scene (default: the bundled examples)",
+        "PATH",
+        "*",
+        (),
     )
+    assets: tuple[Path, ...] = repeated(
+        "open PATH as a scene with the assets in this folder (default: those beside it)", "DIR"
+    )
+    scene: bool = flag("open PATH as a scene though it is a mesh or a scan, such as a scanned room")
     finder: str = option(
         "finder of articulable objects in a scene, as for scene convert", "NAME", "lexicon"
     )
@@ -73,9 +70,7 @@ class ServeCommand(Command):
         "port to listen at; 0 for any (default: 8080 or the next free one)", "PORT"
     )
     token: str | None = option(f"token that visitors need; or set {TOKEN_VARIABLE}", "TOKEN")
-    allow_origin: tuple[str, ...] = repeated(
-        "address under which a proxy shows the server; may be repeated", "URL"
-    )
+    allow_origin: tuple[str, ...] = repeated("address under which a proxy shows the server", "URL")
     user: str | None = option("name written beside decisions (default: your login name)", "USER")
     reading: ReadingOptions = group(ReadingOptions)
     max_upload_mb: int = option("largest upload from a browser", "MB", 500)
@@ -231,7 +226,7 @@ class SceneInspectCommand(Command):
 
     scene: Path = argument("a scene: a description, or GLB, USD or PLY with its geometry", "SCENE")
     assets: tuple[Path, ...] = repeated(
-        "folder of the scene's 3D assets; may be repeated (default: the scene's folder)", "DIR"
+        "folder of the scene's 3D assets (default: the scene's folder)", "DIR"
     )
     format: str | None = option("format of the scene (default: detected from the file)", "NAME")
     json: bool = json_flag()
@@ -277,8 +272,7 @@ class SceneConvertCommand(SceneInspectCommand):
     )
     clicks: tuple[tuple[str, Path], ...] = repeated(
         "cut the object ID into parts by the clicks in FILE (as segment's --prompts, but in "
-        "the scene's metres, +z up) and articulate it; may be repeated",
-        "ID=FILE", parse=object_clicks,
+        "the scene's metres, +z up) and articulate it", "ID=FILE", parse=object_clicks,
     )  # fmt: skip
     segmenter: str = option(SEGMENTER_HELP, "NAME", "default")
     ray: str | None = option("let a Ray cluster do the work (host:port, auto, or local)", "ADDRESS")
@@ -331,12 +325,12 @@ class ExportCommand(Command):
         "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
     )
     format: tuple[str, ...] = required(
-        "urdf, ros, mjcf, usd, sdf, glb, or all; may be repeated", "NAME,NAME", repeat=True
+        "urdf, ros, mjcf, usd, sdf, glb, or all", "NAME,NAME", repeat=True
     )
     out: Path = required(
-        "folder for the files; each of several assets gets one below it, each of several formats "
-        "one below that", "DIR",
-    )  # fmt: skip
+        "folder for the files; several assets, and several formats of each, get folders in it",
+        "DIR",
+    )
     physics: PhysicsOptions = group(PhysicsOptions)
     check: bool = flag("read each file back and compare link poses")
     jobs: int | None = option("processes for several assets (default: as many as processors)", "N")
@@ -359,12 +353,11 @@ class CheckCommand(Command):
     format: tuple[str, ...] = repeated("formats to write and read back (default: all)", "NAME,NAME")
     gate: bool = flag("sweep every joint, and drive it in MuJoCo", default=True)
     allow_broken: bool = flag(
-        "exit with 0 where everything can be read back, whatever the validation finds"
+        "exit with 0 where everything can be read back, whatever validation finds"
     )
     compare_coacd: float = option(
-        "also run coacd with its defaults, this long per asset at most (default: not)",
-        "SECONDS", 0.0,
-    )  # fmt: skip
+        "also run coacd, at most this long per asset (default: not)", "SECONDS", 0.0
+    )
     physics: PhysicsOptions = group(PhysicsOptions)
     jobs: int | None = option("processes (default: as many as processors)", "N")
     json: bool = json_flag()

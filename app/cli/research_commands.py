@@ -37,9 +37,7 @@ class EvaluateCommand(Command):
         f"predictors of the joints (default: {DEFAULT_PREDICTOR}); truth gives the ground truth",
         "NAME,NAME",
     )
-    predictions: tuple[str, ...] = repeated(
-        "score the URDFs in this folder instead; may be repeated", "[NAME=]DIR"
-    )
+    predictions: tuple[str, ...] = repeated("score the URDFs in this folder instead", "[NAME=]DIR")
     frame: Literal["auto", "as-is"] = option(
         "of --predictions: find turn and scale, or take the files as they are", None, "auto"
     )
@@ -120,7 +118,7 @@ class FullModelOptions:
         "cache generated and read objects here (default: generate and read them each time)", "DIR"
     )
     settings: tuple[str, ...] = repeated(
-        "change a setting, as in --set epochs=5; may be repeated", "NAME=VALUE", flag="--set"
+        "change a setting, as in --set epochs=5", "NAME=VALUE", flag="--set"
     )
 
 
@@ -135,7 +133,7 @@ class TrainCommand(Command):
     out: Path = required("folder of the run; run again to resume", "DIR")
     samples: int = option("procedural objects to train on, made where missing", "N", 8000)
     data: tuple[Path, ...] = repeated(
-        "folder of PartNet-Mobility or PhysXNet to train on as well; may be repeated", "DIR"
+        "folder of PartNet-Mobility or PhysXNet to train on as well", "DIR"
     )
     all_categories: bool = flag("train on the paper's five held-out categories too")
     test_share: float = option(
@@ -172,7 +170,7 @@ class BenchCommand(Command):
         "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
     )
     segmenter: tuple[str, ...] | None = repeated(
-        "segment: may be repeated; ui: segmenter that turns clicks into parts", "NAME", None
+        "segment, ui: segmenter that turns clicks into parts", "NAME", None
     )
     points: tuple[int, ...] | None = option("ui: sizes of the clouds", "N", nargs="+", parse=count)
     faces: int | None = option("ui: size of the mesh; 0 leaves it out", "N", parse=count)
