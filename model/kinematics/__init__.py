@@ -1,1 +1,1 @@
-"""Joints, kinematic trees, poses, URDF, contact and motion sweeps."""
+"""Contact, penetration, motion sweeps and joint snapping."""

@@ -1,4 +1,4 @@
-"""Hinge barrels and pins: small cylinders along a hinge line, which tell where it is."""
+"""Hinge barrels and pins: small cylinders along a hinge line."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ import numpy.typing as npt
 from model.core.articulated_object import Part
 from model.core.joint import Joint
 from model.core.mesh import Mesh
+from model.geometry.topology import connected_shells, weld
 
 Array = npt.NDArray[np.float64]
 
 LEAST_CORNERS = 6
-"""Corners of a cross-section from which it counts as a circle."""
+"""Fewest corners of a circular cross-section."""
 ROUND = 0.06
-"""Largest spread of a barrel's radius over its mean."""
+"""Largest standard deviation of a barrel's radius over its mean."""
 LONG = 0.8
-"""Length over diameter from which a cylinder counts as a barrel, not as a screw's head."""
+"""Smallest length over diameter of a barrel: a screw's head is shorter."""
 NEAR, WIDEST = 0.06, 0.03
-"""How far off a joint its hinge's barrels may lie, and their largest radius, over the part's
-size."""
+"""Largest distance of barrels from the joint, and their largest radius, over the part's size."""
 PIANO = 0.25
-"""Length over the part's size from which a single cylinder is a hinge."""
+"""Smallest length of a hinge with a single barrel, over the part's size."""
 IN_LINE = 0.5
-"""How far (radii) barrels of one hinge may lie off their common line."""
+"""Largest distance of barrels from their common line, in radii."""
 
 
 @dataclass(frozen=True, eq=False)
 class BarrelLine:
-    """Cylinders about one line.
+    """Cylinders around one line.
 
     Attributes:
         point: (3,) on the line, metres, object frame. radius: of the widest barrel, in metres.
-        count: how many barrels there are.
-        length: from the first one's end to the last one's, in metres.
+        count: number of barrels.
+        length: from end to end, in metres.
     """
 
     point: Array
@@ -48,7 +48,7 @@ class BarrelLine:
 
 @dataclass(frozen=True, eq=False)
 class _Shells:
-    """Connected pieces of a mesh, sorted: corners (N, 3), where each piece starts, boxes."""
+    """Connected shells of a mesh: corners (N, 3), start of each shell, boxes."""
 
     corners: Array
     starts: npt.NDArray[np.int64]
@@ -62,15 +62,15 @@ _CACHE: WeakKeyDictionary[Mesh, _Shells] = WeakKeyDictionary()
 def barrel_line(
     parts: Iterable[Part], axis: Array, origin: Array, reach: float, widest: float
 ) -> BarrelLine | None:
-    """The line of barrels near a hinge's line and parallel to it; None where there are none.
+    """Find the line of barrels near a hinge's line and parallel to it, or None.
 
-    Barrels are pieces of a mesh of their own; clouds have none. Of several lines the one with the
-    most barrels counts, then the longest.
+    Barrels are separate shells of a mesh; clouds have none. Of several lines, the one with the most
+    barrels is chosen, then the longest.
 
     Args:
         parts: both sides of the hinge, whose barrels may alternate.
         axis: (3,) unit. origin: (3,) on the hinge's line.
-        reach: how far off it barrels may lie, in metres. widest: their largest radius, in metres.
+        reach: largest distance of barrels from it, metres. widest: their largest radius, metres.
     """
     found = [c for p in parts if p.mesh is not None for c in _near(p.mesh, axis, origin, reach)]
     round_ = [r for c in found if (r := _circle(c, axis)) is not None and r[1] <= widest]
@@ -83,7 +83,7 @@ def barrel_line(
     best = None
     for k in range(len(centers)):
         line = np.linalg.norm(off - off[k], axis=1) <= IN_LINE * radii[k]
-        # A part that is there twice, or a pin in its knuckle, is one barrel.
+        # A duplicate, or a pin in its knuckle, counts as one barrel.
         count = len(np.unique(np.round(centers[line] @ axis / max(radii[k], 1e-9))))
         length = float(ends[line, 1].max() - ends[line, 0].min())
         if best is None or (count, length) > (best.count, best.length):
@@ -93,8 +93,7 @@ def barrel_line(
 
 
 def on_barrels(joint: Joint, child: Part, parent: Part) -> Joint | None:
-    """The joint moved into the middle of its hinge's barrels; None where no two, and no long one,
-    are near its line."""
+    """Move the joint to the line of its hinge's barrels; None without two or a long one."""
     if joint.type != "revolute" or child.mesh is None:
         return None
     size = float(np.linalg.norm(np.ptp(child.bounds, axis=0)))
@@ -106,14 +105,14 @@ def on_barrels(joint: Joint, child: Part, parent: Part) -> Joint | None:
 
 
 def _near(mesh: Mesh, axis: Array, origin: Array, reach: float) -> list[Array]:
-    """Corners of the pieces that lie within reach of the line, all of them."""
+    """Corners of each shell within reach of the line."""
     if not len(mesh.faces):
         return []
     shells = _shells(mesh)
     middle, half = (shells.low + shells.high) / 2, (shells.high - shells.low) / 2
     off = middle - origin
     off = off - np.outer(off @ axis, axis)
-    # No part of a barrel's box reaches farther to the side than twice its radius.
+    # A barrel's box extends at most twice its radius sideways.
     close = np.linalg.norm(off, axis=1) <= reach
     ends = np.append(shells.starts[1:], len(shells.corners))
     across = half - np.outer(half @ np.abs(axis), np.abs(axis))
@@ -122,7 +121,7 @@ def _near(mesh: Mesh, axis: Array, origin: Array, reach: float) -> list[Array]:
 
 
 def _circle(corners: Array, axis: Array) -> tuple[Array, float, tuple[float, float]] | None:
-    """Centre, radius and ends along the axis of a piece that is a cylinder about it."""
+    """Centre, radius and ends of a cylinder along the axis; None for another shape."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u = u / np.linalg.norm(u)
     v = np.cross(axis, u)
@@ -134,7 +133,7 @@ def _circle(corners: Array, axis: Array) -> tuple[Array, float, tuple[float, flo
     if size.min() < 0.85 * size.max() or size.max() <= 0:
         return None
     distance = np.linalg.norm(flat - middle, axis=1)
-    # A bevel's ring and the middle of a cap lie inside.
+    # Rings of a bevel and centres of caps are inside.
     rim = flat[distance > 0.9 * distance.max()]
     angles = np.sort(np.arctan2(*(rim - middle).T[::-1]))
     gap = np.diff(np.append(angles, angles[0] + 2 * np.pi)).max() if len(rim) else np.inf
@@ -153,8 +152,6 @@ def _circle(corners: Array, axis: Array) -> tuple[Array, float, tuple[float, flo
 
 def _shells(mesh: Mesh) -> _Shells:
     if mesh not in _CACHE:
-        from model.geometry.topology import connected_shells, weld
-
         shell = np.repeat(connected_shells(mesh, weld(mesh, 0.0)), 3)
         order = np.argsort(shell, kind="stable")
         corners = mesh.vertices[mesh.faces.reshape(-1)[order]]

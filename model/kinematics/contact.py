@@ -1,4 +1,4 @@
-"""Which parts touch at rest, where, and along which line."""
+"""Contact of parts at rest: which touch, where, and along which line."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from model.core.errors import GeometryError
 from model.kinematics.surface import POINTS, Surface, surface_of
 
 TOLERANCE = 0.01
-"""Gap that still counts as touching, in the diagonal of all parts: scans and CAD leave gaps."""
+"""Largest gap that counts as touching, in the diagonal of all parts: scans and CAD leave gaps."""
 RESOLUTIONS = 1.5
-"""The same in a cloud's spacing, below which it can't tell."""
+"""The same in a cloud's spacing, which limits its precision."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """How two parts meet at rest; metres, object frame.
+    """Contact of two parts at rest; metres, object frame.
 
     Attributes:
         a, b: the links, in the order of the parts.
         distance: smallest distance between the two surfaces.
-        tolerance: gap up to which they touch.
-        points: (K, 3) samples of either part within the tolerance of the other, moved halfway
-            onto it; empty where they don't touch.
-        share_a, share_b: how much of each part's surface is in contact, 0..1.
+        tolerance: largest gap that counts as touching.
+        points: (K, 3) midpoints between samples of either part and the other part's surface, where
+            that is within the tolerance.
+        share_a, share_b: share of each part's surface in contact, 0..1.
     """
 
     a: str
@@ -80,12 +80,12 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class ContactLine:
-    """The line that fits a contact best, as a hinge would lie.
+    """The line that fits a contact best.
 
     Attributes:
         point: (3,) the contact's centroid.
         direction: (3,) unit; its largest component is positive.
-        length: extent of the contact along it in metres.
+        length: extent of the contact along it, metres.
         linearity: 1 for points on a line, 0 for a disc or a ball.
     """
 
@@ -96,7 +96,7 @@ class ContactLine:
 
 
 def contact_tolerance(parts: Iterable[Part]) -> float:
-    """Metres: :data:`TOLERANCE` of the parts' diagonal, or what a sparse cloud needs."""
+    """:data:`TOLERANCE` of the parts' diagonal in metres, or more for a sparse cloud."""
     surfaces = [s for p in parts if (s := surface_of(p)) is not None]
     if not surfaces:
         return 0.0
@@ -108,12 +108,12 @@ def contact_tolerance(parts: Iterable[Part]) -> float:
 def contact_between(
     a: Part, b: Part, tolerance: float | None = None, *, points: int = POINTS
 ) -> Contact:
-    """How two parts meet.
+    """Compute the contact of two parts.
 
     Args:
-        tolerance: metres; :func:`contact_tolerance` of the two by default. Give the object's own
-            where the parts are small.
-        points: samples a part.
+        tolerance: metres; by default :func:`contact_tolerance` of the two. Pass that of the whole
+            object for small parts.
+        points: samples per part.
 
     Raises:
         GeometryError: for a part without geometry.
@@ -131,7 +131,7 @@ def contact_between(
 def contacts(
     parts: Sequence[Part], tolerance: float | None = None, *, points: int = POINTS
 ) -> tuple[Contact, ...]:
-    """All pairs of parts that touch, in the order of the parts. Parts without geometry never do."""
+    """Compute the contacts of all pairs of parts that touch, in the order of the parts."""
     if tolerance is None:
         tolerance = contact_tolerance(parts)
     surfaces = [s for p in parts if (s := surface_of(p, points)) is not None]
@@ -140,7 +140,7 @@ def contacts(
 
 
 def _contact(a: Surface, b: Surface, tolerance: float, *, exact: bool) -> Contact:
-    """``exact`` measures the distance of parts that are far apart too."""
+    """``exact`` also measures the distance of parts that are far apart."""
     gap = np.maximum(np.maximum(a.bounds[0] - b.bounds[1], b.bounds[0] - a.bounds[1]), 0.0)
     apart = float(np.linalg.norm(gap)) > tolerance
     if apart and not exact:
@@ -160,7 +160,7 @@ def _contact(a: Surface, b: Surface, tolerance: float, *, exact: bool) -> Contac
             shares.append(float(touching.sum()) / len(one.points))
         else:
             shares.append(0.0)
-    if not np.isfinite(smallest):  # boxes overlap, but no sample lies in the other's box
+    if not np.isfinite(smallest):  # boxes overlap, but without samples of one in the other
         smallest = float(b.distance(a.points)[0].min())
     points = np.concatenate([*places, np.zeros((0, 3))])
     return Contact(a.link, b.link, smallest, tolerance, points, shares[0], shares[1])

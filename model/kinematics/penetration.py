@@ -1,16 +1,16 @@
-"""Points of one part that pass through the surface of another while a joint moves.
+"""Penetration: points of one part that pass through the surface of another while a joint moves.
 
-A point's path is cut into chords; each chord is a ray against the other part's triangles. That
-works for single sheets of a scan as for closed boards. A crossing counts unless
+A point's path is cut into chords, and each chord is cast as a ray against the other part's
+triangles, which works for single sheets of a scan as for closed boards. A hit counts unless
 
 - it grazes the surface (below :data:`GRAZING`): sliding along a rail is no collision, and the
-  normals of a noisy scan are not better than that;
-- a small step aside avoids the target: parts that touch along a face or an edge;
-- the point leaves a solid, where the triangles say so;
-- the bulk of its part lies ahead of the surface already: it was on the far side at rest;
-- it touches at rest, and its own part's material lies ahead of it: it withdraws.
+  normals of a noisy scan are no more accurate;
+- a small sidestep avoids the target: the parts touch along a face or an edge;
+- the point leaves a solid, by the winding of the triangles;
+- most of its part near the point is beyond the surface already: it was so at rest;
+- it touches at rest, and material of its own part lies ahead of it: it withdraws.
 
-How deep: the way beyond the crossed element, along its normal.
+The depth is the distance beyond the hit element along its normal.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ from model.core.lru_cache import array_digest
 from model.kinematics.surface import Surface
 
 GRAZING = 0.34
-"""Sine of the angle below which a path slides along a surface: 20°."""
+"""Sine of the angle below which a path slides along a surface: 20°, a choice."""
 ROUNDS = 6
-"""Surfaces that a chord may pass without a crossing that counts."""
+"""Most hits of a chord that are tried until one counts."""
 SIDESTEPS = 6
 SIDESTEP = 0.3
-"""In tolerances, for meshes; a whole one for clouds."""
+"""Sidestep of meshes in tolerances; of clouds it is one tolerance."""
 THICK = 10.0
-"""Thickness of boards that points of their back don't look through, in tolerances."""
+"""Largest thickness of a board whose back touches at rest, in tolerances."""
 OUTLIERS = 0.004
-"""Share of a part's samples that may be wrong."""
-ASIDE = (0.5, 1.0, 2.0, 4.0)
-"""Steps aside that are tried, in tolerances."""
-ASIDE_POINTS = 64
-ASIDE_SHARE = 0.9
-"""Share of the crossings that a step aside must avoid."""
+"""Share of a part's samples whose penetrations are ignored."""
+ESCAPES = (0.5, 1.0, 2.0, 4.0)
+"""Sidesteps that are tried to avoid all penetrations, in tolerances."""
+ESCAPE_POINTS = 64
+ESCAPE_SHARE = 0.9
+"""Share of the penetrations that a sidestep must avoid."""
 BULK = 0.08
-"""Reach of a part's bulk about a point, in the part's diagonal."""
+"""Standard deviation of the neighbourhood of a point, in the part's diagonal."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class RelativePath:
-    """Motion of one part seen from another's rest frame, from rest onwards.
+    """Motion of a part in the target's rest frame, from rest onwards.
 
     Attributes:
         q: (K,) joint values, monotone, q[0] is rest.
         target_from_part: (K, 4, 4).
-        straight: whether it is one translation, so that a single chord serves.
+        straight: whether it is a single translation, which one chord covers.
     """
 
     q: FloatArray
@@ -67,16 +67,15 @@ class RelativePath:
 
 @dataclass(frozen=True, eq=False)
 class Penetrations:
-    """First crossing of each point that has one.
+    """First penetration of each point that has one.
 
     Attributes:
         q: (E,) joint value.
-        points: (E, 3) the crossing points at rest, their part's coordinates.
-        anchor, normal: (E, 3) of the crossed element in the target's coordinates; the normal
-            points the way the point went.
-        outliers: how many of them may be chance: stray points, bled labels.
-        aside: metres to step aside so that none of them happens, see :func:`_aside`; infinite
-            where that is much, or can't be told.
+        points: (E, 3) the points at rest, their part's coordinates.
+        anchor, normal: (E, 3) of the hit element in the target's coordinates; the normal points
+            along the motion.
+        outliers: number of points that are ignored, as outliers or wrong labels.
+        sidestep: metres sideways that avoid them, see :func:`_escape`, or infinite.
     """
 
     q: FloatArray
@@ -84,17 +83,17 @@ class Penetrations:
     anchor: FloatArray
     normal: FloatArray
     outliers: int
-    aside: float
+    sidestep: float
 
     def depth(self, target_from_part: FloatArray) -> FloatArray:
-        """(K, E) metres beyond the crossed elements at (K, 4, 4) poses; negative is before."""
+        """(K, E) metres beyond the hit elements at (K, 4, 4) poses; negative before them."""
         now = moved(target_from_part, self.points)
         return np.einsum("kei,ei->ke", now - self.anchor, self.normal)
 
 
 @dataclass(frozen=True, eq=False)
 class _Chords:
-    """Pieces of paths: (R, 3) rays with direction as long as the chord."""
+    """Pieces of paths: (R, 3) rays whose directions are as long as the chords."""
 
     origin: FloatArray
     direction: FloatArray
@@ -122,31 +121,33 @@ def inverse(poses: FloatArray) -> FloatArray:
     return out
 
 
-def crossings(part: Surface, target: Surface, path: RelativePath, tolerance: float) -> Penetrations:
-    """Where samples of ``part`` pass through ``target``.
+def penetrations(
+    part: Surface, target: Surface, path: RelativePath, tolerance: float
+) -> Penetrations:
+    """Find where samples of ``part`` pass through ``target``.
 
-    What was found lately is kept: where one joint is edited, most parts go the ways they went.
+    Results are cached: an edit of one joint changes few paths.
 
     Args:
         tolerance: metres; surfaces this close behind a point at rest count as touching it.
     """
     if path.straight and len(path.q) > 2:
         path = RelativePath(path.q[[0, -1]], path.target_from_part[[0, -1]], True)
-    way = array_digest(
+    key = array_digest(
         path.q, path.target_from_part, np.array([tolerance, path.straight], np.float64)
     )
 
     def find() -> tuple[Penetrations, Surface]:
-        return _crossings(part, target, path, tolerance), target  # whose id is no other's then
+        return _penetrations(part, target, path, tolerance), target  # reserves the target's id
 
-    return part.met.get((id(target), way), find, weigh=lambda held: float(len(held[0].q)))[0]
+    return part.cache.get((id(target), key), find, weigh=lambda held: float(len(held[0].q)))[0]
 
 
-def _crossings(
+def _penetrations(
     part: Surface, target: Surface, path: RelativePath, tolerance: float
 ) -> Penetrations:
     chosen, at = _near(part, target, path, tolerance)
-    judge = _Judge(part, target, path, chosen, at, tolerance)
+    hit_filter = _HitFilter(part, target, path, chosen, at, tolerance)
     chords = _chords(at, target, tolerance)
     best = np.full(len(chosen), np.inf)
     element = np.zeros(len(chosen), np.int64)
@@ -155,17 +156,17 @@ def _crossings(
         if not len(chords.point):
             break
         hits = target.cast(chords.origin, chords.direction)
-        met = np.flatnonzero(hits.distance <= 1.0)
-        chords, t, n = chords.take(met), hits.distance[met], hits.normals[met]
+        index = np.flatnonzero(hits.distance <= 1.0)
+        chords, t, n = chords.take(index), hits.distance[index], hits.normals[index]
         hit = chords.origin + t[:, None] * chords.direction
-        # Where on its step a chord is met, in 0..1; negative on the stretch before rest.
+        # Position of the hit on its step, 0..1; negative before rest.
         along = _along(hit, at, chords)
         fraction = chords.step + along
-        counts = judge.counts(chords, hit, n, along)
+        counts = hit_filter.counts(chords, hit, n, along)
         order = np.flatnonzero(counts & (fraction < best[chords.point]))
         order = order[np.argsort(-fraction[order], kind="stable")]
-        points = chords.point[order]  # the earliest of a point is written last
-        best[points], element[points] = fraction[order], hits.element[met][order]
+        points = chords.point[order]  # the earliest hit of a point is written last
+        best[points], element[points] = fraction[order], hits.element[index][order]
         sign = np.sign(np.einsum("ri,ri->r", n, chords.direction))[:, None]
         normal[points] = (n * sign)[order]
         anchor[points] = np.where((fraction[order] <= 0)[:, None], at[0][points], hit[order])
@@ -173,25 +174,25 @@ def _crossings(
         chords = _continued(chords.take(again), t[again], tolerance)
     found = np.flatnonzero(np.isfinite(best))
     if not target.oriented:
-        # One bad disc of a noisy cloud stops many points; it counts once.
+        # One bad disc of a noisy cloud stops many points: it counts once.
         order = found[np.argsort(best[found], kind="stable")]
         found = order[np.unique(element[order], return_index=True)[1]]
     q = np.interp(np.maximum(best[found], 0), np.arange(len(path.q)), path.q)
     share = OUTLIERS if target.oriented else OUTLIERS / 2
     outliers = math.floor(share * len(part.points))
-    aside = math.inf
+    sidestep = math.inf
     if part.oriented and target.oriented and len(found) > outliers:
         step = np.clip(best[found].astype(np.int64), 0, len(path.q) - 2)
-        aside = _aside(target, anchor[found], at[step + 1, found] - at[step, found], tolerance)
+        sidestep = _escape(target, anchor[found], at[step + 1, found] - at[step, found], tolerance)
     return Penetrations(
-        q, part.points[chosen[found]], anchor[found], normal[found], outliers, aside
+        q, part.points[chosen[found]], anchor[found], normal[found], outliers, sidestep
     )
 
 
 def _near(
     part: Surface, target: Surface, path: RelativePath, tolerance: float
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Samples whose paths come near the target's box, and (K, P, 3) those paths."""
+    """Samples whose paths come near the target's box, and (K, P, 3) their paths."""
     low, high = target.bounds[0] - 2 * tolerance, target.bounds[1] + 2 * tolerance
     box = np.array(np.meshgrid(*part.bounds.T)).reshape(3, -1).T
     swept = path.move(box).reshape(-1, 3)
@@ -205,7 +206,7 @@ def _near(
 
 
 def _chords(at: FloatArray, target: Surface, tolerance: float) -> _Chords:
-    """The chords that come near the target's box; the first ones begin a bit before rest."""
+    """Chords near the target's box; the first ones start one tolerance before rest."""
     low, high = target.bounds[0] - 2 * tolerance, target.bounds[1] + 2 * tolerance
     start, end = at[:-1], at[1:]
     under, over = at < low, at > high
@@ -223,14 +224,14 @@ def _chords(at: FloatArray, target: Surface, tolerance: float) -> _Chords:
 
 
 def _along(hit: FloatArray, at: FloatArray, chords: _Chords) -> FloatArray:
-    """(R,) place of the hits on their step: 0 its start, 1 its end, negative before rest."""
+    """(R,) position of the hits on their steps, 0..1; negative before rest."""
     start, end = at[chords.step, chords.point], at[chords.step + 1, chords.point]
     whole = end - start
     return np.einsum("ri,ri->r", hit - start, whole) / np.einsum("ri,ri->r", whole, whole)
 
 
 def _continued(chords: _Chords, t: FloatArray, tolerance: float) -> _Chords:
-    """The rest of chords behind a hit that didn't count."""
+    """The rest of the chords behind hits that don't count."""
     length = np.linalg.norm(chords.direction, axis=1)
     t = t + 1e-3 * tolerance / np.maximum(length, 1e-12)
     left = 1.0 - t
@@ -243,8 +244,8 @@ def _continued(chords: _Chords, t: FloatArray, tolerance: float) -> _Chords:
     )
 
 
-class _Judge:
-    """Tells crossings that count from touching, sliding and leaving."""
+class _HitFilter:
+    """Separates penetrations from touching, sliding and leaving."""
 
     def __init__(
         self,
@@ -267,9 +268,9 @@ class _Judge:
     def counts(
         self, chords: _Chords, hit: FloatArray, normals: FloatArray, along: FloatArray
     ) -> npt.NDArray[np.bool_]:
-        """(R,) for hits at (R, 3) with the target's normals, ``along`` their steps."""
-        ways = chords.direction / np.linalg.norm(chords.direction, axis=1, keepdims=True)
-        sine = np.einsum("ri,ri->r", normals, ways)
+        """(R,) whether hits at (R, 3) with the target's normals, ``along`` their steps, count."""
+        directions = chords.direction / np.linalg.norm(chords.direction, axis=1, keepdims=True)
+        sine = np.einsum("ri,ri->r", normals, directions)
         steep = np.flatnonzero(np.abs(sine) > GRAZING)
         solid = self.target.bounds_solid(hit[steep])
         kept = ~(solid & (sine[steep] > 0))
@@ -284,14 +285,14 @@ class _Judge:
         start_point, end_point = self.at[0], self.at[1]
         step = np.linalg.norm((end_point - start_point)[chords.point[first]], axis=1)
         passed = np.where(chords.step[first] == 0, -along[first] * step, 0.0)
-        good[start] &= self._leads(chords.point[first], ways[first], passed)
+        good[start] &= self._leads(chords.point[first], directions[first], passed)
         steep = steep[good]
         out = np.zeros(len(hit), bool)
-        out[steep] = _broad(self.target, hit[steep], ways[steep], self.sidestep)
+        out[steep] = _is_broad(self.target, hit[steep], directions[steep], self.sidestep)
         return out
 
     def _at_rest(self, chords: _Chords, along: FloatArray) -> npt.NDArray[np.bool_]:
-        """(R,) whether a hit is no further from rest than parts that touch may be."""
+        """(R,) whether hits are within one tolerance of rest."""
         before = self.travelled[chords.step, chords.point]
         after = self.travelled[chords.step + 1, chords.point]
         return (1 - along) * before + along * after <= self.tolerance
@@ -299,8 +300,10 @@ class _Judge:
     def _bulk(
         self, chords: _Chords, toward: FloatArray, solid: npt.NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray]:
-        """(R,) shares of the part about the crossing points that lie beyond the surface, and
-        before it. Where the target is solid its winding has settled it: all lies before."""
+        """(R,) shares of the part near the hits that lie beyond the surface, and before it.
+
+        For solid targets the winding has decided: all of it lies before.
+        """
         ahead, behind = np.zeros(len(toward)), np.ones(len(toward))
         for step in np.unique(chords.step[~solid]):
             mine = np.flatnonzero(~solid & (chords.step == step))
@@ -314,16 +317,16 @@ class _Judge:
         return ahead, behind
 
     def _leads(
-        self, point: npt.NDArray[np.int64], ways: FloatArray, passed: FloatArray
+        self, point: npt.NDArray[np.int64], directions: FloatArray, passed: FloatArray
     ) -> npt.NDArray[np.bool_]:
-        """(R,) whether a point that touches at rest can push into what it touches.
+        """(R,) whether a point that touches at rest can penetrate the target.
 
-        Only a point with none of its own part's material ahead of it can; the others withdraw.
-        Where the target lies (R,) ``passed`` metres behind the point, the part's material must
-        reach as far back, or all of it is beyond the target already.
+        A point with material of its own part ahead withdraws. Where the target lies (R,)
+        ``passed`` metres behind the point, the part's material must reach as far back, or all of
+        it is beyond the target already.
         """
-        own = ways @ self.part_from_target[:3, :3].T
-        gap = 1e-2 if self.part.oriented else 1.0  # discs of a noisy cloud lie about the point
+        own = directions @ self.part_from_target[:3, :3].T
+        gap = 1e-2 if self.part.oriented else 1.0  # discs of a noisy cloud surround the point
         gap *= self.tolerance
         starts = self.points[point]
         out = self.part.cast(starts + gap * own, own).distance > THICK * self.tolerance
@@ -338,8 +341,8 @@ class _Judge:
 def _shares(
     posed: FloatArray, here: FloatArray, toward: FloatArray, reach: float, margin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(R,) shares of samples (C, 3) about each of (R, 3) places that lie beyond it along (R, 3)
-    directions, and before it, by more than ``margin``."""
+    """(R,) shares of samples (C, 3) near (R, 3) places that lie more than ``margin`` beyond them
+    along (R, 3) directions, and before them."""
     squared = (here**2).sum(1)[:, None] - 2 * here @ posed.T + (posed**2).sum(1)
     weight = np.exp(-squared / (2 * reach**2))
     weight /= np.maximum(weight.sum(1, keepdims=True), 1e-12)
@@ -347,58 +350,56 @@ def _shares(
     return (weight * (beyond > margin)).sum(1), (weight * (beyond < -margin)).sum(1)
 
 
-def _aside(target: Surface, hit: FloatArray, ways: FloatArray, tolerance: float) -> float:
-    """Metres aside, square to (E, 3) ways, that avoid nearly all crossings at (E, 3) ``hit``.
+def _escape(target: Surface, hit: FloatArray, directions: FloatArray, tolerance: float) -> float:
+    """Smallest sidestep in metres, normal to (E, 3) directions, that avoids nearly all (E, 3) hits.
 
-    Two parts that overlap by a hair's breadth along an edge pass each other's whole depth; what
-    is wrong with them is that breadth. It counts only where the opposite step of twice the size
-    avoids nothing: both do at a thin post, which is in the way all the same.
+    Parts that overlap slightly along an edge penetrate each other's whole depth; their error is the
+    sidestep. It counts only where the opposite step of twice the size avoids nothing: at a thin
+    post both do, and it is a collision.
 
     Returns:
-        Infinite where it is more than the last of :data:`ASIDE`.
+        Infinity above the last of :data:`ESCAPES`.
     """
-    chosen = np.linspace(0, len(hit) - 1, min(len(hit), ASIDE_POINTS)).astype(np.int64)
-    hit, ways = hit[chosen], ways[chosen]
-    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)
-    u, v = _across(ways)
+    chosen = np.linspace(0, len(hit) - 1, min(len(hit), ESCAPE_POINTS)).astype(np.int64)
+    hit, directions = hit[chosen], directions[chosen]
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = directions / np.maximum(length, 1e-30)
+    u, v = _across(directions)
     angles = np.arange(8) * (np.pi / 4)
-    directions = np.cos(angles)[:, None, None] * u + np.sin(angles)[:, None, None] * v
-    steps = np.array([*ASIDE, 2 * ASIDE[-1]]) * tolerance
-    reach = 3.0 * steps[:, None, None, None]  # as in _broad
-    start = hit + steps[:, None, None, None] * directions - reach * ways
-    along = np.broadcast_to(ways, start.shape)
+    sideways = np.cos(angles)[:, None, None] * u + np.sin(angles)[:, None, None] * v
+    steps = np.array([*ESCAPES, 2 * ESCAPES[-1]]) * tolerance
+    reach = 3.0 * steps[:, None, None, None]  # as in _is_broad
+    start = hit + steps[:, None, None, None] * sideways - reach * directions
+    along = np.broadcast_to(directions, start.shape)
     distance = target.cast(start.reshape(-1, 3), along.reshape(-1, 3)).distance
     misses = distance.reshape(start.shape[:-1]) > 2 * reach[..., 0]
     opposite = np.roll(misses, 4, axis=1)
     ever = np.maximum.accumulate(opposite, axis=0)
     clear = misses[:-1] & ~ever[1:]
     first = np.where(clear, steps[:-1, None, None], np.inf).min(axis=(0, 1))
-    return float(np.sort(first)[math.ceil(ASIDE_SHARE * len(first)) - 1])
+    return float(np.sort(first)[math.ceil(ESCAPE_SHARE * len(first)) - 1])
 
 
-def _across(ways: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two (R, 3) unit vectors square to (R, 3) unit vectors and to each other."""
-    helper = np.eye(3)[np.argmin(np.abs(ways), axis=1)]
-    u: FloatArray = np.cross(ways, helper)
+def _across(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two (R, 3) unit vectors normal to (R, 3) unit vectors and to each other."""
+    helper = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
+    u: FloatArray = np.cross(directions, helper)
     u = u / np.linalg.norm(u, axis=1, keepdims=True)
-    return u, np.asarray(np.cross(ways, u), np.float64)
+    return u, np.asarray(np.cross(directions, u), np.float64)
 
 
-def _broad(
-    target: Surface, hit: FloatArray, ways: FloatArray, sidestep: float
+def _is_broad(
+    target: Surface, hit: FloatArray, directions: FloatArray, sidestep: float
 ) -> npt.NDArray[np.bool_]:
-    """(R,) whether the target is still hit when the path is moved sideways by ``sidestep``.
-
-    Where it isn't, a step aside avoids the target: parts that touch along an edge or a face.
-    """
-    u, v = _across(ways)
-    reach = 3.0 * sidestep  # a surface as flat as GRAZING allows is met that much later
+    """(R,) whether the target is still hit by the path moved sideways by ``sidestep``."""
+    u, v = _across(directions)
+    reach = 3.0 * sidestep  # a surface at the angle of GRAZING is hit that much later
     out = np.ones(len(hit), bool)
     for angle in np.arange(SIDESTEPS) * (2 * np.pi / SIDESTEPS):
         left = np.flatnonzero(out)
         if not len(left):
             break
-        aside = sidestep * (np.cos(angle) * u[left] + np.sin(angle) * v[left])
-        start = hit[left] + aside - reach * ways[left]
-        out[left] = target.cast(start, ways[left]).distance <= 2 * reach
+        shift = sidestep * (np.cos(angle) * u[left] + np.sin(angle) * v[left])
+        start = hit[left] + shift - reach * directions[left]
+        out[left] = target.cast(start, directions[left]).distance <= 2 * reach
     return out

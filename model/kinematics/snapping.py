@@ -1,4 +1,4 @@
-"""Bringing a joint's axis to where the shape says it is: box axes, box edges, contact line."""
+"""Snap a joint's axis to features of the shape: box axes, box edges, the contact line."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ BoxAxis = Literal["Long", "Middle", "Short"]
 PARALLEL = 0.9
 """Cosine from which a box edge counts as parallel to the joint's axis."""
 LINE = 0.25
-"""A contact is a line where it spreads less than this share of its length to the sides."""
+"""Largest width of a contact line over its length."""
 ROUND = 0.5
-"""A contact lies round an axis where it spreads at least this share as far one way as the other."""
+"""Smallest ratio of its two extents from which a contact surrounds an axis."""
 SPOT = 0.2
-"""A contact that is smaller than this share of the part is a spot."""
+"""Largest size of a spot contact, over the part's size."""
 AT_SIDE = 0.03
-"""How near to a side the contact counts as there, in the part's width."""
+"""Largest distance of contact from a side that counts as there, in the part's width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Box:
 
 
 def box_of(points: Vector) -> Box:
-    """The tight box of (N, 3) points; upright and world-aligned where that is nearly as tight."""
+    """Return the tightest box of (N, 3) points, or the axis-aligned one if nearly as tight."""
     import trimesh
 
     low, high = points.min(0), points.max(0)
@@ -46,14 +46,13 @@ def box_of(points: Vector) -> Box:
             inverse = np.linalg.inv(to_origin)
             axes, center, half = inverse[:3, :3], inverse[:3, 3], np.asarray(extents) / 2
     except (ValueError, RuntimeError):
-        # Flat or degenerate points have no hull; their world box is right then.
-        pass
+        pass  # degenerate points have no hull: keep the axis-aligned box
     order = np.argsort(-half, kind="stable")
     return Box(np.asarray(center, np.float64), np.asarray(axes, np.float64)[:, order], half[order])
 
 
 def axis_along_box(joint: Joint, box: Box, which: BoxAxis) -> Joint:
-    """The joint with its axis along the box's long, middle or short axis; its side is kept."""
+    """Align the joint's axis to the box's longest, middle or shortest axis; its sign is kept."""
     axis = box.axes[:, ("Long", "Middle", "Short").index(which)]
     if axis @ np.asarray(joint.axis) < -1e-9:
         axis = -axis
@@ -61,17 +60,17 @@ def axis_along_box(joint: Joint, box: Box, which: BoxAxis) -> Joint:
 
 
 def origin_on_box_edge(joint: Joint, box: Box) -> Joint:
-    """The joint moved to the box's nearest edge that runs along its axis.
+    """Move the joint to the box's nearest edge along its axis.
 
     Raises:
-        KinematicsError: where no edge does.
+        KinematicsError: where no edge is parallel to the axis.
     """
     axis, origin = np.asarray(joint.axis), np.asarray(joint.origin)
     cosine = np.abs(axis @ box.axes)
     along = int(np.argmax(cosine))
     if cosine[along] < PARALLEL:
         raise KinematicsError(
-            [f"joint {joint.name!r}: no box edge runs along its axis; choose the axis first"]
+            [f"joint {joint.name!r}: no box edge is parallel to its axis; choose the axis first"]
         )
     a, b = (k for k in range(3) if k != along)
     corners = [
@@ -90,20 +89,19 @@ def origin_on_box_edge(joint: Joint, box: Box) -> Joint:
 
 
 def origin_on_contact(joint: Joint, child: Vector, parent: Vector, reach: float) -> Joint:
-    """The joint moved to where child and parent touch.
+    """Move the joint to the contact of child and parent.
 
-    A line within 30° of the axis gives the axis as well. Of a spot, and of what lies round the
-    axis, the middle counts. Elsewhere the middle is no hinge (a door lies on its frame all round):
-    then the axis moves to the child's nearer side along it, where they touch there.
+    A contact line within 30° of the axis sets the axis, too. A spot, and a contact around the axis,
+    set the origin to their centre. The centre of another contact is no hinge (a door touches its
+    frame all round): the axis moves to the nearer side of the child if they touch there.
 
     Args:
-        joint: its axis is kept, unless the contact gives another.
+        joint: its axis is kept, unless the contact is a line.
         child, parent: (N, 3) surface points.
-        reach: how near counts as touching, in metres.
+        reach: largest gap in metres that counts as touching.
 
     Raises:
-        KinematicsError: where they don't come near each other, or touch over a face but not at
-            that side.
+        KinematicsError: where the parts don't touch, or over a face but not at that side.
     """
     from scipy.spatial import KDTree
 
@@ -134,7 +132,7 @@ def origin_on_contact(joint: Joint, child: Vector, parent: Vector, reach: float)
         raise KinematicsError(
             [
                 f"joint {joint.name!r}: {joint.child} and {joint.parent} touch over a face, which "
-                "says no hinge line; take Box edge or Centre"
+                "defines no hinge line; take Box edge or Centre"
             ]
         )
     return moved
@@ -147,8 +145,7 @@ def _moved(joint: Joint, origin: Vector, axis: Vector) -> Joint:
 
 
 def _wide_across(axis: Vector, contact: Vector, child: Vector) -> Vector | None:
-    """The direction across the axis in which a contact is wide; None for a spot, and for what
-    spreads about as far one way as the other."""
+    """Direction across the axis in which a contact is wide; None for a spot, or around the axis."""
     across = contact - np.outer(contact @ axis, axis)
     _, spread, directions = np.linalg.svd(across - across.mean(0), full_matrices=False)
     widest = float(np.ptp(across @ directions[0]))
@@ -161,8 +158,10 @@ def _wide_across(axis: Vector, contact: Vector, child: Vector) -> Vector | None:
 def _on_side_in_contact(
     joint: Joint, box: Box, contact: Vector, wide: Vector, reach: float
 ) -> Joint | None:
-    """The joint on the side of the box that its axis is nearer to, as deep as the contact (N, 3)
-    there; None where there is none, or the box lies askew to the axis."""
+    """Move the joint to the nearer side of the box, at the depth of the contact (N, 3) there.
+
+    None without contact there, and where no box axis is parallel to the joint's.
+    """
     axis = np.asarray(joint.axis)
     along, across = (int(np.argmax(np.abs(v @ box.axes))) for v in (axis, wide))
     if joint.type == "continuous" or abs(float(axis @ box.axes[:, along])) < PARALLEL:
@@ -171,10 +170,10 @@ def _on_side_in_contact(
     side = 1.0 if (np.asarray(joint.origin) - box.center) @ normal >= 0 else -1.0
     outermost = float(box.center @ normal) * side + box.half[across]
     inside = outermost - side * (contact @ normal)
-    held = inside <= max(2 * reach, AT_SIDE * 2 * box.half[across])
-    if along == across or held.sum() < 3:
+    there = inside <= max(2 * reach, AT_SIDE * 2 * box.half[across])
+    if along == across or there.sum() < 3:
         return None
-    place = contact[held].mean(0)
+    place = contact[there].mean(0)
     place = place + (side * outermost - float(place @ normal)) * normal
     direction = box.axes[:, along]
     return _moved(joint, place, direction if direction @ axis >= 0 else -direction)

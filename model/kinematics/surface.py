@@ -1,6 +1,6 @@
-"""A part as contact and sweeps see it: points with normals, and triangles that rays hit.
+"""Sampled and ray-traceable surface of a part, for contact and motion sweeps.
 
-Works for thin shells, open and unoriented meshes, and clouds: nothing here needs an inside.
+No inside is needed: thin shells, open and unoriented meshes, and clouds work.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 
 POINTS = 4096
-"""Sample points a part."""
+"""Samples of a part."""
 INSET = 1e-3
-"""How far corner samples lie inside of a face, in the part's diagonal."""
-MET, MET_ROWS = 4096, 30_000
-"""Ways against other surfaces of which is kept what was met, and crossings on them together."""
+"""Distance of corner samples from their corner, in the part's diagonal."""
+CACHED_PATHS, CACHED_ROWS = 4096, 30_000
+"""Most paths against other surfaces whose penetrations are cached, and penetrations in all."""
 COARSE = 384
-"""Of them, those that stand for the part's bulk."""
+"""Samples of them that represent the part's volume."""
 SURFELS = 20_000
-"""Discs that stand for a cloud's surface."""
+"""Most discs (surfels) of a cloud."""
 NEIGHBOURS = (8, 16, 32)
-"""Points that a disc's plane is fitted to: near for thin boards, wide for noise."""
+"""Neighbours that a disc's plane is fitted to: few for thin boards, many for noise."""
 PLANAR = 0.3
 """Largest ratio of a disc's two smallest variances: rims of thin boards have no normal."""
 AGREEMENT = 0.88
 """Smallest mean cosine between a disc's normal and its neighbours'."""
 SURFEL_RADIUS = 0.75
-"""In mean spacings to the four nearest points: neighbouring discs overlap."""
+"""Radius of a disc in mean distances to the four nearest points: neighbours overlap."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Where rays meet a surface first.
+    """First hits of rays.
 
     Attributes:
         distance: (R,) in lengths of the ray's direction; infinite where nothing is hit.
         element: (R,) triangle of a mesh, disc of a cloud.
-        normals: (R, 3) unit, the triangle's own sign.
+        normals: (R, 3) unit, by the triangle's winding.
     """
 
     distance: FloatArray
@@ -58,7 +58,7 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """What rays hit of a part: the same however many samples stand for it.
+    """Triangles that rays hit, whatever the number of samples.
 
     Attributes:
         vertices, faces: (V, 3) and (F, 3).
@@ -69,13 +69,13 @@ class Triangles:
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """(2, 3) lowest and highest corner that a face uses."""
+        """(2, 3) lowest and highest corner of the faces."""
         corners = self.vertices[np.unique(self.faces)]
         return np.stack([corners.min(0), corners.max(0)])
 
     @cached_property
     def scene(self) -> Any:
-        """open3d's tree of them."""
+        """The ray-casting scene of open3d."""
         import open3d as o3d
 
         scene = o3d.t.geometry.RaycastingScene()
@@ -87,17 +87,17 @@ class Triangles:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Sampled and ray-traceable geometry of one part at rest, metres, object frame.
+    """Surface of one part at rest, metres, object frame.
 
     Attributes:
         link: the part's link.
         points: (N, 3) samples.
         normals: (N, 3) unit normals; a cloud's have no meaningful sign.
-        triangles: the mesh, or one disc a cloud point.
-        oriented: whether the triangles' winding may mean something (False for clouds).
+        triangles: the mesh, or a disc per point of a cloud.
+        oriented: whether the triangles may be consistently wound (False for clouds).
         spacing: typical distance between neighbouring samples.
-        resolution: spacing of a cloud's discs, or three times its noise where that is more:
-            finer than that it tells nothing. 0 for a mesh.
+        resolution: limit of a cloud's precision: the spacing of its discs, or three times its noise
+            if that is more. 0 for a mesh.
     """
 
     link: str
@@ -132,19 +132,18 @@ class Surface:
 
     @cached_property
     def tree(self) -> KDTree:
-        """Of the samples."""
+        """KD-tree of the samples."""
         return KDTree(self.points)
 
     @cached_property
     def coarse(self) -> FloatArray:
-        """(≤ COARSE, 3) samples; their order is random."""
+        """(≤ COARSE, 3) samples in random order."""
         return self.points[:COARSE]
 
     @cached_property
-    def met(self) -> LruCache[tuple[int, bytes], Any]:
-        """What its samples met lately of other surfaces, see
-        :mod:`model.kinematics.penetration`."""
-        return LruCache(MET, MET_ROWS)
+    def cache(self) -> LruCache[tuple[int, bytes], Any]:
+        """Penetrations of the samples, see :mod:`model.kinematics.penetration`."""
+        return LruCache(CACHED_PATHS, CACHED_ROWS)
 
     @property
     def _scene(self) -> Any:
@@ -154,19 +153,19 @@ class Surface:
         return face if self.oriented else face % (len(self.faces) // 2)
 
     def cast(self, origins: FloatArray, directions: FloatArray) -> Hits:
-        """First hits of (R, 3) rays; directions need not be unit."""
+        """Cast (R, 3) rays, whose directions need not be unit, to their first hits."""
         import open3d as o3d
 
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
         return Hits(
-            answer["t_hit"].numpy().astype(np.float64),
-            answer["primitive_normals"].numpy().astype(np.float64),
-            self._element(answer["primitive_ids"].numpy().astype(np.int64)),
+            found["t_hit"].numpy().astype(np.float64),
+            found["primitive_normals"].numpy().astype(np.float64),
+            self._element(found["primitive_ids"].numpy().astype(np.int64)),
         )
 
     def count(self, origins: FloatArray, directions: FloatArray) -> npt.NDArray[np.int64]:
-        """(R,) number of triangles that each ray meets."""
+        """(R,) number of triangles that each ray hits."""
         import open3d as o3d
 
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
@@ -175,7 +174,7 @@ class Surface:
 
     @cached_property
     def _solid(self) -> tuple[npt.NDArray[np.bool_], KDTree]:
-        """Whether each of the coarse samples bounds a solid, and the tree to find the nearest."""
+        """Whether each coarse sample bounds a solid, and the KD-tree of these samples."""
         points, normals = self.points[:COARSE], self.normals[:COARSE]
         out = np.zeros(len(points), bool)
         if self.oriented:
@@ -184,9 +183,9 @@ class Surface:
         return out, KDTree(points)
 
     def bounds_solid(self, points: FloatArray) -> npt.NDArray[np.bool_]:
-        """(M,) whether the surface about points on it bounds a solid and is wound outwards.
+        """(M,) whether the surface near points on it bounds a solid and is wound outwards.
 
-        False for the sheets of a scan, for open boxes and for clouds.
+        False for sheets of a scan, open boxes and clouds.
         """
         solid, tree = self._solid
         if not solid.any() or not len(points):
@@ -194,23 +193,24 @@ class Surface:
         return solid[tree.query(points)[1]]
 
     def _enclosed(self, points: FloatArray) -> npt.NDArray[np.bool_]:
-        """(M,) whether the winding along rays in all directions says that a point is inside."""
+        """(M,) whether points are inside, by the winding number along rays in all directions."""
         import open3d as o3d
 
-        ways = np.array([w for w in np.ndindex(3, 3, 3) if w != (1, 1, 1)]) - 1.0
-        ways = ways[np.abs(ways).sum(1) != 2] + 1e-3  # 14 ways, off the edges of square boxes
+        directions = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
+        # 14 directions, off the edges of boxes
+        directions = directions[np.abs(directions).sum(1) != 2] + 1e-3
         out = np.ones(len(points), bool)
-        for way in ways:
+        for direction in directions:
             left = np.flatnonzero(out)
             if not len(left):
                 break
-            directions = np.broadcast_to(way, (len(left), 3))
-            rays = np.concatenate([points[left], directions], axis=1).astype(np.float32)
+            same = np.broadcast_to(direction, (len(left), 3))
+            rays = np.concatenate([points[left], same], axis=1).astype(np.float32)
             found = self._scene.list_intersections(o3d.core.Tensor.from_numpy(rays))
             winding = np.zeros(len(left))
             face, ray = found["primitive_ids"].numpy(), found["ray_ids"].numpy()
             a, b, c = np.moveaxis(self.vertices[self.faces[face]].astype(np.float64), 1, 0)
-            np.add.at(winding, ray, np.sign(np.cross(b - a, c - a) @ way))
+            np.add.at(winding, ray, np.sign(np.cross(b - a, c - a) @ direction))
             out[left] = winding >= 1
         return out
 
@@ -230,9 +230,9 @@ _MESHES: WeakKeyDictionary[Mesh, Triangles] = WeakKeyDictionary()
 
 
 def surface_of(part: Part, count: int = POINTS) -> Surface | None:
-    """The surface of ``part``, computed once; None where it has no face and no point.
+    """Return the surface of ``part``, computed once; None where it has no face and no point.
 
-    A mesh beats a cloud. Sampling is deterministic.
+    A mesh is preferred to a cloud. Sampling is deterministic.
     """
     known = _CACHE.setdefault(part, {})
     if count not in known:
@@ -252,8 +252,8 @@ def _of_mesh(link: str, mesh: Mesh, count: int) -> Surface:
     rng = np.random.default_rng(0)
     areas = mesh.face_areas
     total = float(areas.sum())
-    # Corners and edges touch first, and a random sample misses them. A little inside of a face of
-    # theirs, rays from them don't run along the faces beside it.
+    # Vertices touch first, and random samples miss them. Moved slightly into a face, rays from
+    # them don't run along adjacent faces.
     used, corner = np.unique(mesh.faces, return_index=True)
     if len(used) > count // 4:
         corner = rng.choice(corner, count // 4, replace=False)
@@ -289,10 +289,10 @@ def _on_triangles(
 
 @dataclass(frozen=True, eq=False)
 class _Discs:
-    """What every number of samples of a cloud has in common.
+    """Discs of a cloud, whatever the number of samples.
 
     Attributes:
-        points, normals: (N, 3) in an order that is random: the first ones are the samples.
+        points, normals: (N, 3) in random order: the first ones are the samples.
         apart: median spacing. resolution: see :class:`Surface`.
     """
 
@@ -335,7 +335,7 @@ def _discs_of(cloud: PointCloud) -> _Discs:
     near = distance[:, 1:5]
     radius = near.mean(axis=1) if near.shape[1] else np.full(len(points), 1e-6)
     resolution = float(np.median(radius))
-    # A lone outlier must not become a large disc.
+    # An outlier must not become a large disc.
     radius = SURFEL_RADIUS * np.minimum(radius, 3 * resolution + 1e-12)
     vertices, faces = _discs(centers[flat], normals[flat], radius[flat])
     order = rng.permutation(len(points))
@@ -346,8 +346,7 @@ def _discs_of(cloud: PointCloud) -> _Discs:
 def _planes(
     points: FloatArray, index: npt.NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_], FloatArray]:
-    """Planes through the (N, k) neighbourhoods of points, at the scale that is flattest: near
-    for thin boards, wide for noise.
+    """Fit planes to the (N, k) neighbourhoods of points, at the flattest scale.
 
     Returns:
         (N, 3) points moved onto their planes, (N, 3) normals, (N,) whether they are flat, and
@@ -373,7 +372,7 @@ def _planes(
 def _discs(
     points: FloatArray, normals: FloatArray, radius: FloatArray
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    """Squares of the disc's area about each point, square to its normal."""
+    """Squares of the discs' areas, centred at the points and normal to their normals."""
     helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     side = np.cross(normals, helper)
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)

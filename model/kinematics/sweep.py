@@ -1,6 +1,6 @@
-"""Motion sweeps: where a moving part runs into the others.
+"""Motion sweeps: where a moving part penetrates the others.
 
-Penetration is measured beyond what is there at rest; see ``crossing`` for what counts.
+Penetration at rest doesn't count; see :mod:`model.kinematics.penetration`.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from model.kinematics.joint_path import (
     LinkContact,
     Poses,
     contacts_along,
-    follows,
+    has_mimics,
     joint_poses,
     tree_poses,
 )
 from model.kinematics.surface import POINTS, Surface, surface_of
 
 TOLERANCE = 0.005
-"""Penetration that is no collision yet, in the object's diagonal."""
+"""Largest penetration that is no collision, in the object's diagonal."""
 CHORD = math.radians(6.0)
-"""Longest arc between two poses of the sweep."""
+"""Longest arc between two poses of the sweep, radians."""
 SLIDE_STEPS = 16
 FINE = 129
-"""Poses at which the first collision is looked for."""
+"""Poses at which the first collision is searched."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,13 +45,12 @@ class Sweep:
     Attributes:
         joint: its name.
         q: (S,) joint values in radians or metres, ascending.
-        depth: (S,) metres beyond the penetration at rest, and no more than the step aside that
-            avoids it; 0 where nothing is touched.
-        where: (S, 3) the deepest point at that pose, object frame; NaN where nothing is touched.
-        others: (S,) link that is penetrated, or None.
+        depth: (S,) metres beyond the penetration at rest, at most the sidestep that avoids it; 0
+            without one.
+        where: (S, 3) the deepest point at that pose, object frame; NaN without one.
+        others: (S,) penetrated link, or None.
         tolerance: metres that the surfaces' noise may cause.
-        free: the joint values, at most the limits and 0, between which nothing is deeper than the
-            tolerance.
+        free: joint values within the limits, about 0, between which nothing collides.
     """
 
     joint: str
@@ -70,11 +69,11 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class PathSweep:
-    """Penetration between links along a way through joint space.
+    """Penetration between links along a path in joint space.
 
     Attributes:
         depth, where: as in :class:`Sweep`, (K,) and (K, 3).
-        pairs: (K,) the two links that meet, or None.
+        pairs: (K,) the two links, or None.
         tolerance: as in :class:`Sweep`.
     """
 
@@ -92,17 +91,17 @@ def sweep_joint(
     tolerance: float | None = None,
     points: int = POINTS,
 ) -> Sweep:
-    """Move a joint through its range, the others at rest, and see what its subtree runs into.
+    """Move a joint through its range, the others at rest, and find what its subtree penetrates.
 
     Args:
-        joint: a name, or a joint that takes the place of its child's joint.
+        joint: a name, or a joint that replaces its child's joint.
         samples: number of joint values; a continuous joint is swept from -π to π.
-        tolerance: metres; by default :data:`TOLERANCE` of the object's diagonal, and no less than
-            the spacing of a cloud's points.
-        points: sample points a part.
+        tolerance: metres; by default :data:`TOLERANCE` of the object's diagonal, or the spacing of
+            a cloud's points if that is more.
+        points: samples per part.
 
     Raises:
-        KinematicsError: for a joint that isn't there or doesn't move.
+        KinematicsError: for an unknown or fixed joint.
     """
     tree, moving = _tree_with(obj, joint)
     lower, upper = moving.motion_range
@@ -114,12 +113,12 @@ def sweep_joint(
     for k, end in enumerate((min(lower, 0.0), max(upper, 0.0))):
         if end == 0.0:
             continue
-        contacts = contacts_along(_joint_way(tree, moving, end), surfaces, scale)
+        contacts = contacts_along(_joint_path(tree, moving, end), surfaces, scale)
         mine = np.flatnonzero((q * end > 0) & (abs(end) >= np.abs(q)))
         if contacts and len(mine):
             poses = joint_poses(tree, moving, q[mine])
             for contact in contacts:
-                found.enter(contact, poses, q[mine], mine)
+                found.add(contact, poses, q[mine], mine)
         free[k] = _first_collision(tree, moving, contacts, end, scale)
     others = tuple(None if p is None else p[1] for p in found.pairs)
     return Sweep(moving.name, q, found.depth, found.where, others, scale, (free[0], free[1]))
@@ -133,16 +132,16 @@ def free_range(
     tolerance: float | None = None,
     points: int = POINTS,
 ) -> tuple[float, float]:
-    """How far a joint moves either way from rest before its subtree runs into another part.
+    """Find how far a joint moves either way from rest before its subtree collides.
 
-    The joint's own limits play no part. The values are where surfaces first meet that penetrate
-    beyond the tolerance later on.
+    The joint's own limits are ignored. The values are at the first contact of surfaces that later
+    penetrate beyond the tolerance.
 
     Args:
         maximum: radians or metres to try each way; π or the object's diagonal by default.
 
     Returns:
-        (lower ≤ 0, upper ≥ 0); ∓maximum where nothing is in the way.
+        (lower ≤ 0, upper ≥ 0); ∓maximum without a collision.
 
     Raises:
         KinematicsError: as :func:`sweep_joint`.
@@ -163,13 +162,13 @@ def free_until(
     end: float,
     tolerance: float,
 ) -> float:
-    """The joint value on the way from 0 to ``end`` where the first collision begins, or ``end``.
+    """Return the joint value between 0 and ``end`` where the first collision begins, or ``end``.
 
     Args:
-        surfaces: by link; links without one are in nobody's way.
-        tolerance: metres that are no collision yet.
+        surfaces: by link; links without one are left out.
+        tolerance: largest penetration in metres that is no collision.
     """
-    contacts = contacts_along(_joint_way(tree, joint, end), surfaces, tolerance)
+    contacts = contacts_along(_joint_path(tree, joint, end), surfaces, tolerance)
     return _first_collision(tree, joint, contacts, end, tolerance)
 
 
@@ -181,27 +180,27 @@ def sweep_path(
     tolerance: float | None = None,
     points: int = POINTS,
 ) -> PathSweep:
-    """Move several joints at once and see which links run into each other.
+    """Move several joints at once and find which links penetrate each other.
 
     Args:
         values: (K,) joint values in small steps; the first must be rest. Missing joints are at 0.
-        pairs: the links to look at; all that move against each other by default.
+        pairs: of links to check; all that move against each other by default.
         tolerance, points: as in :func:`sweep_joint`.
 
     Raises:
-        KinematicsError: for a joint that isn't there.
+        KinematicsError: for an unknown joint.
     """
     surfaces = surfaces_of(obj, points)
     scale = sweep_tolerance(surfaces) if tolerance is None else tolerance or 1e-9
-    way = JointPath(np.arange(len(values), dtype=np.float64), tree_poses(obj.tree, values))
+    path = JointPath(np.arange(len(values), dtype=np.float64), tree_poses(obj.tree, values))
     found = _Deepest(len(values))
-    for contact in contacts_along(way, surfaces, scale, pairs):
-        found.enter(contact, way.poses, way.q, np.arange(len(values)))
+    for contact in contacts_along(path, surfaces, scale, pairs):
+        found.add(contact, path.poses, path.q, np.arange(len(values)))
     return PathSweep(found.depth, found.where, tuple(found.pairs), scale)
 
 
 def surfaces_of(obj: ArticulatedObject, points: int = POINTS) -> dict[str, Surface]:
-    """Link → surface of its part; parts without geometry have none."""
+    """Return link → surface of its part, without parts that have no geometry."""
     found = {p.link: surface_of(p, points) for p in obj.parts}
     return {link: s for link, s in found.items() if s is not None}
 
@@ -213,7 +212,7 @@ def diagonal_of(surfaces: Mapping[str, Surface]) -> float:
 
 
 def sweep_tolerance(surfaces: Mapping[str, Surface]) -> float:
-    """Metres: :data:`TOLERANCE` of the diagonal, and no less than the spacing of a cloud."""
+    """Return :data:`TOLERANCE` of the diagonal in metres, or a cloud's spacing if more."""
     if not surfaces:
         return 1e-9
     finest = max(s.resolution for s in surfaces.values())
@@ -227,15 +226,15 @@ class _Deepest:
         self.depth, self.where = np.zeros(count), np.full((count, 3), np.nan)
         self.pairs: list[tuple[str, str] | None] = [None] * count
 
-    def enter(
+    def add(
         self, contact: LinkContact, poses: Poses, q: FloatArray, index: npt.NDArray[np.int64]
     ) -> None:
-        """Take over a contact's depths at (K,) ``q`` where they exceed those at (K,) ``index``."""
-        depth, crossing = contact.depth(poses, q)
+        """Update the depths at (K,) ``index`` by those of a contact at (K,) ``q``."""
+        depth, point = contact.depth(poses, q)
         for k in np.flatnonzero(depth > self.depth[index]):
             i = int(index[k])
             self.depth[i], self.pairs[i] = depth[k], (contact.moving, contact.still)
-            self.where[i] = contact.place(poses, int(k), int(crossing[k]))
+            self.where[i] = contact.place(poses, int(k), int(point[k]))
 
 
 def _tree_with(obj: ArticulatedObject, joint: str | Joint) -> tuple[KinematicTree, Joint]:
@@ -243,8 +242,8 @@ def _tree_with(obj: ArticulatedObject, joint: str | Joint) -> tuple[KinematicTre
     if isinstance(joint, Joint):
         tree = tree.with_joint(joint)
     elif joint not in tree.by_name:
-        there = ", ".join(tree.by_name) or "none"
-        raise KinematicsError([f"no joint {joint!r}; there are {there}"])
+        known = ", ".join(tree.by_name) or "none"
+        raise KinematicsError([f"no joint {joint!r}; known are {known}"])
     else:
         joint = tree.by_name[joint]
     if not joint.moves:
@@ -257,17 +256,17 @@ def _steps(joint: Joint, end: float) -> FloatArray:
     return np.linspace(0.0, end, max(count, 1) + 1)
 
 
-def _joint_way(tree: KinematicTree, joint: Joint, end: float) -> JointPath:
-    """From rest to ``end``."""
+def _joint_path(tree: KinematicTree, joint: Joint, end: float) -> JointPath:
+    """The joint's path from rest to ``end``."""
     q = _steps(joint, end)
-    straight = not joint.rotates and not follows(tree, joint)
+    straight = not joint.rotates and not has_mimics(tree, joint)
     return JointPath(q, joint_poses(tree, joint, q), straight)
 
 
 def _first_collision(
     tree: KinematicTree, joint: Joint, contacts: list[LinkContact], end: float, tolerance: float
 ) -> float:
-    """The joint value where the surfaces meet that penetrate beyond the tolerance first."""
+    """Joint value at the first contact that later penetrates beyond the tolerance, or ``end``."""
     if not contacts:
         return end
     q = _steps(joint, end)

@@ -295,7 +295,7 @@ def test_empty_parts_are_passed_over():
 
 def test_a_fixed_or_missing_joint_is_named():
     scene = door_and_wall("mesh")
-    with pytest.raises(KinematicsError, match=r"no joint 'hinge'; there are j"):
+    with pytest.raises(KinematicsError, match=r"no joint 'hinge'; known are j"):
         sweep_joint(scene, "hinge")
     fixed = replace(scene.tree.joints[0], type="fixed")
     with pytest.raises(KinematicsError, match="fixed"):

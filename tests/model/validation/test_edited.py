@@ -13,9 +13,8 @@ from model.core import codec
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.lru_cache import LruCache
-from model.kinematics import penetration as crossing
-from model.physics.collision import build
-from model.physics.collision import narrow_phase as touching
+from model.kinematics import penetration
+from model.physics.collision import build, narrow_phase
 from model.validation import drives, physics
 from model.validation.runner import validate
 from tests.model.demos import demo_object
@@ -51,7 +50,7 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name in (
         (build, "_objects"),
         (build, "_parts"),
-        (touching, "_depths"),
+        (narrow_phase, "_depths"),
         (drives, "_DRIVES"),
     ):
         monkeypatch.setattr(module, name, LruCache(1000))
@@ -88,7 +87,7 @@ def test_only_what_an_edited_joint_has_a_say_in_is_done_again(
     moved = set(obj.tree.descendants(joint.child))
     swept: list[set[str]] = []
     driven: list[list[int]] = []
-    sweep, drive = crossing._crossings, physics._Run._drive
+    sweep, drive = penetration._penetrations, physics._Run._drive
 
     def sweeping(part: Any, target: Any, *more: Any) -> Any:
         swept.append({part.link, target.link})
@@ -98,7 +97,7 @@ def test_only_what_an_edited_joint_has_a_say_in_is_done_again(
         driven.append(group)
         return drive(run, group, *more)
 
-    monkeypatch.setattr(crossing, "_crossings", sweeping)
+    monkeypatch.setattr(penetration, "_penetrations", sweeping)
     monkeypatch.setattr(physics._Run, "_drive", driving)
     assert joint.upper is not None
     shorter = obj.tree.with_joint(replace(joint, upper=0.9 * joint.upper))
