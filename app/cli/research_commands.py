@@ -162,8 +162,7 @@ class BenchCommand(Command):
 
     what: Literal["ui", "scene", "segment", "scans", "predict", "networks"] = argument(
         "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
-        "joints; the predictor; "
-        "the paper-size networks with random weights", None,
+        "joints; the predictor; the paper-size networks with random weights", None,
     )  # fmt: skip
     data: Path | None = option("segment, scans: folder of real data, by default procedural", "DIR")
     sets: tuple[str, ...] | None = option(
@@ -172,10 +171,12 @@ class BenchCommand(Command):
     segmenter: tuple[str, ...] | None = repeated(
         "segment, ui: segmenter that turns clicks into parts", "NAME", None
     )
-    points: tuple[int, ...] | None = option("ui: sizes of the clouds", "N", nargs="+", parse=count)
-    faces: int | None = option("ui: size of the mesh; 0 leaves it out", "N", parse=count)
-    clicks: int | None = option("ui: clicks on each object", "N", parse=count)
-    objects: int | None = option("scene: number of objects (default: 200)", "N", parse=count)
+    points: tuple[int, ...] = option(
+        "ui: sizes of the clouds", "N", (100_000, 1_000_000), nargs="+", parse=count
+    )
+    faces: int = option("ui: size of the mesh; 0 leaves it out", "N", 1_000_000, parse=count)
+    clicks: int = option("ui: clicks on each object", "N", 40, parse=count)
+    objects: int = option("scene: number of objects", "N", 200, parse=count)
     limit: int | None = option("segment, scans: objects of each set; 0 for all", "LIMIT")
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)

@@ -31,7 +31,6 @@ FACES = 2000
 """Triangles of each block, and of each cabinet."""
 PICTURE_BYTES = 200_000
 """More than panels and backdrop take; further bytes belong to the scene."""
-DEFAULT_OBJECTS = 200
 
 
 @dataclass
@@ -62,11 +61,12 @@ class SceneFigures:
 
 def bench(options: BenchCommand, _: Progress) -> Result:
     """Measure a first and a second opening of a scene."""
-    objects = DEFAULT_OBJECTS if options.objects is None else options.objects
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)
-        scene = make_scene(root, objects)
-        figures = [_measure(scene, root, objects, opening) for opening in ("first", "again")]
+        scene = make_scene(root, options.objects)
+        figures = [
+            _measure(scene, root, options.objects, opening) for opening in ("first", "again")
+        ]
     return [asdict(f) for f in figures], lambda: _print(figures)
 
 

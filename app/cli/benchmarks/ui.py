@@ -38,23 +38,6 @@ HEARTBEAT = 0.002
 """Seconds between two callbacks of :class:`LoopWatch`."""
 
 
-@dataclass(frozen=True)
-class BenchUiConfig:
-    """Settings of ``artiworld bench ui``.
-
-    Attributes:
-        points: sizes of the clouds.
-        faces: size of the mesh; 0 leaves it out.
-        clicks: clicks on each object.
-        segmenter: turns them into parts.
-    """
-
-    points: tuple[int, ...] = (100_000, 1_000_000)
-    faces: int = 1_000_000
-    clicks: int = 40
-    segmenter: str = "default"
-
-
 @dataclass
 class UiFigures:
     """Figures of one object; times in milliseconds."""
@@ -142,32 +125,25 @@ class LoopWatch:
 
 def bench(options: BenchCommand, _: Progress) -> Result:
     """Measure with the options of the command."""
-    given = {
-        "points": options.points,
-        "faces": options.faces,
-        "clicks": options.clicks,
-        "segmenter": (options.segmenter or (None,))[0],
-    }
-    config = BenchUiConfig(**{k: v for k, v in given.items() if v is not None})
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)
         figures = [
-            _measure(path, root / f"workspace-{path.stem}", config)
-            for path in _objects(config, root)
+            _measure(path, root / f"workspace-{path.stem}", options)
+            for path in _objects(options, root)
         ]
     return [asdict(f) for f in figures], lambda: _print(figures)
 
 
-def _objects(config: BenchUiConfig, root: Path) -> list[Path]:
+def _objects(options: BenchCommand, root: Path) -> list[Path]:
     rng = np.random.default_rng(0)
     out = []
-    for count in config.points:
+    for count in options.points:
         path = root / f"cloud_{count}.ply"
         write_cloud(_cabinet_cloud(count, rng), path)
         out.append(path)
-    if config.faces:
-        path = root / f"mesh_{config.faces}.ply"
-        write_mesh(_cabinet_mesh(config.faces), path)
+    if options.faces:
+        path = root / f"mesh_{options.faces}.ply"
+        write_mesh(_cabinet_mesh(options.faces), path)
         out.append(path)
     return out
 
@@ -210,10 +186,14 @@ def wait_for(condition: Any, what: str) -> None:
         time.sleep(0.0005)
 
 
-def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
+def _measure(path: Path, workspace: Path, options: BenchCommand) -> UiFigures:
     server = start_server(
         ServeConfig(
-            paths=(path,), workspace=workspace, port=0, user="bench", segmenter=config.segmenter
+            paths=(path,),
+            workspace=workspace,
+            port=0,
+            user="bench",
+            segmenter=(options.segmenter or ("default",))[0],
         )
     )
     try:
@@ -232,7 +212,7 @@ def _measure(path: Path, workspace: Path, config: BenchUiConfig) -> UiFigures:
         figures.encode_ms = 1000 * (time.perf_counter() - drawn)
         browser.quiet()
         watch = LoopWatch(server.viser.get_event_loop())
-        _click(app, browser, figures, config.clicks)
+        _click(app, browser, figures, options.clicks)
         figures.loop_held_ms = 1000 * watch.worst
         watch.stop()
         _baseline(app, browser, figures)
