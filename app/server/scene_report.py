@@ -1,6 +1,6 @@
-"""One page about an open scene: a picture, what became of each object, and why.
+"""A report on an open scene: a picture, and the state of each object with its reason.
 
-Nothing is loaded from elsewhere and nothing runs in it. Every name is escaped.
+The page loads nothing from elsewhere and runs no scripts. Every name is escaped.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from model.scenes.results import SCENE_JSON
 from model.scenes.scene import SceneProblem
 
 STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
-    "predicted": ("predicted, waits for a decision", (128, 90, 213)),
+    "predicted": ("predicted, not reviewed", (128, 90, 213)),
     "todo": ("to do: no joints yet", (237, 160, 40)),
     "rejected": ("rejected", (224, 49, 49)),
     "accepted": ("accepted", (47, 158, 68)),
     "static": ("static", (196, 200, 206)),
-    "failed": ("failed: its asset can't be read", (90, 96, 104)),
+    "failed": ("failed: unreadable asset", (90, 96, 104)),
     "missing": ("missing", (90, 96, 104)),
 }
-"""State → words and colour, in the order of the page."""
+"""State → label and colour, in the order of the page."""
 STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:74rem;padding:0 1rem;
 color:#1d2329;background:#fff}
@@ -60,23 +60,23 @@ class ReportRow:
 
     Attributes:
         item: as the scene has it.
-        status: where it stands.
-        confidence: of its least sure joint, or of the finder.
-        said: what a person said of it: articulable or not; None where nobody said anything.
-        tree, sure: its joints and their confidence by child link.
-        names: link → what people call it.
+        status: its state.
+        confidence: of its least confident joint, or of the finder.
+        decided: whether a person called it articulable; None where nobody decided.
+        tree, confidences: its joints and their confidence by child link.
+        names: link → display name.
         by, at, reason: who decided last, when, and why it was rejected.
-        notes: what a person must know.
+        notes: notes for the reader.
         source: its parts, to draw it.
-        work: names what it shares with its twins.
+        work: id of the working copy that it shares with its twins.
     """
 
     item: SceneItem
     status: str
     confidence: float
-    said: bool | None
+    decided: bool | None
     tree: KinematicTree | None
-    sure: Mapping[str, float]
+    confidences: Mapping[str, float]
     names: Mapping[str, str]
     by: str
     at: str
@@ -100,8 +100,7 @@ def write_report(
     """Write the page.
 
     Args:
-        saved: folder that the scene was saved in last; limits that its surroundings shorten are
-            shown as they are there.
+        saved: folder of the last save; limits that surroundings shorten are shown as saved.
 
     Raises:
         InputFileError: where it can't be written.
@@ -119,7 +118,7 @@ def write_report(
     legend = "".join(
         f"<li>{_dot(s)}{escape(STATES[s][0])}: <b>{counts[s]}</b></li>" for s in order if counts[s]
     )
-    told = "".join(f"<li class=warn>{escape(p.object)}: {escape(p.told)}</li>" for p in problems)
+    remarks = "".join(f"<li class=warn>{escape(p.object)}: {escape(p.text)}</li>" for p in problems)
     entries = _saved_entries(saved)
     body = "".join(
         _line(r, drawn.get(r.work) if r.work is not None else None, entries.get(r.item.obj.id, {}))
@@ -129,7 +128,7 @@ def write_report(
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(name)}</title>"
         f"<style>{STYLE}</style><h1>{escape(name)}</h1><p class=note>{len(rows)} objects. "
         f"{_sim_id(rows)}</p><ul class=counts>{legend}</ul>{_img(picture, 'the scene')}"
-        f"{f'<h2>About the file</h2><ul>{told}</ul>' if told else ''}"
+        f"{f'<h2>About the file</h2><ul>{remarks}</ul>' if remarks else ''}"
         "<h2>Objects</h2><table><tr><th>object<th>state<th>why<th>joints<th>picture</tr>"
         f"{body}</table></html>"
     )
@@ -142,12 +141,12 @@ def write_report(
 
 
 def _sim_id(rows: Sequence[ReportRow]) -> str:
-    """Sim-Id (ArtiWorld, metrics), of the objects whose asset says whether it moves."""
-    there = [r for r in rows if r.item.truth]
-    if not there:
+    """Return Sim-Id (ArtiWorld, metrics) of the objects whose asset is known to move."""
+    known = [r for r in rows if r.item.truth]
+    if not known:
         return ""
-    found = sum(r.item.decision.articulable for r in there)
-    return f"Sim-Id {found}/{len(there)} articulable objects found."
+    found = sum(r.item.decision.articulable for r in known)
+    return f"Sim-Id {found}/{len(known)} articulable objects found."
 
 
 def _dot(status: str) -> str:
@@ -163,12 +162,12 @@ def _img(data: bytes | None, alt: str) -> str:
 
 
 def _saved_entries(folder: Path | None) -> dict[str, dict[str, Any]]:
-    """Object → what the saved scene says of it; of none where it isn't there any more."""
+    """Return object → its entry in the saved scene; empty where that is gone."""
     if folder is None:
         return {}
     try:
-        told = json.loads((folder / SCENE_JSON).read_text(encoding="utf-8"))
-        return {o["id"]: o for o in told["objects"]}
+        entries = json.loads((folder / SCENE_JSON).read_text(encoding="utf-8"))
+        return {o["id"]: o for o in entries["objects"]}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
 
@@ -181,8 +180,8 @@ def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> st
         when = row.at[:16].replace("T", " ")
         state += f"<br><span class=note>{escape(row.by)}, {escape(when)}{why}</span>"
     reason = escape(decision.reason)
-    if row.said is not None:
-        reason += f"<br>A person said: {'articulable' if row.said else 'static'}."
+    if row.decided is not None:
+        reason += f"<br>Decided by a person: {'articulable' if row.decided else 'static'}."
     notes = list(row.notes)
     if saved.get("held"):
         notes.append(f"Its base is fixed in the saved scene: it {saved['held']}")
@@ -191,7 +190,7 @@ def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> st
     reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in notes)
     shorter = {c["joint"]: c for c in saved.get("shortened", ())}
     joints = "" if row.tree is None else "<br>".join(
-        _joint(j, row.names.get(j.child, j.name), row.sure.get(j.child),
+        _joint(j, row.names.get(j.child, j.name), row.confidences.get(j.child),
                shorter.get(j.name))
         for j in row.tree.joints if j.moves
     )  # fmt: skip
@@ -206,17 +205,20 @@ def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> st
     )
 
 
-def _joint(joint: Joint, name: str, sure: float | None, shorter: Mapping[str, Any] | None) -> str:
-    """A joint with its range; ``shorter``: what the saved scene has instead."""
+def _joint(
+    joint: Joint, name: str, confidence: float | None, shorter: Mapping[str, Any] | None
+) -> str:
+    """Return a joint with its range; ``shorter`` is the range in the saved scene."""
     limits = (joint.lower or 0.0, joint.upper or 0.0) if joint.limited else None
-    told, note = "" if sure is None else f", {100 * sure:.0f} % sure", ""
+    note = ""
+    certainty = "" if confidence is None else f", confidence {100 * confidence:.0f} %"
     if shorter is not None and _same(limits, shorter["was"]):
         hits = ", ".join(dict.fromkeys(shorter["hits"].values()))
         was = "" if limits is None else f" instead of{_span(joint, limits)}"
         limits = shorter["limits"]
-        note = f"<br><span class=note>{escape(f'saved so{was}, because of {hits}')}</span>"
+        note = f"<br><span class=note>{escape(f'limited{was} by {hits}')}</span>"
     span = "" if limits is None else _span(joint, limits)
-    return f"<span class=line>{escape(name)}: {joint.type}{span}{told}</span>{note}"
+    return f"<span class=line>{escape(name)}: {joint.type}{span}{certainty}</span>{note}"
 
 
 def _span(joint: Joint, limits: Sequence[float]) -> str:
@@ -227,7 +229,7 @@ def _span(joint: Joint, limits: Sequence[float]) -> str:
 
 
 def _same(limits: Sequence[float] | None, was: Sequence[float] | None) -> bool:
-    """Whether a joint still has the limits that it had when the scene was saved."""
+    """Whether a joint still has the limits of the last save."""
     if limits is None or was is None:
         return limits is was
     return bool(np.allclose(limits, was, atol=1e-4))

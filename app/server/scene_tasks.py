@@ -27,7 +27,7 @@ from model.core.errors import CommandError
 from model.core.progress import Progress, no_progress
 from model.geometry.crop import ROOM_METRES
 from model.geometry.parts import split
-from model.io.declared_physics_file import save_told
+from model.io.declared_physics_file import save_declared
 from model.io.write.meshes import write_cloud, write_mesh
 from model.prediction.registry import load_predictor
 from model.scenes.asset_parts import (
@@ -172,7 +172,7 @@ def _plain(stem: str) -> str:
 # --- working copies ---------------------------------------------------------------------------
 
 
-def lay_down(item: SceneItem) -> str:
+def make_working_copy(item: SceneItem) -> str:
     """Make the item's working copy; why its asset doesn't tell its parts, else "".
 
     Raises:
@@ -229,19 +229,19 @@ def _write_told(known: AssetParts, factors: npt.NDArray[np.float64], folder: Pat
     """What the asset tells of its parts beside their geometry, under the copy's link names."""
     link = {part.link: f"link_{i}" for i, part in enumerate(known.parts)}
     masses, shapes = masses_at(known, factors), scaled_shapes(known.shapes, factors)
-    save_told(
+    save_declared(
         folder,
         {link[k]: i for k, i in masses.items() if k in link},
         {link[k]: held for k, held in shapes.items() if k in link},
     )
 
 
-def for_picking(
+def prepare_for_picking(
     item: SceneItem, workspace: Path, progress: Progress = no_progress
 ) -> room_tasks.Removal | None:
     """Lay down a working copy to pick objects out of; floor and walls where it is a room."""
     assert item.copy is not None
-    lay_down(item)
+    make_working_copy(item)
     asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions(), progress)
     if np.ptp(np.asarray(asset.bounds)[:, :2], axis=0).max() <= ROOM_METRES:
         return None
@@ -265,7 +265,7 @@ def prepare(
     """
     assert item.path is not None and item.copy is not None
     progress(0.02, "reading")
-    reason = lay_down(item)
+    reason = make_working_copy(item)
     asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions())
     if asset.source is not None and any(asset.source.shift):
         raise CommandError("its asset lies too far from its own origin to be worked on")

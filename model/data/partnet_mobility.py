@@ -92,7 +92,7 @@ def read_partnet_mobility(folder: Path, *, shapes: bool = False) -> GroundTruth:
         raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
     obj, merged = merge_rigid(
         folder.name, model.tree, parts, names=names, category=partnet_category(folder),
-        inertials=model.told.inertials, collision=model.told.collision if shapes else None,
+        inertials=model.declared.inertials, collision=model.declared.collision if shapes else None,
     )  # fmt: skip
     notes = (*model.notes, *merged, *_disagreements(folder, model))
     return GroundTruth(folder.name, obj, notes)

@@ -74,7 +74,8 @@ class UrdfFolders:
         category = self.category(object_id)
         obj, notes = merge_rigid(
             object_id, model.tree, parts, names=named, category=category,
-            inertials=model.told.inertials, collision=model.told.collision if shapes else None,
+            inertials=model.declared.inertials,
+            collision=model.declared.collision if shapes else None,
         )  # fmt: skip
         return GroundTruth(object_id, obj, (*model.notes, *notes))
 

@@ -25,12 +25,12 @@ from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
-from model.io.assets.reader import PROVENANCE, URDF, load_object, reading_notes, told_links
-from model.io.export.manifest import category_told
+from model.io.assets.reader import PROVENANCE, URDF, declared_links, load_object, reading_notes
+from model.io.export.manifest import declared_category
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import group_inertial, rigid_groups
 from model.io.model_files import read_model
-from model.io.urdf.collision import ToldCollision, told_shapes
+from model.io.urdf.collision import DeclaredCollision, declared_shapes
 from model.io.urdf.files import MOBILITY, package_root
 from model.io.urdf.meshes import load_part, merged, merged_clouds, moved_mesh
 from model.io.urdf.model import UrdfModel
@@ -91,28 +91,28 @@ def open_model(
     files = MaterialFiles(package_root(path))
     if path.name == URDF and (path.parent / PROVENANCE).is_file():
         obj = load_object(path.parent, progress)
-        told = {p.link: p.name for p in obj.parts if p.name}
+        names_of = {p.link: p.name for p in obj.parts if p.name}
         notes = reading_notes(path.parent, obj)
     else:
-        obj, told = _loaded(model, files, progress)
-        obj = replace(model.told, collision={}).of(obj)  # those go by part, not by link
-        notes = (*model.notes, *model.told.notes, *remarks_of(obj.parts))
+        obj, names_of = _loaded(model, files, progress)
+        obj = replace(model.declared, collision={}).of(obj)  # those go by part, not by link
+        notes = (*model.notes, *model.declared.notes, *remarks_of(obj.parts))
     plain = {*model.rescaled, *model.renamed}  # they change nothing that is seen
     notes = tuple(n for n in dict.fromkeys(notes) if n not in plain)
     meshes = [v.file for v in model.visuals if v.file is not None]
-    collision = model.told.collision
+    collision = model.declared.collision
     meshes += [
         v.file for c in collision.values() for v in c.pieces
         if v.file is not None and v.file.is_file()
     ]  # fmt: skip
-    listed = told_links(path.parent, "collision") if path.name == URDF else None
+    listed = declared_links(path.parent, "collision") if path.name == URDF else None
     if listed is not None:  # of an asset of ours: the others were made from what is seen
         collision = {
             link: c if link in listed else replace(c, repeated=True)
             for link, c in collision.items()
         }
     files_read = (path, *meshes, *model.files, *files.paths)
-    return _opened(obj, told, collision, target_from_file, notes, files_read)
+    return _opened(obj, names_of, collision, target_from_file, notes, files_read)
 
 
 def _check_size(path: Path, most: int) -> None:
@@ -134,24 +134,24 @@ def _loaded(
     if not parts:
         raise InputFileError(path, "no link has a visual or a collision mesh", "one is needed")
     if path.name == MOBILITY:
-        category, told = partnet_category(path.parent), semantic_names(path.parent)
+        category, names_of = partnet_category(path.parent), semantic_names(path.parent)
     else:
         said = description_beside(path)
         category, names = said.get("category"), said.get("names")
-        told = {k: str(v) for k, v in names.items()} if isinstance(names, dict) else {}
-        exported, ours = category_told(path.parent)
+        names_of = {k: str(v) for k, v in names.items()} if isinstance(names, dict) else {}
+        exported, ours = declared_category(path.parent)
         if ours:  # in an export of ours a visual is called as its part
             category = category or exported
-            told = {p.link: p.name for p in parts if p.name} | told
-        told = dict(model.part_names) | told
+            names_of = {p.link: p.name for p in parts if p.name} | names_of
+        names_of = dict(model.part_names) | names_of
     known = category if isinstance(category, str) else None
-    return ArticulatedObject(model.name, tuple(parts), model.tree, known), told
+    return ArticulatedObject(model.name, tuple(parts), model.tree, known), names_of
 
 
 def _opened(
     obj: ArticulatedObject,
-    told: Mapping[str, str],
-    collision: Mapping[str, ToldCollision],
+    names_of: Mapping[str, str],
+    collision: Mapping[str, DeclaredCollision],
     matrix: npt.NDArray[np.float64],
     notes: Sequence[str],
     files: Sequence[Path],
@@ -182,10 +182,10 @@ def _opened(
     names = [""] * (max(number.values()) + 1)
     own = {p.link for p in obj.parts}
     for top, part in number.items():
-        names[part] = _name([n for n in groups[top] if n in told or n in own], told)
+        names[part] = _name([n for n in groups[top] if n in names_of or n in own], names_of)
     # Frames that carry nothing have a weight, and may have shapes, all the same.
-    groups_told = rigid_groups(obj.tree, apart)
-    shapes = _shaped(groups_told, collision, number, matrix, said)
+    declared_groups = rigid_groups(obj.tree, apart)
+    shapes = _shaped(declared_groups, collision, number, matrix, said)
     return Opened(
         mesh,
         cloud,
@@ -196,7 +196,7 @@ def _opened(
         (*said[:_NOTES_SHOWN], *([f"and {len(said) - _NOTES_SHOWN} remarks more"]
                                  if len(said) > _NOTES_SHOWN else [])),
         tuple(dict.fromkeys(files)),
-        _weighed(obj, groups_told, number, matrix),
+        _weighed(obj, declared_groups, number, matrix),
         shapes,
     )  # fmt: skip
 
@@ -248,11 +248,11 @@ def _numbers(tops: Sequence[str], root: str) -> dict[str, int]:
     return {top: first + i for i, top in enumerate(tops)}
 
 
-def _name(links: Sequence[str], told: Mapping[str, str]) -> str:
+def _name(links: Sequence[str], names_of: Mapping[str, str]) -> str:
     """What a part is called: as is told, else as its first link, unless that is a number."""
-    chosen = next((n for n in links if n in told), None)
+    chosen = next((n for n in links if n in names_of), None)
     if chosen is not None:
-        return told[chosen]
+        return names_of[chosen]
     return "" if _LINK.fullmatch(links[0]) else links[0].removeprefix("link_")
 
 
@@ -281,10 +281,10 @@ def _weighed(
     matrix: npt.NDArray[np.float64],
 ) -> dict[str, Inertial]:
     """Link of each part, or helper → what its links weigh together."""
-    told, seen = obj.inertials, {p.link for p in obj.parts}
+    names_of, seen = obj.inertials, {p.link for p in obj.parts}
     out: dict[str, Inertial] = {}
     for top, links in groups.items():
-        own = group_inertial(links, seen, told)
+        own = group_inertial(links, seen, names_of)
         if own is not None:
             out[f"link_{number[top]}" if top in number else top] = own.moved(matrix)
     return out
@@ -292,7 +292,7 @@ def _weighed(
 
 def _shaped(
     groups: Mapping[str, Sequence[str]],
-    collision: Mapping[str, ToldCollision],
+    collision: Mapping[str, DeclaredCollision],
     number: Mapping[str, int],
     matrix: npt.NDArray[np.float64],
     notes: list[str],
@@ -300,7 +300,7 @@ def _shaped(
     """Link of each part, or helper → the collision shapes of its links."""
     out: dict[str, tuple[Shape, ...]] = {}
     for top, links in groups.items():
-        held = told_shapes(links, collision, notes)
+        held = declared_shapes(links, collision, notes)
         if held:
             link = f"link_{number[top]}" if top in number else top
             out[link] = tuple(moved_shape(s, matrix) for s in held)

@@ -241,10 +241,15 @@ def _read_materials(rows: list[dict[str, Any]], folder: Path) -> tuple[Material,
         texture = None if name is None else textures[name]
         color = (red, green, blue, alpha)
         maps = {name: _image_file(folder, row["maps"][name], files) for name in _MAPS}
-        told = row["maps"] | maps | {"emission": tuple(row["maps"]["emission"])}
+        fields_of_maps = row["maps"] | maps | {"emission": tuple(row["maps"]["emission"])}
         out.append(
             Material(
-                row["name"], color, texture, row["metallic"], row["roughness"], SurfaceMaps(**told)
+                row["name"],
+                color,
+                texture,
+                row["metallic"],
+                row["roughness"],
+                SurfaceMaps(**fields_of_maps),
             )
         )
     return tuple(out)

@@ -17,7 +17,7 @@ FILE = "told.npz"
 _SHAPE = "shape "
 
 
-def save_told(
+def save_declared(
     folder: Path,
     inertials: Mapping[str, Inertial],
     shapes: Mapping[str, tuple[Shape, ...]],
@@ -42,11 +42,11 @@ def save_told(
     np.savez(folder / FILE, **arrays)  # type: ignore[arg-type]
 
 
-def load_told(
+def load_declared(
     folder: Path, target_from_folder: npt.NDArray[np.float64]
 ) -> tuple[dict[str, Inertial], dict[str, tuple[Shape, ...]]]:
-    """What :func:`save_told` wrote, under (4, 4) a rotation and a uniform scale; nothing where the
-    file isn't there or is damaged."""
+    """Read what :func:`save_declared` wrote, under (4, 4) a rotation and a uniform scale; nothing
+    where the file is absent or damaged."""
     data = load_arrays(folder / FILE)
     if data is None:
         return {}, {}

@@ -16,7 +16,7 @@ from model.core.inertial import Inertial, together
 from model.core.joint import Joint
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.io.urdf.collision import ToldCollision, told_shapes
+from model.io.urdf.collision import DeclaredCollision, declared_shapes
 from model.io.urdf.meshes import merged, merged_clouds
 
 
@@ -29,7 +29,7 @@ def merge_rigid(
     category: str | None = None,
     apart: Collection[str] = (),
     inertials: Mapping[str, Inertial] | None = None,
-    collision: Mapping[str, ToldCollision] | None = None,
+    collision: Mapping[str, DeclaredCollision] | None = None,
 ) -> tuple[ArticulatedObject, tuple[str, ...]]:
     """The object with one part for each group of links that move together.
 
@@ -73,7 +73,7 @@ def merge_rigid(
         link = rename[head] = chosen if chosen.startswith("link_") else f"link_{chosen}"
         label = names.get(chosen, parts[shown[0]].name if len(shown) == 1 else None)
         remarks: list[str] = []
-        shapes = told_shapes(links, collision or {}, remarks)
+        shapes = declared_shapes(links, collision or {}, remarks)
         if shapes:
             shaped[link] = shapes
         joined = _joined(link, [parts[s] for s in shown], label)
@@ -89,12 +89,14 @@ def merge_rigid(
 
 
 def group_inertial(
-    links: Sequence[str], seen: Collection[str], told: Mapping[str, Inertial]
+    links: Sequence[str], seen: Collection[str], declared: Mapping[str, Inertial]
 ) -> Inertial | None:
     """What links that are fixed to each other weigh together; None unless it is told of all of
     them that can be seen: a handle's mass alone is not its door's."""
-    own = [told[link] for link in links if link in told]
-    return together(own) if own and all(link in told for link in links if link in seen) else None
+    own = [declared[link] for link in links if link in declared]
+    return (
+        together(own) if own and all(link in declared for link in links if link in seen) else None
+    )
 
 
 def rigid_groups(tree: KinematicTree, apart: Collection[str] = ()) -> dict[str, list[str]]:

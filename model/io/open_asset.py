@@ -18,7 +18,7 @@ from model.core.errors import ConfigurationError, GeometryError, InputFileError,
 from model.core.progress import Progress, no_progress
 from model.geometry.parts import split
 from model.io.articulated_asset import open_model
-from model.io.declared_physics_file import load_told
+from model.io.declared_physics_file import load_declared
 from model.io.find_assets import asset_name, model_of
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
 from model.io.formats.mtl import MaterialFiles
@@ -121,8 +121,8 @@ def _read_parts(
         loaded = cleaned(
             entry.path, load_geometry(entry.path, max_bytes, files), turned_up(up), scale
         )
-        told = tuple(f"{entry.path.name}: {w}" for w in loaded.warnings)
-        out.append(replace(loaded, warnings=told))
+        named = tuple(f"{entry.path.name}: {w}" for w in loaded.warnings)
+        out.append(replace(loaded, warnings=named))
     extra = [manifest.path] if manifest.path is not None else []
     digest = file_digest([*(e.path for e in manifest.entries), *extra, *files.paths])
     first = up_axis or default_up_axis(manifest.entries[0].path, part_of_folder=True)
@@ -148,7 +148,7 @@ def _read_folder(
     if not any(source.shift):
         turned = turned_up(source.up_axis)
         turned[:3, :3] *= unit_scale
-        inertials, shapes = load_told(folder, turned)
+        inertials, shapes = load_declared(folder, turned)
     return Asset(
         folder.name,
         mesh=to_mesh(whole) if solid[0] else None,
@@ -182,7 +182,7 @@ def read_part_files(
     """
     path = Path(path)
     if path.is_file() or (path.is_dir() and model_of(path) is not None):
-        return _read_told_parts(path, up_axis, unit_scale, max_bytes, progress)
+        return _read_declared_parts(path, up_axis, unit_scale, max_bytes, progress)
     manifest = find_manifest(path, FOLDER_SUFFIXES)
     parts, _ = _read_parts(path, manifest, up_axis, unit_scale, max_bytes, progress)
     made = [
@@ -198,7 +198,7 @@ def read_part_files(
     return SegmentedObject(path.name, tuple(made), manifest.category)
 
 
-def _read_told_parts(
+def _read_declared_parts(
     path: Path, up_axis: UpAxis | None, scale: float, max_bytes: int, progress: Progress
 ) -> SegmentedObject:
     asset = open_asset(

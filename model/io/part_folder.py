@@ -134,8 +134,8 @@ def _from_json(path: Path) -> Manifest:
     if twice is not None:
         raise InputFileError(path, f"names {twice.name!r} twice")
     category = tree.get("category")
-    told = category if isinstance(category, str) else None
-    return Manifest(_named(found), told, path, remarks_in(tree.get("source")))
+    known = category if isinstance(category, str) else None
+    return Manifest(_named(found), known, path, remarks_in(tree.get("source")))
 
 
 def remarks_in(entry: Any) -> tuple[str, ...]:

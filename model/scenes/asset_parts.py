@@ -20,10 +20,10 @@ from model.core.tree import KinematicTree
 from model.data.partnet_mobility import read_partnet_mobility
 from model.data.protocol import GroundTruth
 from model.data.urdf_folders import UrdfFolders
-from model.geometry.outliers import stray_points
+from model.geometry.outliers import outlier_points
 from model.geometry.parts import split
 from model.geometry.topology import connected_shells
-from model.io.assets.reader import told_links
+from model.io.assets.reader import declared_links
 from model.io.geometry_files import FOLDER_SUFFIXES
 from model.io.open_asset import open_asset, read_part_files
 from model.io.part_folder import is_part_folder
@@ -173,7 +173,7 @@ def bounds_of(parts: tuple[Part, ...]) -> FloatArray:
         # All at once: what is stray in a part may lie on the surface of another one.
         points = np.concatenate(clouds)
         kept = np.ones(len(points), bool)
-        kept[stray_points(points, KDTree(points))] = False
+        kept[outlier_points(points, KDTree(points))] = False
         each.append(np.stack([points[kept].min(axis=0), points[kept].max(axis=0)]))
     low, high = np.stack(each).astype(np.float64).swapaxes(0, 1)
     return np.stack([low.min(axis=0), high.max(axis=0)])
@@ -204,7 +204,7 @@ def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     found = _at_least_two(truth.object.parts, "links of its URDF")
     # Not those on merged links: that fixed links are one part is no change.
     model, obj = read_urdf_model(path), truth.object
-    weighed, shaped = (told_links(path.parent, what) for what in ("masses", "collision"))
+    weighed, shaped = (declared_links(path.parent, what) for what in ("masses", "collision"))
 
     def its_own(link: str, listed: list[str] | None) -> bool:
         return listed is None or bool({link, link.removeprefix("link_")} & set(listed))
@@ -212,7 +212,7 @@ def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
     return replace(
         found,
         truth=obj.tree,
-        notes=(*model.notes, *model.told.notes),
+        notes=(*model.notes, *model.declared.notes),
         inertials={link: i for link, i in obj.inertials.items() if its_own(link, weighed)},
         shapes={link: held for link, held in obj.shapes.items() if its_own(link, shaped)},
     )

@@ -264,13 +264,13 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
         category = clicks.category or category
         clicked = ClickedObject(clicks, o.obj.world_from_object, o.obj.anchor)
     collision = settings.collision and o.obj.solid
-    told = [WRITTEN, digest, x, y, z, fit, articulate, category, collision, settings.formats]
+    content = [WRITTEN, digest, x, y, z, fit, articulate, category, collision, settings.formats]
     if clicks is not None:
-        told.append(clicks.key())
+        content.append(clicks.key())
     if clicks is not None and clicks.in_scene:
-        told += [o.obj.world_from_object.tolist(), o.obj.anchor]
-    told += [settings.predictor, settings.seed] if articulate else []
-    short = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:12]
+        content += [o.obj.world_from_object.tolist(), o.obj.anchor]
+    content += [settings.predictor, settings.seed] if articulate else []
+    short = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]
     return AssetJob(
         f"{stem}-{short}", o.path, (x, y, z), fit, articulate, category, settings.predictor,  # type: ignore[arg-type]
@@ -322,12 +322,12 @@ def shorten_limits(outcomes: Sequence[Outcome], out: Path, progress: Progress) -
 
 def _kept(out: Path, me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]]:
     """:func:`~model.scenes.neighbours.shortened`, worked out once."""
-    told = [
+    content = [
         [s.id, None if s.folder is None else s.folder.name, s.world_from_asset.tolist(),
          s.bounds.tolist()]
         for s in (me, *others)
     ]  # fmt: skip
-    key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+    key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:24]
     path = out / LIMITS / f"{key}.json"
     try:
         return json.loads(path.read_text(encoding="utf-8"))

@@ -247,8 +247,8 @@ def write_json(path: Path, value: Any, *, allow_nan: bool = False) -> None:
 
 def _end_with(parent: int | None) -> None:
     """A worker whose run was killed ends too, instead of writing beside the next run."""
-    watched = any(t.name == "end-with-parent" for t in threading.enumerate())
-    if parent is None or os.getpid() == parent or watched:
+    monitored = any(t.name == "end-with-parent" for t in threading.enumerate())
+    if parent is None or os.getpid() == parent or monitored:
         return
 
     def watch() -> None:

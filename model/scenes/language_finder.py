@@ -224,8 +224,8 @@ class LanguageFinder:
     def _file(self, obj: ObjectDescription) -> Path | None:
         if self.cache is None:
             return None
-        told = json.dumps([self.name, SYSTEM, asdict(obj)], sort_keys=True)
-        digest = hashlib.sha256(told.encode()).hexdigest()
+        content = json.dumps([self.name, SYSTEM, asdict(obj)], sort_keys=True)
+        digest = hashlib.sha256(content.encode()).hexdigest()
         return self.cache / digest[:2] / f"{digest}.json"
 
     def _kept(self, obj: ObjectDescription) -> Decision | None:
@@ -244,15 +244,15 @@ class LanguageFinder:
 
 def question(objects: Sequence[ObjectDescription]) -> str:
     """The user's turn: the objects by number."""
-    told = []
+    content = []
     for i, o in enumerate(objects):
         entry: dict[str, Any] = {"id": i, "description": o.description}
         if o.category:
             entry["category"] = o.category
         if o.size is not None:
             entry["size"] = [round(float(v), 3) for v in o.size]
-        told.append(entry)
-    return json.dumps(told, ensure_ascii=False)
+        content.append(entry)
+    return json.dumps(content, ensure_ascii=False)
 
 
 def parse_answer(text: str, count: int) -> dict[int, Decision]:

@@ -94,11 +94,11 @@ def _checked(scene: Scene) -> Scene:
     sizes = [max(o.fit or o.box or (0.0,)) for o in scene.objects]
     if near < max(FAR_APART, 4 * max(sizes)):
         return scene
-    told = (
+    message = (
         f"its objects stand {near:.0f} m from one another: are their places in millimetres or "
         "centimetres? Metres are taken"
     )
-    note = SceneProblem(scene.path.name, told, skipped=False)
+    note = SceneProblem(scene.path.name, message, skipped=False)
     return replace(scene, problems=(*scene.problems, note))
 
 

@@ -54,14 +54,16 @@ def write_results(
         formats: what the scene is written as besides MJCF; the assets are there in them already.
     """
     stands, held = at_rest(_stands(outcomes, free_bases, out), out)
-    told = {s.id: s for s in stands}
+    standing = {s.id: s for s in stands}
     urdfs = {
-        o.obj.id: standing_urdf(o, i, out, told[o.obj.id].friction if o.obj.id in told else {})
+        o.obj.id: standing_urdf(
+            o, i, out, standing[o.obj.id].friction if o.obj.id in standing else {}
+        )
         for i, o in enumerate(outcomes)
         if o.state in MOVING
     }
     said = {
-        o.obj.id: _said(o, urdfs.get(o.obj.id), told.get(o.obj.id), held.get(o.obj.id))
+        o.obj.id: _said(o, urdfs.get(o.obj.id), standing.get(o.obj.id), held.get(o.obj.id))
         for o in outcomes
     }
     write_json(out / SCENE_JSON, scene_to_json(scene, said))
@@ -229,11 +231,11 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
 
 
 def _add_articulation(data: Any, entries: Mapping[tuple[str | int, ...], Any]) -> None:
-    for place, told in entries.items():
+    for place, standing in entries.items():
         entry = data
         for step in place:
             entry = entry[step]
-        entry["articulation"] = told
+        entry["articulation"] = standing
 
 
 def _write_optiscene(
@@ -246,8 +248,8 @@ def _write_optiscene(
         return None
     design, _, (begin, end) = found
     _add_articulation(design, entries)
-    told = json.dumps(design, indent=1, ensure_ascii=False)
-    _write_bytes(path, (whole[:begin] + told + whole[end:]).encode())
+    standing = json.dumps(design, indent=1, ensure_ascii=False)
+    _write_bytes(path, (whole[:begin] + standing + whole[end:]).encode())
     return path.name
 
 

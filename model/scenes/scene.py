@@ -54,7 +54,7 @@ class SceneProblem:
     skipped: bool = True
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """The reason, and first of all whether the object was left out."""
         return f"left out: {self.reason}" if self.skipped else self.reason
 

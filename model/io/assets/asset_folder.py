@@ -44,16 +44,16 @@ from model.core.asset import Asset
 from model.core.errors import GeometryError, InputFileError
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import (
+    DECLARED,
     FORMAT,
     PROVENANCE,
-    TOLD,
     TREE,
     URDF,
+    declared_entry,
     load_object,
     old_name,
     read_provenance,
     recover,
-    told_entry,
 )
 from model.io.assets.reload import AREA_TOLERANCE, reload_check
 from model.io.export.part_files import PartFile, write_parts
@@ -247,7 +247,7 @@ def _write_texts(
         "remarks": list(remarks_of(obj.parts)),
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
-        TOLD: told_entry(obj, () if physics is None else physics.declared_shapes),
+        DECLARED: declared_entry(obj, () if physics is None else physics.declared_shapes),
         "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
         "versions": _versions(),
     }

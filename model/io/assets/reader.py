@@ -16,13 +16,13 @@ from model.core.progress import Progress, no_progress
 from model.io.geometry_files import SUFFIXES, read_geometry_file
 from model.io.model_files import read_model
 from model.io.part_folder import remarks_in
-from model.io.urdf.declared_physics import Told
+from model.io.urdf.declared_physics import DeclaredPhysics
 
 FORMAT = 1
 URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"
 MIN_CLOUD = 4
 """Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
-TOLD = "told"
+DECLARED = "told"
 """Entry of ``provenance.json`` that names what the source told of masses, joints and shapes."""
 
 _LOG = logging.getLogger(__name__)
@@ -74,13 +74,13 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
                 "is no URDF or MJCF",
                 "run artiworld segment and predict on it first, or serve it",
             )
-        obj, told = _read(path, progress)
-        return told.of(obj)
+        obj, declared = _read(path, progress)
+        return declared.of(obj)
     if not (path / URDF).is_file():
         raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")
-    obj, told = _read(path / URDF, progress)
+    obj, declared = _read(path / URDF, progress)
     if not (path / PROVENANCE).is_file():
-        return told.of(obj)
+        return declared.of(obj)
     kept = read_provenance(path)["asset"]
     entries = {entry["link"]: entry for entry in kept.get("parts", [])}
     remarks = remarks_in(kept)
@@ -97,47 +97,47 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
     tree = replace(obj.tree, joints=joints)
     obj = replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
-    return _listed(told, kept.get(TOLD)).of(obj)
+    return _listed(declared, kept.get(DECLARED)).of(obj)
 
 
-def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, Told]:
+def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, DeclaredPhysics]:
     """The object of a URDF or MJCF, and what the file tells beside."""
     model = read_model(path)
-    told = model.told
-    for note in (*model.notes, *told.notes):
+    declared = model.declared
+    for note in (*model.notes, *declared.notes):
         _LOG.warning("%s: %s", path, note)
-    return model.load(progress), told
+    return model.load(progress), declared
 
 
-def _listed(told: Told, entry: Any) -> Told:
+def _listed(declared: DeclaredPhysics, entry: Any) -> DeclaredPhysics:
     """What of ``told`` the entry ``told`` of a ``provenance.json`` names; all else is of ours."""
     named = entry if isinstance(entry, dict) else {}
     masses, dynamics, shaped = (named.get(k) for k in ("masses", "dynamics", "collision"))
     links = masses if isinstance(masses, list) else []
     kept = shaped if isinstance(shaped, list) else []
     fields = dynamics if isinstance(dynamics, dict) else {}
-    return Told(
-        {link: i for link, i in told.inertials.items() if link in links},
+    return DeclaredPhysics(
+        {link: i for link, i in declared.inertials.items() if link in links},
         {
             name: DeclaredDynamics(**{k: v for k, v in asdict(d).items() if k in fields[name]})
-            for name, d in told.dynamics.items()
+            for name, d in declared.dynamics.items()
             if isinstance(fields.get(name), list)
         },
-        collision={link: c for link, c in told.collision.items() if link in kept},
+        collision={link: c for link, c in declared.collision.items() if link in kept},
     )
 
 
-def told_links(folder: Path, what: Literal["masses", "collision"]) -> list[str] | None:
+def declared_links(folder: Path, what: Literal["masses", "collision"]) -> list[str] | None:
     """Links of a saved asset whose masses or collision shapes its own source told; None where
     ``folder`` is none, and its URDF tells all of them."""
     if not (folder / PROVENANCE).is_file():
         return None
-    named = read_provenance(folder)["asset"].get(TOLD)
+    named = read_provenance(folder)["asset"].get(DECLARED)
     links = named.get(what) if isinstance(named, dict) else None
     return links if isinstance(links, list) else []
 
 
-def told_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict[str, Any]:
+def declared_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict[str, Any]:
     """The entry ``told`` of ``provenance.json``: what of masses and joints the source told.
 
     Args:
@@ -159,7 +159,7 @@ def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
     over of its meshes or of the source they come from, for people."""
     path = Path(asset)
     model = read_model(path if path.is_file() else path / URDF)
-    return (*model.notes, *model.told.notes, *remarks_of(obj.parts))
+    return (*model.notes, *model.declared.notes, *remarks_of(obj.parts))
 
 
 def read_provenance(folder: str | Path) -> dict[str, Any]:

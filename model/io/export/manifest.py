@@ -130,7 +130,7 @@ def _write(folder: Path, said: Mapping[str, Any]) -> Path:
     return path
 
 
-def category_told(folder: Path) -> tuple[str | None, bool]:
+def declared_category(folder: Path) -> tuple[str | None, bool]:
     """The category in an export's ``artiworld.json``, and whether the folder is such an export."""
     try:
         said = json.loads((folder / ABOUT).read_text(encoding="utf-8"))

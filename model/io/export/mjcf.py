@@ -266,8 +266,8 @@ def _left_of(material: Material) -> set[str]:
     }
     if any(maps.emission) and maps.emissive is None:
         color = np.asarray(material.base_color if material.texture is None else (255,) * 4) / 255.0
-        told = _emission(maps, color) * to_linear(color[:3])
-        left["light of another colour"] = bool(np.abs(told - maps.emission).max() > 0.02)
+        written = _emission(maps, color) * to_linear(color[:3])
+        left["light of another colour"] = bool(np.abs(written - maps.emission).max() > 0.02)
     return {what for what, is_lost in left.items() if is_lost}
 
 

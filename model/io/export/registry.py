@@ -32,14 +32,14 @@ EXPORTERS = Registry[Exporter](
 
 def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
     """What readers of a built-in format won't show, in words; empty where nothing is known."""
-    told: list[str] = []
+    losses: list[str] = []
     if name in ("urdf", "ros", "sdf"):
-        told += part_files.losses_of(obj)
+        losses += part_files.losses_of(obj)
     if name == "urdf":
-        told += urdf.losses_of(obj)
+        losses += urdf.losses_of(obj)
     if name == "mjcf":
-        told += mjcf.losses_of(obj)
-    return tuple(told)
+        losses += mjcf.losses_of(obj)
+    return tuple(losses)
 
 
 def exporter_names() -> tuple[str, ...]:

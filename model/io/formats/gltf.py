@@ -135,10 +135,10 @@ class Gltf:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was left out of the meshes that were read so far."""
-        told = list(dict.fromkeys(self._materials.warnings))
+        warnings = list(dict.fromkeys(self._materials.warnings))
         if self._materials.left:
-            told.append(left_out(self._materials.left))
-        return tuple(told)
+            warnings.append(left_out(self._materials.left))
+        return tuple(warnings)
 
     def placed(self) -> list[tuple[str, list[Loaded]]]:
         """Each node with a mesh: its name, or its mesh's, and its primitives in the root's

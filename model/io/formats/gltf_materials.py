@@ -186,8 +186,8 @@ def _emission(entry: Json) -> tuple[float, float, float]:
     factor = entry.get("emissiveFactor")
     if not (isinstance(factor, list) and len(factor) == 3 and all(map(_is_number, factor))):
         return (0.0, 0.0, 0.0)
-    told = as_dict(as_dict(entry.get("extensions")).get(BRIGHTER)).get("emissiveStrength")
-    strength = float(told) if _is_number(told) else 1.0
+    declared = as_dict(as_dict(entry.get("extensions")).get(BRIGHTER)).get("emissiveStrength")
+    strength = float(declared) if _is_number(declared) else 1.0
     red, green, blue = (min(max(float(c) * strength, 0.0), _BRIGHTEST) for c in factor)
     return (red, green, blue)
 

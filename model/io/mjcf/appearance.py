@@ -90,7 +90,7 @@ def _bytes(rgba: npt.ArrayLike) -> tuple[int, int, int, int]:
     return r, g, b, a
 
 
-def looking(mesh: Mesh, material: Material) -> Mesh:
+def with_material(mesh: Mesh, material: Material) -> Mesh:
     """``mesh`` with ``material`` all over; without texture coordinates in the mean colour of the
     material's texture."""
     if mesh.uv is None and material.pictured:

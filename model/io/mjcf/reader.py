@@ -27,8 +27,8 @@ from model.io.formats.loaded import DEFAULT_MAX_BYTES
 from model.io.geometry_files import SUFFIXES
 from model.io.mjcf.appearance import Looks, compiled_mesh, ellipsoid
 from model.io.mjcf.source import MjcfSource, read_source
-from model.io.urdf.collision import ToldCollision, repeats
-from model.io.urdf.declared_physics import Told
+from model.io.urdf.collision import DeclaredCollision, repeats
+from model.io.urdf.declared_physics import DeclaredPhysics
 from model.io.urdf.files import package_root
 from model.io.urdf.model import UrdfModel, renamed_helpers
 from model.io.urdf.visual import UrdfVisual
@@ -145,7 +145,7 @@ class _Reader:
             raise InputFileError(self.path, str(error)) from None
         inertials = {now(link): i for link, i in self._inertials().items() if link in links}
         collision = {
-            now(link): ToldCollision(
+            now(link): DeclaredCollision(
                 held, "", repeats(held, [v for v in visuals if v.link == link])
             )
             for link, held in felt.items()
@@ -153,7 +153,7 @@ class _Reader:
         notes = tuple(dict.fromkeys([*self.notes, *renotes]))
         return UrdfModel(
             self.path, self.source.name, tree, visuals, notes, renamed=tuple(renotes),
-            told=Told(inertials, dynamics, (), collision),
+            declared=DeclaredPhysics(inertials, dynamics, (), collision),
             files=(*self.source.files, *dict.fromkeys(self.looks.used)),
             part_names=self.source.part_names,
         )  # fmt: skip
@@ -196,7 +196,7 @@ class _Reader:
 
     def _joints(self) -> tuple[list[Joint], dict[str, DeclaredDynamics]]:
         model, out = self.model, []
-        told: dict[str, DeclaredDynamics] = {}
+        declared: dict[str, DeclaredDynamics] = {}
         names = {model.joint(j).name for j in range(model.njnt)} - {""}
         for body in range(1, model.nbody):
             child, above = self.links[body], self.links[model.body_parentid[body]]
@@ -210,13 +210,13 @@ class _Reader:
                           *motion.limits)
                 )  # fmt: skip
                 if motion.dynamics is not None:
-                    told[motion.name] = motion.dynamics
+                    declared[motion.name] = motion.dynamics
                 above = below
             if not motions:
                 fixed = _unused(f"fixed_{child}", names)
                 names.add(fixed)
                 out.append(Joint(fixed, "fixed", above, child))
-        return out, told
+        return out, declared
 
     def _motions(self, j: int, names: set[str]) -> list[_Motion]:
         model, data, kind = self.model, self.data, int(self.model.jnt_type[j])

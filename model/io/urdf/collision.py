@@ -28,7 +28,7 @@ MOST_SHELLS = 256
 
 
 @dataclass(frozen=True, eq=False)
-class ToldCollision:
+class DeclaredCollision:
     """The ``<collision>`` elements of a link.
 
     Attributes:
@@ -57,12 +57,12 @@ def repeats(pieces: Sequence[UrdfVisual], visuals: Sequence[UrdfVisual]) -> bool
     )
 
 
-def told_shapes(
-    links: Sequence[str], told: Mapping[str, ToldCollision], remarks: list[str]
+def declared_shapes(
+    links: Sequence[str], declared: Mapping[str, DeclaredCollision], remarks: list[str]
 ) -> tuple[Shape, ...] | None:
     """The shapes of links that are fixed to each other, object frame; None where none are told, or
     some can't be had, which is added to ``remarks``."""
-    mine = [(link, told[link]) for link in links if link in told]
+    mine = [(link, declared[link]) for link in links if link in declared]
     if all(each.repeated for _, each in mine):
         return None
     out: list[Shape] = []

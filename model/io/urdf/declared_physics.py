@@ -19,7 +19,7 @@ from model.core.inertial import Inertial, inertial_problems
 from model.core.joint import DeclaredDynamics
 from model.core.rotations import rotation_from_rpy
 from model.core.shapes import Shape
-from model.io.urdf.collision import ToldCollision, told_shapes
+from model.io.urdf.collision import DeclaredCollision, declared_shapes
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -33,7 +33,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class DeclaredPhysics:
     """Masses, joint dynamics and collision shapes as a file has them, in the object's rest frame.
 
     Attributes:
@@ -46,7 +46,7 @@ class Told:
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
     dynamics: Mapping[str, DeclaredDynamics] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    collision: Mapping[str, ToldCollision] = field(default_factory=dict)
+    collision: Mapping[str, DeclaredCollision] = field(default_factory=dict)
 
     def of(self, obj: ArticulatedObject) -> ArticulatedObject:
         """``obj`` with what is told of its links and joints, collision meshes loaded; what can't be
@@ -58,14 +58,16 @@ class Told:
         shapes: dict[str, tuple[Shape, ...]] = {}
         remarks: dict[str, list[str]] = {}
         for link in obj.tree.links:
-            held = told_shapes((link,), self.collision, remarks.setdefault(link, []))
+            held = declared_shapes((link,), self.collision, remarks.setdefault(link, []))
             if held:
                 shapes[link] = held
         parts = tuple(replace(p, remarks=(*p.remarks, *remarks[p.link])) for p in obj.parts)
         return replace(obj, parts=parts, shapes=shapes)
 
 
-def told_in(robot: Element, object_from_link: Mapping[str, FloatArray]) -> Told:
+def read_declared_physics(
+    robot: Element, object_from_link: Mapping[str, FloatArray]
+) -> DeclaredPhysics:
     """What the file tells, by the names that links and joints have there.
 
     Args:
@@ -88,11 +90,11 @@ def told_in(robot: Element, object_from_link: Mapping[str, FloatArray]) -> Told:
         which = f"link {named}" if len(wrong) == 1 else f"links {named}"
         notes = (f"{which}: mass and inertia are none that a body can have; they were left out",)
     dynamics = {
-        joint.get("name", ""): told
+        joint.get("name", ""): declared
         for joint in robot.findall("joint")
-        if (told := _dynamics(joint)) != DeclaredDynamics()
+        if (declared := _dynamics(joint)) != DeclaredDynamics()
     }
-    return Told(inertials, dynamics, notes)
+    return DeclaredPhysics(inertials, dynamics, notes)
 
 
 def _massless(link: Element, inertial: Element) -> bool:

@@ -14,7 +14,7 @@ from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.io.formats.mtl import MaterialFiles, OneMaterial
 from model.io.geometry_files import read_geometry_file
-from model.io.mjcf.appearance import looking
+from model.io.mjcf.appearance import with_material
 from model.io.urdf.visual import UrdfVisual
 
 SECTIONS = 32
@@ -57,10 +57,10 @@ def _load(
 ) -> tuple[Mesh | None, PointCloud | None]:
     """The geometry; what was passed over on reading it is added to ``remarks``."""
     if visual.mesh is not None:
-        return _looking(visual.mesh, visual), None
+        return _with_material(visual.mesh, visual), None
     if visual.file is None:
         assert visual.primitive is not None
-        return _looking(_primitive(*visual.primitive, visual.color), visual), None
+        return _with_material(_primitive(*visual.primitive, visual.color), visual), None
     if not visual.file.is_file():
         raise InputFileError(
             visual.file, f"the mesh of link {visual.link!r} isn't there", "put it beside the URDF"
@@ -74,14 +74,14 @@ def _load(
     remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
     if mesh is not None and visual.material is not None:
-        mesh = _looking(mesh, visual)
+        mesh = _with_material(mesh, visual)
     elif mesh is not None and visual.color is not None and _plain(mesh):
         mesh = replace(mesh, materials=(Material("urdf", visual.color),) * len(mesh.materials))
     return mesh, None if mesh is not None else asset.cloud
 
 
-def _looking(mesh: Mesh, visual: UrdfVisual) -> Mesh:
-    return mesh if visual.material is None else looking(mesh, visual.material)
+def _with_material(mesh: Mesh, visual: UrdfVisual) -> Mesh:
+    return mesh if visual.material is None else with_material(mesh, visual.material)
 
 
 def _plain(mesh: Mesh) -> bool:

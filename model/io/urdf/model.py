@@ -10,7 +10,7 @@ from pathlib import Path
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.io.urdf.declared_physics import Told
+from model.io.urdf.declared_physics import DeclaredPhysics
 from model.io.urdf.meshes import load_part
 from model.io.urdf.visual import UrdfVisual
 
@@ -41,7 +41,7 @@ class UrdfModel:
     swapped: tuple[str, ...] = ()
     rescaled: tuple[str, ...] = ()
     renamed: tuple[str, ...] = ()
-    told: Told = field(default_factory=Told)
+    declared: DeclaredPhysics = field(default_factory=DeclaredPhysics)
     files: tuple[Path, ...] = ()
     part_names: Mapping[str, str] = field(default_factory=dict)
 

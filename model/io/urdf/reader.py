@@ -18,8 +18,8 @@ from model.core.progress import Progress, no_progress
 from model.core.rotations import rotation_from_rpy
 from model.core.tree import KinematicTree, tree_problems
 from model.io.formats.references import ReferenceRefused
-from model.io.urdf.collision import ToldCollision, repeats
-from model.io.urdf.declared_physics import told_in
+from model.io.urdf.collision import DeclaredCollision, repeats
+from model.io.urdf.declared_physics import read_declared_physics
 from model.io.urdf.files import package_root, resolve_mesh
 from model.io.urdf.model import UrdfModel, renamed_helpers
 from model.io.urdf.visual import UrdfVisual
@@ -146,13 +146,13 @@ class _Reader:
             for v in geometry
         )
         name = robot.get("name") or self.path.stem
-        told = told_in(robot, object_from_link)
+        declared = read_declared_physics(robot, object_from_link)
         collision = self._collisions(robot, visuals, object_from_link)
-        named = {renamed.get(link, link): i for link, i in told.inertials.items()}
+        named = {renamed.get(link, link): i for link, i in declared.inertials.items()}
         said = (self.notes, self.faulty, self.swapped, self.rescaled, self.renamed)
         shaped = {renamed.get(link, link): c for link, c in collision.items()}
-        told = replace(told, inertials=named, collision=shaped)
-        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said), told=told)
+        declared = replace(declared, inertials=named, collision=shaped)
+        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said), declared=declared)
 
     def _raise(self) -> None:
         if self.problems:
@@ -345,9 +345,9 @@ class _Reader:
         robot: Element,
         visuals: Sequence[UrdfVisual],
         object_from_link: Mapping[str, npt.NDArray[np.float64]],
-    ) -> dict[str, ToldCollision]:
+    ) -> dict[str, DeclaredCollision]:
         """By link; what is wrong with one of them is told there and is no problem of the file."""
-        out: dict[str, ToldCollision] = {}
+        out: dict[str, DeclaredCollision] = {}
         seen = [v for v in visuals if robot.find("link/visual") is not None]
         for link in robot.findall("link"):
             name, before = link.get("name", ""), len(self.problems)
@@ -361,7 +361,7 @@ class _Reader:
             )
             if found:
                 same = not wrong and repeats(pieces, [v for v in seen if v.link == name])
-                out[name] = ToldCollision(pieces, wrong[0] if wrong else "", same)
+                out[name] = DeclaredCollision(pieces, wrong[0] if wrong else "", same)
         return out
 
     def _visual(self, element: Element, link: str) -> UrdfVisual | None:

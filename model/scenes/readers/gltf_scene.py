@@ -19,7 +19,7 @@ from model.core.errors import InputFileError
 from model.io.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.io.formats.loaded import Loaded
 from model.io.geometry_files import turned_up
-from model.scenes.readers.lisdf import spoken
+from model.scenes.readers.lisdf import readable
 from model.scenes.scene import FloatArray, Scene, SceneFrame, SceneObject, SceneObjectError
 from model.scenes.unpacking import Unpacked, Unpacker, placed_frame
 from model.scenes.values import Place, collect, maybe_text, shown
@@ -124,14 +124,14 @@ def _object(file: str, place: Place, entry: tuple[dict[str, Any], FloatArray]) -
     pose, scale, _ = placed_frame(_UP @ (parent @ _matrix(node)) @ _UP.T)
     name = maybe_text(node.get("name")) or f"node {place[1]}"
     extras = node.get("extras")
-    told = extras if isinstance(extras, dict) else {}
+    extra = extras if isinstance(extras, dict) else {}
     return SceneObject(
         id=name,
-        description=maybe_text(told.get("description")) or spoken(name),
+        description=maybe_text(extra.get("description")) or readable(name),
         world_from_object=pose,
         scale=scale,
         asset=f"{file}#{place[1]}",
-        category=maybe_text(told.get("category")),
+        category=maybe_text(extra.get("category")),
         place=place,
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from model.core.errors import InputFileError
 from model.scenes.poses import from_unity
 from model.scenes.readers.house import structure_of
-from model.scenes.readers.lisdf import spoken
+from model.scenes.readers.lisdf import readable
 from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError
 from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
@@ -99,7 +99,7 @@ def _object(place: Place, entry: Any, rooms: dict[str, str]) -> SceneObject:
     kinematic = entry.get("kinematic")
     return SceneObject(
         id=id,
-        description=maybe_text(entry.get("description")) or spoken(name),
+        description=maybe_text(entry.get("description")) or readable(name),
         world_from_object=world,
         scale=np.ones(3),
         asset=asset,

@@ -55,10 +55,10 @@ def structure_of(house: dict[str, Any]) -> tuple[Loaded | None, tuple[SceneProbl
 
 
 def _floor(room: Any) -> list[Loaded]:
-    told = room.get("floorPolygon") if isinstance(room, dict) else None
-    if not told:
+    polygon = room.get("floorPolygon") if isinstance(room, dict) else None
+    if not polygon:
         return []
-    corners = _points(told, "floorPolygon")
+    corners = _points(polygon, "floorPolygon")
     flat = corners[:, :2]
     x, y = flat.T
     area = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2

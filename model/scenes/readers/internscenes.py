@@ -13,7 +13,7 @@ import numpy as np
 
 from model.core.errors import InputFileError
 from model.scenes.poses import from_rpy
-from model.scenes.readers.lisdf import spoken
+from model.scenes.readers.lisdf import readable
 from model.scenes.scene import Scene, SceneObject, SceneObjectError
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
@@ -55,7 +55,7 @@ def _object(place: Place, entry: Any) -> SceneObject:
     x, y, z = box[3:6]
     return SceneObject(
         id=id,
-        description=spoken(category or id),
+        description=readable(category or id),
         world_from_object=from_rpy(np.concatenate([box[:3], box[6:]])),
         scale=np.ones(3),
         asset=asset,

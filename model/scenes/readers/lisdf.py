@@ -82,15 +82,15 @@ def _object(place: tuple[str | int, ...], element: Element) -> SceneObject:
     if element.tag == "model":
         local, size = _box(element)
         return SceneObject(
-            description=spoken(name), world_from_object=world @ local, scale=np.ones(3),
+            description=readable(name), world_from_object=world @ local, scale=np.ones(3),
             box=size, anchor="center", **common,
         )  # fmt: skip
     uri = (element.findtext("uri") or "").strip()
     if not uri:
         raise SceneObjectError("has no <uri>; the URDF or mesh that it shows is needed")
     category = category_of(uri)
-    words = spoken(name)
-    description = words if category is None else f"{words} ({spoken(category)})"
+    words = readable(name)
+    description = words if category is None else f"{words} ({readable(category)})"
     scale = _scale(element)
     if scale.all():
         world[:3, :3], scale = upright(world[:3, :3], scale)
@@ -140,7 +140,7 @@ def category_of(uri: str) -> str | None:
     return None
 
 
-def spoken(name: str) -> str:
+def readable(name: str) -> str:
     """``CabinetLower#2`` → ``cabinet lower``."""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     text = re.sub(r"[^A-Za-z]+", " ", text)

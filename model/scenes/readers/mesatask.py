@@ -15,7 +15,7 @@ import numpy as np
 
 from model.core.errors import InputFileError
 from model.scenes.poses import about_z, pose, rotation_from_quaternion
-from model.scenes.readers.lisdf import spoken
+from model.scenes.readers.lisdf import readable
 from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneObjectError, upright
 from model.scenes.values import Place, collect, maybe_text, numbers, read_json, shown, text
 
@@ -64,7 +64,7 @@ def _from_layout(place: Place, entry: Any) -> SceneObject:
         turn, scale = upright(turn, scale)
     return SceneObject(
         id=name,
-        description=maybe_text(entry.get("description")) or spoken(name),
+        description=maybe_text(entry.get("description")) or readable(name),
         world_from_object=pose(numbers(entry.get("position"), 3, "position"), turn),
         scale=scale,
         asset=text(entry.get("retrieved_uid"), "retrieved_uid"),
@@ -83,7 +83,7 @@ def _from_words(place: Place, entry: Any) -> SceneObject:
     where = numbers(entry.get("position"), 3, "position") * CENTIMETRES
     return SceneObject(
         id=name,
-        description=maybe_text(entry.get("description")) or spoken(name),
+        description=maybe_text(entry.get("description")) or readable(name),
         world_from_object=pose(where, turn),
         scale=np.ones(3),
         asset=maybe_text(entry.get("retrieved_uid")),

@@ -124,8 +124,8 @@ def _object(sizes: dict[str, Size], room: str | None, place: Place, entry: Any) 
     where: FloatArray = numbers(_first(entry.get("coordinates"), "coordinates"), 3, "coordinates")
     angle = 0.0
     if entry.get("rotate") is not None:
-        told = _first(entry["rotate"], "rotate").get("angle")
-        angle = float(numbers([told], 1, "rotate angle")[0])
+        given = _first(entry["rotate"], "rotate").get("angle")
+        angle = float(numbers([given], 1, "rotate angle")[0])
     return SceneObject(
         id=name,
         description=maybe_text(entry.get("description")) or name,

@@ -134,12 +134,12 @@ def _instances(
     arrays = columns if beside is None else _read_labels(beside)
     labels = next((arrays[k] for k in PROPERTIES if k in arrays), None)
     if labels is None and beside is None:
-        told = (
+        message = (
             "nobody has labelled this room: pick objects out of it in the browser, or put boxes "
             f"round them into {path.stem}_boxes.json"
         )
         everything = Instance(ROOM, None, ROOM, np.arange(len(loaded.vertices)))
-        return [everything], (SceneProblem(ROOM, told, skipped=False),)
+        return [everything], (SceneProblem(ROOM, message, skipped=False),)
     if labels is None:
         raise InputFileError(
             beside or path, "has no array 'instance'",
@@ -168,8 +168,8 @@ def _instances(
             continue
         id = f"{category or 'object'} {label}"
         if len(points) < FEWEST:
-            told = f"has {len(points)} points and stays in the background"
-            problems.append(SceneProblem(id, told))
+            message = f"has {len(points)} points and stays in the background"
+            problems.append(SceneProblem(id, message))
             continue
         found.append(Instance(id, category, category or "object", points))
     if building:
@@ -212,8 +212,8 @@ def _commonest(names: npt.NDArray[Any]) -> str | None:
 
 def _boxed(path: Path, loaded: Loaded) -> tuple[list[Instance], tuple[SceneProblem, ...]]:
     """Objects in boxes; a point belongs to the first box round it."""
-    told = read_json(path)
-    listed = told.get("objects") if isinstance(told, dict) else None
+    message = read_json(path)
+    listed = message.get("objects") if isinstance(message, dict) else None
     if not isinstance(listed, list):
         raise InputFileError(path, "has no list 'objects'", "boxes with id, center and size")
     free = np.ones(len(loaded.vertices), bool)

@@ -23,7 +23,7 @@ from model.io.formats.loaded import Loaded, check_indices, colors_from
 from model.io.formats.srgb import to_srgb
 from model.io.formats.triangulate import triangulate
 from model.io.geometry_files import turned_up
-from model.scenes.readers.lisdf import spoken
+from model.scenes.readers.lisdf import readable
 from model.scenes.scene import (
     FloatArray,
     Scene,
@@ -274,11 +274,11 @@ def _object(stage: _Stage, place: Place, prim: Any) -> SceneObject:
     pose, scale, _ = placed_frame(world)
     name = str(prim.GetName())
     data = prim.GetCustomData()
-    told = data if isinstance(data, dict) else {}
-    category = maybe_text(told.get("category")) or _semantic(prim)
+    extra = data if isinstance(data, dict) else {}
+    category = maybe_text(extra.get("category")) or _semantic(prim)
     return SceneObject(
         id=name,
-        description=maybe_text(told.get("description")) or spoken(name),
+        description=maybe_text(extra.get("description")) or readable(name),
         world_from_object=pose,
         scale=scale,
         asset=f"{stage.path.name}#{prim.GetPath()}",

@@ -268,9 +268,9 @@ def test_light_without_a_map(tmp_path):
     box.export(tmp_path / "lamp.glb")
 
     def change(tree: dict) -> None:
-        told = {"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}}
-        tree["materials"][0]["extensions"] = told
-        tree["extensionsUsed"] = list(told)
+        declared = {"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}}
+        tree["materials"][0]["extensions"] = declared
+        tree["extensionsUsed"] = list(declared)
 
     rewritten(tmp_path / "lamp.glb", change)
     read = open_asset(tmp_path / "lamp.glb")

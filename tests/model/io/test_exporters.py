@@ -484,8 +484,8 @@ def test_glb_is_read_again_with_the_names_of_its_parts(obj, tmp_path):
     assert read_back("glb", files[0], named, configurations=1).problems == ()
     again = open_asset(files[0])
     assert again.element_part is not None and again.part_names[0] == "base"
-    told = {"door mesh", "drawer", "link_3 mesh", "link_4 mesh"}  # one link is called "door"
-    assert set(again.part_names[1:]) == told
+    declared = {"door mesh", "drawer", "link_3 mesh", "link_4 mesh"}  # one link is called "door"
+    assert set(again.part_names[1:]) == declared
 
 
 def test_a_bare_urdf_can_be_exported(exported, tmp_path, obj):

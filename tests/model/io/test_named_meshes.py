@@ -52,6 +52,8 @@ def test_where_all_move_none_is_the_base() -> None:
 
 
 def test_its_parts_can_be_predicted_without_the_app(tmp_path: Path) -> None:
-    told = read_part_files(glb(tmp_path / "cab.glb", "body", "door"))
-    assert [(p.link, p.name) for p in told.parts] == [("link_0", "body"), ("link_1", "door")]
-    assert told.name == "cab" and not np.allclose(told.parts[0].bounds, told.parts[1].bounds)
+    declared = read_part_files(glb(tmp_path / "cab.glb", "body", "door"))
+    assert [(p.link, p.name) for p in declared.parts] == [("link_0", "body"), ("link_1", "door")]
+    assert declared.name == "cab" and not np.allclose(
+        declared.parts[0].bounds, declared.parts[1].bounds
+    )

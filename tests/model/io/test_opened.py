@@ -204,12 +204,12 @@ def check_cabinet(asset: Asset, cabinet: ArticulatedObject, *, category: str | N
     assert asset.part_names[0] == "body" and asset.part_names[2:] == ("", "door")
     assert asset.category == category and asset.tree is not None
     assert numbers(asset) == [0, 3, 2]
-    for told in cabinet.tree.joints:
-        got = asset.tree.joint_of[told.child]
+    for declared in cabinet.tree.joints:
+        got = asset.tree.joint_of[declared.child]
         assert (got.type, got.parent, got.lower, got.upper) == (
-            told.type, told.parent, told.lower, told.upper,
+            declared.type, declared.parent, declared.lower, declared.upper,
         )  # fmt: skip
-        np.testing.assert_allclose(got.axis, told.axis, atol=1e-9)
+        np.testing.assert_allclose(got.axis, declared.axis, atol=1e-9)
 
 
 def test_a_saved_asset_opens_as_it_was_saved(tmp_path: Path, cabinet: ArticulatedObject) -> None:

@@ -18,9 +18,9 @@ from model.io.export.sdf import SdfExporter
 from model.io.export.urdf import UrdfExporter
 from model.io.urdf.writer import read_urdf_model
 from model.physics.simulation_values import PhysicsSettings, holding_load, physics_of
-from model.scenes.outcome import Outcome
 from model.scenes.holding_friction import frictions
 from model.scenes.jobs import ASSETS, MJCF, PREDICTED
+from model.scenes.outcome import Outcome
 from model.scenes.protocol import Decision
 from model.scenes.results import standing_urdf
 from model.scenes.scene import SceneObject
@@ -90,7 +90,7 @@ def test_the_urdf_of_a_tilted_object_has_its_friction(
     assert standing_urdf(outcome, 3, tmp_path, upright) == "assets/cab/object.urdf"
     tilted = frictions(file, standing(0.35), {})
     assert standing_urdf(outcome, 3, tmp_path, tilted) == "assets/cab/scene_3.urdf"
-    told = read_urdf_model(folder / "scene_3.urdf").told.dynamics
+    told = read_urdf_model(folder / "scene_3.urdf").declared.dynamics
     for name, friction in tilted.items():
         assert told[name].friction == pytest.approx(friction)
         assert (told[name].effort or 0.0) >= 2 * friction

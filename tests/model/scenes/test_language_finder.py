@@ -11,7 +11,8 @@ import pytest
 
 from app.cli.main import main
 from model.core.errors import ConfigurationError
-from model.scenes.finder_registry import FinderOptions, load_finder
+from model.scenes.finder_options import FinderOptions
+from model.scenes.finder_registry import load_finder
 from model.scenes.finders import LexiconFinder
 from model.scenes.language_finder import (
     FinderUnavailableError,

@@ -144,7 +144,7 @@ def test_what_a_scene_file_says_in_vain_is_told(tmp_path: Path) -> None:
                 "rotation": [0, 0, 90]} for i in range(4)]  # fmt: skip
     path = made.write_scene(tmp_path / "s.json", {**made.own(objects), "units": "mm"})
     scene = read_scene(path)
-    told = " ".join(p.told for p in scene.problems)
+    told = " ".join(p.text for p in scene.problems)
     assert len(scene.objects) == 4 and not any(p.skipped for p in scene.problems)
     assert "'units'" in told and "'rotation' of 4 objects" in told and "1000 m" in told
     good = made.write_scene(tmp_path / "good.json", made.own())
