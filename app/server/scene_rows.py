@@ -1,4 +1,4 @@
-"""The objects of an open scene as the desk keeps them and as lists show them."""
+"""The objects of an open scene: their working copies, and their rows in lists."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
 
+from app.server.part_tasks import PartSource
 from app.server.scene_shapes import DrawnParts
 from app.server.scene_tasks import SceneItem
 from model.core.errors import InputFileError
@@ -17,30 +18,30 @@ from sessions.document import Document
 from sessions.live import LiveSession
 
 Status = Literal["static", "todo", "predicted", "accepted", "rejected", "failed", "missing"]
-HELD = "held back"
-"""What lists call an object that was to be accepted and isn't."""
+HELD = "on hold"
+"""Label of an object whose acceptance was refused."""
 Shown = Status | Literal["judging", "held"]
-"""Of what is to be accepted: the gate is at work on it, or holds it back."""
+"""A status, or of an object to be accepted: being validated, or on hold."""
 SHOWN: tuple[Shown, ...] = (
     "predicted", "held", "todo", "judging", "rejected", "accepted", "static", "failed", "missing",
 )  # fmt: skip
-"""In the order in which a reviewer wants to see them."""
+"""In the order of a reviewer's interest."""
 
 
 @dataclass(eq=False)
 class Work:
-    """One working copy and all the objects that it stands for.
+    """One working copy and the objects of the scene that share it.
 
     Attributes:
-        id: of its session.
+        id: id of its session.
         item: the first object with it.
-        ids: of the objects in the scene.
+        ids: the objects in the scene.
         live: its session.
-        name: of its session, and of the object in saved files.
+        name: name of its session, and of the object in saved files.
         reason: why it is left for the annotator, or what failed, else "".
-        prepared: whether it was looked at.
+        prepared: whether its prediction was tried.
         drawn: its parts as the browser shows them, or None.
-        undrawn: reference of labels whose parts couldn't be drawn, else "".
+        undrawable: reference of labels whose parts couldn't be drawn, else "".
     """
 
     id: int
@@ -51,27 +52,35 @@ class Work:
     reason: str = ""
     prepared: bool = False
     drawn: DrawnParts | None = None
-    undrawn: str = ""
+    undrawable: str = ""
 
     @property
     def document(self) -> Document:
-        """What is decided now."""
+        """The present decisions."""
         return self.live.state.present
 
+    def part_source(self, workspace: Path) -> PartSource | None:
+        """Return its parts as workers cut them; None before they are drawn."""
+        if self.drawn is None:
+            return None
+        doc = self.document
+        return PartSource(
+            self.drawn.folder, workspace, self.drawn.labels, doc.part_names, doc.category, self.name
+        )
+
     def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
-        """Where it comes from, for ``provenance.json``: what is worked on is a copy of the asset
-        at its size in the scene, and its place in the workspace tells nobody anything.
+        """Return its source for ``provenance.json``: the asset, not the copy in the workspace.
 
         Args:
             scene: the scene's file.
-            workspace: where the copies are.
+            workspace: folder of the copies.
         """
         obj, path = self.item.obj, self.item.path
         assert path is not None
-        if path.is_relative_to(workspace / "scenes"):  # geometry that the scene's file holds
+        if path.is_relative_to(workspace / "scenes"):  # geometry inside the scene's file
             path = scene
         sha256 = None
-        with suppress(InputFileError):  # it went away meanwhile
+        with suppress(InputFileError):  # the file is gone
             sha256 = asset_digest(path)
         return {
             "path": str(path), "sha256": sha256, "scene": str(scene), "objects": list(self.ids),
@@ -80,7 +89,7 @@ class Work:
 
 
 def names_for(items: Iterable[SceneItem], works: Iterable[Work]) -> list[str]:
-    """A name for each new working copy, after its asset: another size of it is ``kettle_2``."""
+    """Return a name for each new working copy, after its asset; another size is ``kettle_2``."""
     taken, out = {work.name for work in works}, []
     for item in items:
         stem = "object" if item.copy is None else item.copy.name.rpartition("-")[0]
@@ -95,10 +104,9 @@ class Row:
     """One object as lists show it.
 
     Attributes:
-        status: where it stands by what was decided.
-        confidence: of the prediction's least sure joint; of the finder where there is none.
-        mark: "judging" while an acceptance is under way, "held" where it was to be accepted and
-            isn't, as it is now; else "".
+        status: its state by the decisions.
+        confidence: of the prediction's least confident joint; of the finder where there is none.
+        mark: "judging" while an acceptance is under way, "held" where it was refused; else "".
     """
 
     id: str
@@ -109,22 +117,22 @@ class Row:
 
     @property
     def shown(self) -> Shown:
-        """Where it stands as people see it."""
+        """The state as lists show it."""
         return self.mark or self.status
 
     @property
     def undecided(self) -> bool:
-        """Whether it waits for a person."""
+        """Whether it waits for a person's decision."""
         return self.mark != "judging" and self.status in ("predicted", "todo")
 
 
-def drawn_by(work: Work) -> str | None:
-    """The labels that the drawn parts were cut by, or None."""
+def drawn_labels(work: Work) -> str | None:
+    """Return the labels of the drawn parts, or None."""
     return None if work.drawn is None else work.drawn.labels
 
 
 def decided_text(rows: Sequence[Row]) -> str:
-    """How many of the objects that can be articulated are decided."""
+    """Return how many of the articulable objects are decided."""
     rows = [r for r in rows if r.work is not None and r.status not in ("failed", "missing")]
     rejected = sum(r.status == "rejected" for r in rows)
     decided = sum(r.status == "accepted" for r in rows) + rejected

@@ -26,6 +26,7 @@ from app.viewer.steps.joints import JointsStep
 from app.viewer.steps.review import ReviewActions, ReviewStep
 from app.viewer.steps.scene import SceneHost, SceneStep
 from app.viewer.tab import STEPS, Tab
+from app.viewer.words import common as words
 
 
 class ClientApp:
@@ -97,7 +98,7 @@ class ClientApp:
             if self.scene is not None:
                 self.scene.build_object_widgets()
             self._build_object()
-        keys = gui.add_button("Keys and mouse (?)", icon=viser.Icon.KEYBOARD, color="gray")
+        keys = gui.add_button(words.KEYS_BUTTON, icon=viser.Icon.KEYBOARD, color="gray")
         keys.on_click(lambda _: tab.act(self._sheet.toggle))
         self.light = LightSwitch(tab, self._remember)
         gui.main_panel.dock_right()
@@ -208,7 +209,7 @@ class ClientApp:
         ).store(self.tab)
 
     def _opened(self, obj: OpenObject) -> None:
-        if obj.held:
+        if obj.hold_reason:
             self.tab.selection.set_step("Review")
             self.review.gate.show_soon(obj)
 
@@ -248,7 +249,7 @@ class ClientApp:
             return
         self._header.draw(obj)
         self._follow_prediction(obj)
-        self.drawing.draw(obj, touch=self.annotate.source.touch)
+        self.drawing.draw(obj, touch=self.annotate.tools.touch)
         self.annotate.draw(obj)
         self.pointing.tell_page()
         self.joints.draw(obj)

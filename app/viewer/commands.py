@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
+from app.server.tool_tasks import NEXT_MASK
 from app.viewer.input.keys import Binding, KeySheet
 from app.viewer.input.pointing import Pointing
 from app.viewer.navigation import Navigation
@@ -18,25 +19,20 @@ from app.viewer.steps.joints import JointsStep
 from app.viewer.steps.review import ReviewStep
 from app.viewer.steps.scene import SceneStep
 from app.viewer.tab import STEPS, Tab
+from app.viewer.words import common
+from app.viewer.words import keys as words
+from app.viewer.words.annotate import TOOL_ROWS
 from sessions import commands as cmd
 from sessions.review import RejectReason
 
 _CANCELLED = ("predict", "save", "segment", "room", "tool")
 
-TOOL_KEYS: Final[tuple[tuple[str, str | None], ...]] = (
-    ("Merge", "M"),
-    ("Connected", "O"),
-    ("Grow", "U"),
-    ("Shrink", "J"),
-    ("Same shape", "Z"),
-    ("Mirror", None),
-    ("Split", None),
-    ("Leftovers", None),
-    ("All parts", None),
-    # The page itself hears L and I, since the drag may begin before a message is here.
-    ("Lasso", None),
-    ("Brush", None),
-)
+TOOL_KEYS: Final[dict[str, str]] = {
+    "merge": "M", "connected": "O", "grow": "U", "shrink": "J", "same shape": "Z",
+}  # fmt: skip
+"""Keys of tools. The page itself hears L and I, since a drag may begin before a message is here."""
+_WITHOUT_COMMAND = ("cut", "rectangle", NEXT_MASK)
+"""Tools that have commands of their own."""
 
 
 class Commands:
@@ -71,7 +67,7 @@ class Commands:
         elif self._tab.selection.need_object().state.can_undo:
             self._tab.do(cmd.Undo())
         else:
-            self._tab.notify("Nothing to undo", "", "gray")
+            self._tab.notify(common.UNDO_EMPTY, "", "gray")
 
     def redo(self) -> None:
         """Do again what was taken back."""
@@ -80,7 +76,7 @@ class Commands:
         elif self._tab.selection.need_object().state.can_redo:
             self._tab.do(cmd.Redo())
         else:
-            self._tab.notify("Nothing to redo", "", "gray")
+            self._tab.notify(common.REDO_EMPTY, "", "gray")
 
     def cancel(self) -> None:
         """Stop what runs, and don't accept what waits for it. May be called on any thread."""
@@ -144,7 +140,7 @@ class Commands:
         if selection.object is None or selection.picking:
             return
         step = {"Annotate": self._annotate, "Joints": self._joints}.get(selection.step)
-        said = "Names are given in the steps before" if step is None else step.answer(number)
+        said = common.NAMES_EARLIER if step is None else step.answer(number)
         if said:
             self._tab.say(said)
 
@@ -182,44 +178,44 @@ def bindings(
     annotate, joints, _ = steps
     pointing, motion, picture, sheet = view
     for part in range(10):
-        name = "the base" if part == 0 else f"part {part}"
-        yield Binding(f"Choose {name}", str(part), _with(commands.number, part))
-    yield Binding("Undo", "Z", commands.undo, "cmd/ctrl")
-    yield Binding("Redo", "Z", commands.redo, "cmd/ctrl+shift")
-    yield Binding("Predict joints", "P", _with(predict, tab))
-    yield Binding("Play the joints", "space", _playing(tab, scene, motion, False))
-    yield Binding(
-        "Play all joints of the scene", "space", _playing(tab, scene, motion, True), "shift"
-    )
-    yield Binding("Reset the pose", "R", motion.reset)
-    yield Binding("Next joint or mask", "tab", commands.next_choice)
-    yield Binding("Mask before this one", "tab", commands.choice_before, "shift")
-    yield Binding("Next joint type", "T", joints.editor.next_type)
-    yield Binding("Flip the axis", "F", joints.editor.flip)
-    yield Binding("Axis handles", "G", motion.toggle_handles)
-    yield Binding("Hide or show the part", "H", annotate.parts.toggle_hidden)
+        yield Binding(words.select_part(part), str(part), _with(commands.number, part))
+    yield Binding(words.UNDO, "Z", commands.undo, "cmd/ctrl")
+    yield Binding(words.REDO, "Z", commands.redo, "cmd/ctrl+shift")
+    yield Binding(words.PREDICT, "P", _with(predict, tab))
+    yield Binding(words.PLAY, "space", _playing(tab, scene, motion, False))
+    yield Binding(words.PLAY_SCENE, "space", _playing(tab, scene, motion, True), "shift")
+    yield Binding(words.RESET_POSE, "R", motion.reset)
+    yield Binding(words.NEXT_CHOICE, "tab", commands.next_choice)
+    yield Binding(words.PREVIOUS_MASK, "tab", commands.choice_before, "shift")
+    yield Binding(words.NEXT_TYPE, "T", joints.editor.next_type)
+    yield Binding(words.FLIP_AXIS, "F", joints.editor.flip)
+    yield Binding(words.HANDLES, "G", motion.toggle_handles)
+    yield Binding(words.HIDE, "H", annotate.parts.toggle_hidden)
     # The page hears Shift and a number: which sign that writes depends on the keyboard.
     for number, name in enumerate(NUMBERED, 1):
-        yield Binding(f"Name: {name}", None, _with(commands.answer, number))
-    yield Binding("Take the guessed category", None, _with(commands.answer, 0))
-    yield Binding("Delete the part", "delete", annotate.parts.delete)
-    for label, key in TOOL_KEYS:
-        yield Binding(f"Tool: {label}", key, _with(annotate.tools.use, label))
-    yield Binding("Tool: Cut along a line, or a rectangle", "K", pointing.next_cut)
-    yield Binding("Preview under the pointer", "V", annotate.tools.toggle_preview)
-    yield Binding("Leave out floor and walls", None, annotate.source.leave_out)
-    yield Binding("Cut this part out as an object", None, annotate.source.cut_out)
-    yield Binding("Keys and mouse", None, sheet.toggle)
-    yield Binding("Accept", "Y", commands.accept, decides=True)
-    yield Binding("Reject", "X", commands.reject, decides=True)
-    yield Binding("Next object", "N", _with(commands.step, 1))
-    yield Binding("Previous object", "B", _with(commands.step, -1))
-    yield Binding("Frame the object", "C", _framing(tab, scene, picture))
+        yield Binding(words.name_part(name), None, _with(commands.answer, number))
+    yield Binding(words.TAKE_CATEGORY, None, _with(commands.answer, 0))
+    yield Binding(words.DELETE, "delete", annotate.parts.delete)
+    for row in TOOL_ROWS:
+        for label, tool in row.tools.items():
+            if tool not in _WITHOUT_COMMAND:
+                key = TOOL_KEYS.get(tool)
+                yield Binding(words.tool(label), key, _with(annotate.tools.use, label))
+    yield Binding(words.CUT, "K", pointing.next_cut)
+    yield Binding(words.PREVIEW, "V", annotate.tools.toggle_preview)
+    yield Binding(words.EXCLUDE_ROOM, None, annotate.source.leave_out)
+    yield Binding(words.EXTRACT, None, annotate.source.cut_out)
+    yield Binding(words.TITLE, None, sheet.toggle)
+    yield Binding(words.ACCEPT, "Y", commands.accept, decides=True)
+    yield Binding(words.REJECT, "X", commands.reject, decides=True)
+    yield Binding(words.NEXT, "N", _with(commands.step, 1))
+    yield Binding(words.PREVIOUS, "B", _with(commands.step, -1))
+    yield Binding(words.FRAME, "C", _framing(tab, scene, picture))
     if scene is not None:
-        yield Binding("Work on the chosen object", "enter", scene.edit.enter)
-        yield Binding("Back to the scene", "backspace", scene.edit.leave)
+        yield Binding(words.EDIT_IN_SCENE, "enter", scene.edit.enter)
+        yield Binding(words.BACK, "backspace", scene.edit.leave)
     for step in STEPS:
-        yield Binding(f"Step: {step}", None, _with(tab.selection.set_step, step))
+        yield Binding(words.step(step), None, _with(tab.selection.set_step, step))
 
 
 def _with(action: Callable[[Any], None], value: Any) -> Callable[[], None]:

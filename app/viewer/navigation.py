@@ -7,9 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from app.server.app_state import AppState
-from app.server.display_names import in_words
+from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.viewer.tab import Tab
+from app.viewer.words import common as words
+from app.viewer.words.queue import EMPTY
+from app.viewer.words.review import about
 from model.core.errors import ArtiworldError
 from sessions import commands as cmd
 
@@ -85,7 +88,7 @@ class Navigation:
         """Open the object of that id, else the first one that isn't done."""
         records = self._app_state.queue.records()
         if not records:
-            self._tab.notify("The queue is empty", "Start with: artiworld serve PATH", "yellow")
+            self._tab.notify(*EMPTY, "yellow")
             return
         ids = [r.id for r in records]
         if wanted.isdigit() and int(wanted) in ids:
@@ -105,7 +108,7 @@ class Navigation:
         self._opened(obj)
         self._remember()
         if obj.problem:
-            tab.notify("Can't open this file", obj.problem, "red")
+            tab.notify(words.CANNOT_OPEN, obj.problem, "red")
 
     def close_object(self) -> None:
         """Show no object."""
@@ -127,7 +130,7 @@ class Navigation:
         tab = self._tab
 
         def over() -> bool:
-            return not obj.judging.waiting and "save" not in obj.jobs
+            return not obj.validation.acceptance_waits and "save" not in obj.jobs
 
         def end() -> None:
             self._heard.discard(obj)
@@ -139,8 +142,8 @@ class Navigation:
             if tab.selection.object is obj:  # come back to, it tells so by itself
                 return
             name = self._app_state.display_name(obj.record)
-            said = in_words(obj.document, body).removeprefix(f"{name}: ")
-            tab.notify(title, f"{name}: {said}", color)
+            text = display_text(obj.document, body).removeprefix(about(name, ""))
+            tab.notify(title, about(name, text), color)
 
         def changed() -> None:
             tab.invalidate()

@@ -11,10 +11,11 @@ from typing import Any, Literal, Protocol
 
 import viser
 
-from app.server.display_names import in_words
+from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.server.pointer_messages import tell_page
 from app.viewer.tab_threads import TabThreads
+from app.viewer.words import common as words
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint
 from model.segmentation.prompts import MAX_PARTS
@@ -37,7 +38,7 @@ class Selection:
 
     Args:
         changed: called after each change; draws.
-        where: names the place where an object is chosen, for errors.
+        nothing_open: says that no object is open, for errors.
 
     Attributes:
         object: the open object, or None.
@@ -48,7 +49,7 @@ class Selection:
         picking: whether the object is open to have another one picked out of it.
     """
 
-    def __init__(self, changed: Callable[[], None], where: str) -> None:
+    def __init__(self, changed: Callable[[], None], nothing_open: str) -> None:
         self.object: OpenObject | None = None
         self.part = 1
         self.child: str | None = None
@@ -56,7 +57,7 @@ class Selection:
         self.hidden: frozenset[int] = frozenset()
         self.picking = False
         self._changed = changed
-        self._where = where
+        self._nothing_open = nothing_open
         self._open_listeners: list[Callable[[], None]] = []
         self._step_listeners: list[Callable[[Step], None]] = []
 
@@ -84,7 +85,7 @@ class Selection:
             ArtiworldError: where none is open.
         """
         if self.object is None:
-            raise ArtiworldError(f"no object is open: choose one in {self._where}")
+            raise ArtiworldError(self._nothing_open)
         return self.object
 
     def set_step(self, step: Step) -> None:
@@ -128,8 +129,7 @@ class Tab:
         self.client = client
         self.user = user
         self.in_scene = in_scene
-        where = "the scene and press Enter" if in_scene else "the queue"
-        self.selection = Selection(self.invalidate, where)
+        self.selection = Selection(self.invalidate, words.need_object(in_scene))
         self._threads = TabThreads(f"tab-{client.client_id}", self.notify)
 
     def start(self, draw: Callable[[], None]) -> None:
@@ -161,7 +161,7 @@ class Tab:
         """Show a note in the corner; where ``seconds`` is None it stays until it is closed."""
         if not self._threads.closed:
             obj = self.selection.object  # another thread may close it
-            body = body if obj is None else in_words(obj.document, body)
+            body = body if obj is None else display_text(obj.document, body)
             seconds = 10.0 if color == "red" else seconds
             self.client.add_notification(title, body[:400], auto_close_seconds=seconds, color=color)
 

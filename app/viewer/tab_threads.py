@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from app.viewer.words import common as words
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 
@@ -59,12 +60,12 @@ class TabThreads:
             except Cancelled:
                 pass
             except ArtiworldError as error:
-                self._notify("That can't be done", str(error), "yellow")
+                self._notify(words.NOT_POSSIBLE, str(error), "yellow")
             except Exception:  # the boundary of a person's action: say it and go on
                 if self.closed:
                     return
                 log.exception("an action in %s failed", self._name)
-                self._notify("Something broke", "Nothing was lost; see the server's log", "red")
+                self._notify(*words.INTERNAL_ERROR, "red")
             self.invalidate()
 
     def _draw_loop(self, draw: Callable[[], None]) -> None:

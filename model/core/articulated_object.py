@@ -147,7 +147,7 @@ class Prediction:
     @classmethod
     def of_file(cls, name: str, tree: KinematicTree) -> Prediction:
         """The joints that a file tells: nobody guessed them, so that none has a confidence."""
-        notes = {j.child: f"As {name} tells it." for j in tree.joints}
+        notes = {j.child: f"From {name}." for j in tree.joints}
         return cls(tree, backend=f"file {name}", notes=notes, file=name)
 
     def joint(self, child: str) -> Joint | None:

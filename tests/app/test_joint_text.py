@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.server.display_names import in_words, joint_title, moved_part, part_title
-from app.viewer.panels.joint_rows import joint_lines, least_sure
+from app.server.display_names import display_text, joint_title, moved_part, part_title
+from app.viewer.panels.joint_rows import joint_lines, least_confident
 from app.viewer.panels.joint_text import joint_note, range_text, tree_text
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.display_names import display_name
@@ -47,20 +47,20 @@ def test_a_refusal_speaks_the_unit_that_is_shown() -> None:
 
 
 def test_an_edited_joint_is_called_so() -> None:
-    assert "22 % sure" in tree_text(TREE, document(), [])
+    assert "confidence 22 %" in tree_text(TREE, document(), [])
     said = tree_text(TREE, document(replace(DOOR, upper=1.0)), [])
-    assert "sure" not in said
+    assert "confidence" not in said
     assert "edited" in said
     note = joint_note(replace(DOOR, upper=1.0), document(), [])
-    assert note.startswith("Edited; the grey arrow is the prediction")
+    assert note.startswith("Edited. Gray arrow: prediction")
 
 
 def test_odd_ranges_are_told() -> None:
     far = replace(DOOR, lower=math.radians(30), upper=math.radians(700))
     note = joint_note(far, document(far), [])
-    assert "more than once round" in note
-    assert "outside of the range" in note
-    assert "odd range" in tree_text(TREE.with_joint(far), document(far), [])
+    assert "exceeds one turn" in note
+    assert "outside the range" in note
+    assert "⚠ range" in tree_text(TREE.with_joint(far), document(far), [])
     assert "⚠" not in joint_note(DOOR, document(), [])
 
 
@@ -80,7 +80,9 @@ def test_a_part_is_called_the_same_everywhere() -> None:
     )
     assert [part_title(doc, link) for link in tree.links] == ["base", "door 1", "part 2"]
     assert joint_note(knob, doc, []) == "*turns beside door 1, as joint&#95;link&#95;2*"
-    assert in_words(doc, "link_2 isn't in parts/link_2.ply") == "part 2 isn't in parts/link_2.ply"
+    assert (
+        display_text(doc, "link_2 isn't in parts/link_2.ply") == "part 2 isn't in parts/link_2.ply"
+    )
     assert [joint_title(doc, j.child) for j in tree.joints] == ["door 1", "part 2"]
     parts = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in doc.parts)
     obj = ArticulatedObject("cupboard", parts, tree)
@@ -100,12 +102,12 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     assert [joint_title(doc, j.child) for j in tree.joints] == [first, second, "lever 2"]
     assert [part_title(doc, k) for k in tree.links] == ["base", first, "seat 1", "lever 2"]
     assert moved_part(tree, "helper_1") == "link_1"
-    assert in_words(doc, "helper_1 is above link_1") == f"{first} is above seat 1"
+    assert display_text(doc, "helper_1 is above link_1") == f"{first} is above seat 1"
     said = tree_text(tree, doc, [])
     assert "helper" not in said
     assert said.splitlines()[1:3] == [
-        f"  - **{first}** prismatic 0 to 100 mm · 71 % sure",
-        f"    - **{second}** continuous · 71 % sure",
+        f"  - **{first}** prismatic 0 to 100 mm · confidence 71 %",
+        f"    - **{second}** continuous · confidence 71 %",
     ]
     cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
     obj = ArticulatedObject("chair", cloud, tree)
@@ -117,7 +119,7 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     assert [joint_title(doc, j.child) for j in both.joints] == ["helper_1", "seat 1", "lever 2"]
 
 
-def test_of_many_joints_the_least_sure_are_shown() -> None:
+def test_of_many_joints_those_of_lowest_confidence_are_shown() -> None:
     links = tuple(f"link_{i}" for i in range(16))
     joints = tuple(
         Joint(f"j{i}", "continuous", "link_0", f"link_{i}", (0, 0, 1)) for i in range(1, 16)
@@ -125,6 +127,6 @@ def test_of_many_joints_the_least_sure_are_shown() -> None:
     tree = KinematicTree(links, joints)
     sure = {link: 0.9 for link in links[1:]} | {"link_15": 0.4, "link_14": 0.5}
     doc = Document(tree=tree, prediction=Prediction(tree, confidence=sure))
-    shown = [name for name, _, _ in least_sure(doc, joint_lines(doc))]
+    shown = [name for name, _, _ in least_confident(doc, joint_lines(doc))]
     assert shown == [f"j{i}" for i in (*range(1, 11), 14, 15)]
-    assert joint_lines(doc)[14][1] == "part 15 · turns freely · 40 %"
+    assert joint_lines(doc)[14][1] == "part 15 · unlimited · 40 %"

@@ -25,7 +25,7 @@ from app.server.tasks import arrays_of, stamp
 from app.viewer.panels.joint_text import joint_note
 from app.viewer.steps.review import summary
 from model.core.joint import JointDynamics
-from model.io.assets.reader import load_object, told_entry
+from model.io.assets.reader import declared_entry, load_object
 from model.io.open_asset import open_asset
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
@@ -83,11 +83,11 @@ def test_its_joints_are_there_at_once_and_the_segmenter_is_not_asked(opened, urd
     assert doc.tree is not None and doc.tree.joint_of["link_1"].upper == 1.2
     assert doc.prediction is not None and doc.prediction.file == "cupboard.urdf"
     assert doc.segmentation is not None and doc.segmentation.counts == {0: 12, 1: 12}
-    assert not doc.prediction_stale and not doc.unsettled and not doc.edited_joints
+    assert not doc.prediction_stale and not doc.predicted_confidence and not doc.edited_joints
     assert kinds(obj) == ["name_part", "apply_tool", "record_segmentation", "record_prediction"]
-    assert summary(doc).startswith("**as cupboard.urdf tells it**"), "nobody predicted that"
+    assert summary(doc).startswith("**From cupboard.urdf**"), "nobody predicted that"
     said = joint_note(doc.tree.joint_of["link_1"], doc, [])
-    assert said == "*As cupboard.urdf tells it.*"
+    assert said == "*From cupboard.urdf.*"
 
 
 def test_a_saved_asset_is_called_after_its_folder(opened, urdf: Path) -> None:
@@ -127,8 +127,8 @@ def test_read_in_another_frame_it_begins_with_its_joints_again(opened, urdf: Pat
 
 def test_the_saved_asset_says_that_the_joints_came_from_the_file(opened, urdf: Path) -> None:
     obj = opened(urdf)
-    wait(lambda: obj.judging.report is not None and not obj.jobs, "the gate")
-    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    wait(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
+    accept(obj, "", "tester", NOW, seen=obj.validation.report)
     wait(lambda: obj.document.saved, "it is saved")
     folder = Path(obj.document.saved.folder)
     told = json.loads((folder / "provenance.json").read_text())
@@ -164,8 +164,8 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
     told_of = made.inertials
     assert shown(made.shapes["link_1"]) == DOOR_SHAPES
     assert {k: i.mass for k, i in told_of.items()} == {"link_0": 7.0, "link_1": 2.5}
-    wait(lambda: obj.judging.report is not None and not obj.jobs, "the gate")
-    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    wait(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
+    accept(obj, "", "tester", NOW, seen=obj.validation.report)
     wait(lambda: obj.document.saved, "it is saved")
     folder = Path(obj.document.saved.folder)
     asset = json.loads((folder / "provenance.json").read_text())["asset"]
@@ -195,7 +195,7 @@ def test_a_part_that_was_cut_again_has_a_mass_and_shapes_of_ours(opened, urdf: P
     source = replace(obj.source(obj.document), labels=arrays.put(labels))
     made = articulated_object(source, obj.document.tree)
     assert not made.inertials and not made.shapes
-    assert told_entry(made) == {"masses": [], "dynamics": {}, "collision": []}
+    assert declared_entry(made) == {"masses": [], "dynamics": {}, "collision": []}
 
 
 def test_a_mesh_that_changed_is_read_again(urdf: Path) -> None:

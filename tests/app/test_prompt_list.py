@@ -6,8 +6,8 @@ from typing import Any
 from app.server.tool_tasks import NEXT_MASK, TOOLS
 from app.viewer.panels.part_list import parts_listed
 from app.viewer.panels.prompt_list import PromptList, prompt_entries
-from app.viewer.panels.tool_buttons import TOOL_ROWS
 from app.viewer.steps.review import what_happened
+from app.viewer.words.annotate import TOOL_ROWS
 from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.commands import ClearPrompts, RemovePrompt, ResetJoint, SetJoint
@@ -38,7 +38,7 @@ def test_masks_of_another_part_or_without_a_click_stand_alone():
 
 
 def test_what_tools_did_is_called_as_on_their_buttons():
-    buttons = {option for _, options, _ in TOOL_ROWS for option in options}
+    buttons = {button for row in TOOL_ROWS for button in row.tools} | {"Box"}
     for tool in {*TOOLS, "lasso", "brush"} - {NEXT_MASK}:
         (entry,) = prompt_entries((RegionRef(1, REF, False, 1, tool),), "point")
         sign, label = entry.label.split("  ")
@@ -71,8 +71,8 @@ def test_what_is_removed_is_of_the_part_whose_prompts_are_listed():
 
     assert press(1, "Last") == RemovePrompt(1, 1)
     assert press(2, "Last") == RemovePrompt(2, 1)
-    assert press(3, "Last") == press(3, "Of this part") == "This part has no prompts"
-    assert press(1, "Of this part") == ClearPrompts(1)
+    assert press(3, "Last") == press(3, "This part") == "This part has no prompts"
+    assert press(1, "This part") == ClearPrompts(1)
     assert press(3, "All") == ClearPrompts()
     assert len(done) == 6
 

@@ -236,7 +236,7 @@ class Slow:
         real = desk.services.workers.prediction.submit
 
         def submit(function: Any, *args: Any, **more: Any) -> Any:
-            if function is not scene_accepting.judge_joints:
+            if function is not scene_accepting.validate_joints:
                 return real(function, *args, **more)
             job: Job[Any] = Job(
                 lambda j: j._end("cancelled"), 0, "", (function, (), {}), None, None
@@ -273,11 +273,11 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     )
     gate.answer("look")
     wait(lambda: mine, "it is told")
-    assert mine == ["small, door 1: Penetrates link_0 by 131 mm at 104°. Choose it again: Y accepts it "
-                    "as it is, Enter shows it."]  # fmt: skip
+    assert mine == ["small, door 1: Penetrates link_0 by 131 mm at 104°. Select it again: Y accepts it "
+                    "anyway, Enter shows it."]  # fmt: skip
     assert shown("small") == "held" and statuses(desk)["small"] == "predicted"
     refusal = desk.accepting.refusal(small)
-    assert refusal is not None and refusal.wants_a_look
+    assert refusal is not None and refusal.only_warnings
 
     # Undo ends the work at once, and takes the objection with it.
     decide("accept")
@@ -351,7 +351,7 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     small.live.do(cmd.Reject("axis"), "rob")
     gate.answer("fine")
     wait(lambda: mine, "it is told", 60)
-    assert mine == ["small, it was rejected meanwhile by rob. Choose it again: Enter opens it."]
+    assert mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
     assert statuses(desk)["small"] == "rejected"
     small.live.do(cmd.Undo(), "rob")
     desk.do(cmd.Undo(), "ann")
@@ -389,15 +389,17 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     gate.answer("look")
     wait(lambda: refused, "it is told")
     refusal = desk.accepting.refusal(small)
-    assert refusal is not None and refusal.wants_a_look
+    assert refusal is not None and refusal.only_warnings
     assert refusal.why == "door 1: Penetrates link_0 by 131 mm at 104°."
     assert desk.row(small.item).shown == "held" and statuses(desk)["small"] == "predicted"
-    assert obj.begun is not None and obj.begun.comment == "the hinge is bent"
+    assert (
+        obj.pending_acceptance is not None and obj.pending_acceptance.comment == "the hinge is bent"
+    )
     # Seen there it is accepted as it is, and nothing is held back any more.
     desk.do(DecideObjects("accept", (small.id,), looked=True), "ann")
     gate.answer("look")
     wait(lambda: statuses(desk)["small"] == "accepted", "accepted", 60)
-    assert desk.row(small.item).shown == "accepted" and not obj.held
+    assert desk.row(small.item).shown == "accepted" and not obj.hold_reason
     desk.do(cmd.Undo(), "ann")
     desk.accepting.refused.clear()
     world.settle()
@@ -434,7 +436,7 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
     assert not other.accepting.waiting and "accept" not in other.jobs
     gate.answer("fine")
     wait(lambda: mine, "it is told", 60)
-    assert mine == ["small, it was rejected meanwhile by rob. Choose it again: Enter opens it."]
+    assert mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
     assert statuses(desk)["small"] == "rejected" and seen == ["Changed elsewhere"]
     assert other.undo("rob") == "reject small"
     world.app_state.sync_remote()
@@ -480,7 +482,7 @@ def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
     )  # fmt: skip
     assert [(name, line) for name, line, _ in joint_lines(doc)] == [
         ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90 %"),
-        ("turn", "seat 1: swivel · turns freely · 90 %"),
+        ("turn", "seat 1: swivel · unlimited · 90 %"),
     ]
 
 
@@ -491,16 +493,12 @@ def test_the_end_of_the_review_is_told() -> None:
     left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
     assert order(left) == ["0", "1", "2"]
     assert count_text(left, 1, 0.8) == (
-        "**1** of 1 predicted objects: at least 80 % sure. 2 want clicks (✎ in the list)."
+        "**1** of 1 predicted objects: 80 % or more. 2 need annotation (✎)."
     )
-    assert count_text(left, 1, 0.8, coming=1).endswith(
-        "1 still to be predicted. 1 wants clicks (✎ in the list)."
-    )
+    assert count_text(left, 1, 0.8, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
     held = [replace(left[0], mark="held"), replace(left[0], id="9", mark="judging")]
     assert order(held) == ["0"]
-    assert count_text(held, 0, 0.8) == (
-        "1 is being judged. 1 held back by the gate (⚠ in the list)."
-    )
+    assert count_text(held, 0, 0.8) == "1 checking. 1 on hold (⚠)."
     decided = rows("rejected", "accepted", "accepted")
     assert order(decided) == []
     assert count_text(decided, 0, 0.8) == "3 of 3 decided; 1 rejected."

@@ -151,9 +151,9 @@ def cabinet(taking: Taking) -> None:
     tab.button("Predict joints (P)").first.click()
     wait_until(lambda: tab.document.tree is not None, "joints", LONG)
     wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
-    wait_until(lambda: tab.object.judging.report, "a verdict", LONG)
+    wait_until(lambda: tab.object.validation.report, "a verdict", LONG)
     wait_until(lambda: not tab.object.busy, "the sweeps are done", LONG)
-    tab.choose("Moves", "door 1")
+    tab.choose("Joint", "door 1")
     for count, (part, far) in enumerate(OPEN.items(), start=1):
         unit = "°" if part.startswith("door") else "mm"
         tab.set_slider(f"{part} [{unit}]", far)
@@ -257,7 +257,7 @@ def scene(taking: Taking) -> None:
         "all are predicted",
         LONG,
     )
-    tab.set_slider("Above [%]", 50)
+    tab.set_slider("Minimum [%]", 50)
     wait_until(lambda: tab.scene.card.above == 0.5, "the slider is heard")
     tab.page.wait_for_timeout(1000)  # the button counts anew
     tab.page.get_by_role("button", name=re.compile(r"^Accept \d")).click()

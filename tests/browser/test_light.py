@@ -28,18 +28,18 @@ def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
         return bool(page.evaluate(LAMPS)) == plainly != page.evaluate(SURROUNDINGS)
 
     wait_until(lambda: lit(True), "lit plainly, as nothing was chosen and a processor draws")
-    assert tab.field("Plain light").is_checked()
+    assert tab.field("Simple lighting").is_checked()
     first = tab.object
     tab.key("n")
     wait_until(lambda: tab.object not in (first, None) and tab.app.drawing.drawn, "the next object")
     tab.wait_node("/scan")
     assert lit(True)
-    tab.field("Plain light").uncheck()
+    tab.field("Simple lighting").uncheck()
     wait_until(lambda: lit(False), "lit by its surroundings")
     page.reload()
     wait_until(lambda: len(tab.server.apps) == 1 and tab.app.drawing.drawn, "the page again")
     wait_until(lambda: lit(False), "lit by its surroundings again")
-    tab.field("Plain light").check()
+    tab.field("Simple lighting").check()
     wait_until(lambda: lit(True), "lit plainly again")
 
 

@@ -28,12 +28,12 @@ def cabinet(tmp_path: Path) -> tuple[Path, dict[str, np.ndarray]]:
 def annotate(tab: Tab, points: dict[str, np.ndarray]) -> None:
     """Door as part 1 by a click, drawer as part 2 after its number key; both are named."""
     tab.prompt(points["door"])
-    tab.choose("Part is a", "door")
+    tab.choose("Part name", "door")
     wait_until(lambda: tab.document.part_names.get(1) == "door", "part 1 is a door")
     tab.key("2")
     wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.prompt(points["drawer"])
-    tab.choose("Part is a", "drawer")
+    tab.choose("Part name", "drawer")
     wait_until(lambda: tab.document.part_names.get(2) == "drawer", "part 2 is a drawer")
 
 
@@ -55,7 +55,7 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     for key, place in (("2", "drawer"), ("3", "base")):
         tab.key(key)
         wait_until(lambda key=key: tab.selection.part == int(key), "the key chooses the part")
-        tab.page.get_by_text("Click a part that moves", exact=False).wait_for()
+        tab.page.get_by_text("Click a moving part", exact=False).wait_for()
         tab.prompt(points[place])
     predict(tab)
     before = tab.document.prediction
@@ -65,12 +65,12 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     tab.selection.choose_joint("link_3")
     tab.page.get_by_text("What is part 3?").wait_for()
     tab.selection.choose_joint("link_1")
-    tab.page.get_by_text("What is part 2? (Not the one chosen").wait_for()
+    tab.page.get_by_text("What is part 2? (The selected part is named").wait_for()
     tab.button("drawer").click()
     tab.page.get_by_text("What is part 3?").wait_for()
     assert tab.selection.child == "link_3" and tab.document.prediction is before
     # What no button says stands in a list, as in Annotate.
-    tab.choose("Part is a", "seat")
+    tab.choose("Part name", "seat")
     tab.button("lid").wait_for(state="hidden")
     assert tab.document.part_names == {1: "door", 2: "drawer", 3: "seat"}
     tab.page.get_by_text("What is the object?").wait_for()
@@ -104,10 +104,10 @@ def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -
     tab.prompt(points["door"])
     tab.key("Shift+Digit1")
     wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
-    tab.page.get_by_text("Part 1 is: door").wait_for()
+    tab.page.get_by_text("Part 1: door").wait_for()
     tab.key("2")
     wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
-    tab.page.get_by_text("Click a part that moves", exact=False).wait_for()
+    tab.page.get_by_text("Click a moving part", exact=False).wait_for()
     tab.prompt(points["drawer"])
     predict(tab)
     before = tab.document.prediction
@@ -125,7 +125,7 @@ def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -
     tab.choose("Category", "Table")
     wait_until(lambda: tab.document.category == "Table", "another category in one step")
     # While something is typed the keys are letters.
-    tab.choose("Part is a", "other…")
+    tab.choose("Part name", "Other…")
     tab.field("Other name").click()
     tab.key("Shift+Digit3")
     wait_until(lambda: tab.document.part_names == {1: "door", 2: "#"}, "what was typed")
@@ -164,7 +164,7 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     wait_until(lambda: np.allclose(frame.position, expected, atol=1e-4), "the door's frame")
 
     # Edit by number, then undo.
-    tab.choose("Moves", "door 1")
+    tab.choose("Joint", "door 1")
     wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
     tab.page.wait_for_timeout(300)
     tab.set_number("Upper [°]", 110)
@@ -190,7 +190,7 @@ def test_click_predict_move_edit_accept(start: Any, open_tab: Any, cabinet: Any)
     # Accept; the asset on disk loads and moves alike.
     tab.step("Review")
     wait_until(lambda: not tab.object.busy, "sweeps are done")
-    tab.button("Accept with your edits (Y)").click()
+    tab.button("Accept with edits (Y)").click()
     wait_until(lambda: tab.document.review.state == "accepted", "accepted")
     saved = wait_until(lambda: tab.document.saved, "saved")
     check_saved(Path(saved.folder), tab)
@@ -259,7 +259,7 @@ def test_a_note_shows_the_whole_path(start: Any, open_tab: Any, cabinet: Any) ->
     """A long path was cut off where it says which file."""
     tab = open_tab(start(cabinet[0]))
     place = "/home/somebody/with_a_long_name/workspace_of_today/assets/cabinet-1"
-    tab.object.tell("Accepted", f"Saved in {place}", "green")
+    tab.object.notify("Accepted", f"Saved in {place}", "green")
     note = tab.page.get_by_text(place, exact=False)
     note.wait_for()
     assert note.evaluate("e => e.scrollWidth <= e.clientWidth")
@@ -309,7 +309,7 @@ def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> No
     annotate(tab, points)
     predict(tab)
     before = tab.document.tree.joint_of["link_1"]
-    tab.choose("Moves", "door 1")
+    tab.choose("Joint", "door 1")
     wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
     tab.button("Axis handles (G)").click()
     tab.wait_node("/gizmo")
@@ -323,7 +323,7 @@ def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> No
     assert np.linalg.norm(np.subtract(after.origin, before.origin)) > 1e-3
     # The ghost of the prediction stays while the axis is edited.
     tab.wait_node(f"/axis/ghost-{before.name}")
-    tab.button("Reset to the prediction").click()
+    tab.button("Reset to prediction").click()
     wait_until(lambda: tab.document.tree.joint_of["link_1"] == before, "reset")
 
 
@@ -359,7 +359,7 @@ def test_reject_with_a_reason(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.button("Reject (X)").click()
     tab.button("4 parts").click()
     wait_until(lambda: tab.document.review.state == "rejected", "rejected")
-    tab.page.get_by_text("cabinet: it is back with its annotator").wait_for()
+    tab.page.get_by_text("cabinet: back to annotation").wait_for()
     assert tab.document.review.reason == "parts"
     assert tab.document.review.comment == "the drawer is missing <b>{1+1}</b>"
     # The words show as they were typed: neither HTML nor an expression.
@@ -423,14 +423,14 @@ def test_a_file_that_cannot_be_opened_says_so(
         lambda: selection.object is not None and selection.object.problem, "the problem is known"
     )
     page.get_by_text("a_bad.ply").first.wait_for(timeout=20_000)
-    hint = page.get_by_text("Click a part that moves", exact=False)
+    hint = page.get_by_text("Click a moving part", exact=False)
     hint.wait_for(state="hidden", timeout=20_000)
-    again = page.get_by_role("button", name="Try again")
+    again = page.get_by_role("button", name="Retry")
     again.wait_for(timeout=20_000)
-    page.get_by_role("button", name="Take it off the list").click()
+    page.get_by_role("button", name="Remove").click()
     wait_until(lambda: selection.object.asset is not None, "the next object is open")
     assert len(server.app_state.queue.records()) == 1
-    page.get_by_role("button", name="Put a_bad back").click()
+    page.get_by_role("button", name="Restore a_bad").click()
     again.wait_for(timeout=20_000)
     bad.write_bytes(cabinet[0].read_bytes())
     again.click()
@@ -479,22 +479,22 @@ def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet
     tab = open_tab(start(path))
     tab.prompt(points["door"])
     before = tab.object.asset.bounds[1] - tab.object.asset.bounds[0]
-    tab.page.get_by_text("Source", exact=True).first.click()
+    tab.page.get_by_text("Orientation and units", exact=True).first.click()
     tab.page.wait_for_timeout(300)
     tab.choose("Up axis", "y")
     tab.choose("File's unit", "millimetres")
-    tab.button("Read again with these").click()
+    tab.button("Apply and reload").click()
     wait_until(lambda: tab.object.asset is not None and tab.object.asset.up_axis == "y", "y is up")
     size = tab.object.asset.bounds[1] - tab.object.asset.bounds[0]
     np.testing.assert_allclose(size, before[[0, 2, 1]] * 0.001, rtol=1e-6)
     assert not tab.document.prompts
     tab.page.get_by_text("0.8 mm wide: is the file in metres?").wait_for()
-    tab.button("Yes, it is in metres").click()
+    tab.button("Use metres").click()
     wait_until(
         lambda: tab.object.asset is not None and tab.object.asset.unit_scale == 1.0,
         "the file is in metres",
     )
-    wait_until(lambda: not tab.button("Yes, it is in metres").count(), "there is nothing to ask")
+    wait_until(lambda: not tab.button("Use metres").count(), "there is nothing to ask")
     tab.page.keyboard.press("Control+z")
     tab.page.keyboard.press("Control+z")
     wait_until(lambda: len(tab.document.prompts) == 1, "undo brings the old reading back")
@@ -520,7 +520,7 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     second = store.get_array(tab.document.segmentation.labels)
     assert (first != second).any()
     assert second[tab.document.prompts[0].element] == 1
-    tab.page.get_by_text("1 on this part, 1 in all").wait_for()
+    tab.page.get_by_text("1 on this part, 1 in total").wait_for()
     hint = tab.page.locator("#artiworld-hint")
     wait_until(lambda: hint.inner_text().startswith("Mask 2 of "), "the page says which mask it is")
     tab.page.keyboard.press("Shift+Tab")

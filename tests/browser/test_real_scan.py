@@ -35,11 +35,11 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
         pytest.skip(f"{scan} is not here")
     tab = open_tab(start(scan))
     tab.prompt(frontmost(tab, 0.5, 0.5))
-    tab.choose("Part is a", "door")
+    tab.choose("Part name", "door")
     tab.key("2")
     wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.prompt(frontmost(tab, 0.93, 0.5))
-    tab.choose("Part is a", "door")
+    tab.choose("Part name", "door")
     wait_until(lambda: tab.document.part_names == {1: "door", 2: "door"}, "both are doors")
     tab.choose("Category", "Refrigerator")
     wait_until(lambda: tab.document.category == "Refrigerator", "the category")
@@ -59,7 +59,7 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
     wait_until(lambda: not tab.object.busy, "sweeps are done")
     tab.wait_seen()
     tab.key("y")
-    if wait_until(lambda: tab.object.judging.report, "a verdict").severity == Severity.WARNING:
+    if wait_until(lambda: tab.object.validation.report, "a verdict").severity == Severity.WARNING:
         obj = tab.object  # it is shown first
         wait_until(lambda: tab.app.review.gate.looked_at(obj), "it was shown")
         tab.wait_seen()

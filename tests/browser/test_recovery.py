@@ -68,11 +68,11 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
             " return [b.left + b.width / 2, b.top + b.height / 2]; }"
         )
         page.mouse.click(middle[0] - 60, middle[1] + 30)
-        page.get_by_text("1 on this part, 1 in all", exact=False).wait_for(timeout=30_000)
+        page.get_by_text("1 on this part, 1 in total", exact=False).wait_for(timeout=30_000)
         page.keyboard.press("2")
         page.get_by_text("▸ 2 · part", exact=False).wait_for(timeout=30_000)
         page.mouse.click(middle[0] + 80, middle[1] + 30)
-        page.get_by_text("1 on this part, 2 in all", exact=False).wait_for(timeout=30_000)
+        page.get_by_text("1 on this part, 2 in total", exact=False).wait_for(timeout=30_000)
     finally:
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
@@ -82,14 +82,14 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
     (record,) = before.objects()
     kept = before.load(record.id).present
     # As a server leaves it that dies while it saves an asset.
-    before.accepting_begins(record.id, PendingAcceptance(record.seq, "the hinge is bent"))
+    before.begin_acceptance(record.id, PendingAcceptance(record.seq, "the hinge is bent"))
     before.close()
     assert len(kept.prompts) == 2
 
     process, url = serve(path, workspace)
     try:
         page = open_page(browser, url)
-        page.get_by_text("2 in all", exact=False).wait_for(timeout=30_000)
+        page.get_by_text("2 in total", exact=False).wait_for(timeout=30_000)
         page.wait_for_function(
             "() => !!window.__viserSceneTree.getState()['/prompt/1']", timeout=30_000
         )

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from app.server.prompt_file import read_prompts
-from app.viewer.panels.validation_list import MENDS
+from app.viewer.words.review import FIXES
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.resources import static_assets
@@ -77,7 +77,7 @@ def check_marks_leave(tab: Tab, contact: Any) -> None:
     wait_until(lambda: not tab.app.motion.q, "back at rest")
     assert tab.app.tab.client.scene.get_handle_by_name("/moment") is None
     wait_until(lambda: not contact.visible, "no contact at rest")
-    joint_button(tab, r"part 1.*: broken").click()
+    joint_button(tab, r"part 1.*: error").click()
     tab.wait_node("/moment")
     tab.step("Joints")
     assert tab.app.tab.client.scene.get_handle_by_name("/moment") is None
@@ -93,11 +93,11 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     record_prediction(obj, 0.4)
     tab.wait_node("/part/1")
     tab.step("Review")
-    report = wait_until(lambda: obj.judging.report, "a verdict")
+    report = wait_until(lambda: obj.validation.report, "a verdict")
     assert report.severity == Severity.ERROR
 
     # A click on the joint poses the object at the worst moment and marks the contact.
-    joint_button(tab, r"part 1.*: broken").click()
+    joint_button(tab, r"part 1.*: error").click()
     worst = report.of("door").worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.wait_node("/moment")
@@ -121,19 +121,19 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     # One click mends, the gate runs again by itself; undo is the usual one.
     tab.button("Flip").first.click()
     wait_until(lambda: obj.document.tree.by_name["door"] == DOOR, "flipped")
-    assert wait_until(lambda: obj.judging.report, "a new verdict").severity == Severity.OK
+    assert wait_until(lambda: obj.validation.report, "a new verdict").severity == Severity.OK
     wait_until(lambda: not tab.app.motion.q, "back at rest")
     tab.button("Undo").click()
     wait_until(lambda: obj.document.tree == TREE, "undone")
-    wait_until(lambda: obj.judging.report is report, "the answer of before")
+    wait_until(lambda: obj.validation.report is report, "the answer of before")
 
     # A reason opens the gate, and it stays on record.
-    box = tab.field("Right all the same, because")
+    box = tab.field("Reason for override")
     box.fill("the shelf is soft")
     box.press("Enter")
     wait_until(lambda: tab.app.review.override_text == "the shelf is soft", "the reason")
     tab.wait_seen()  # what was there before Undo counts as new
-    joint_button(tab, "against the gate").click()
+    joint_button(tab, "Accept anyway").click()
     wait_until(lambda: obj.document.saved is not None, "saved")
     assert obj.document.review.override == "the shelf is soft"
     record = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())
@@ -148,7 +148,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     wait_until(lambda: tab.object is obj, "back at it")
     tab.wait_seen()
     tab.key("y")
-    tab.page.get_by_text("It is already; Reopen lets it be changed").wait_for()
+    tab.page.get_by_text("Reopen it to edit it").wait_for()
 
 
 def test_y_shows_what_wants_a_look_before_it_accepts(
@@ -164,7 +164,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
         record_prediction(each, sure)
         each.do(cmd.SetJoint(hinge), "tester")
     tab.step("Joints")
-    report = wait_until(lambda: obj.judging.report, "a verdict")
+    report = wait_until(lambda: obj.validation.report, "a verdict")
     assert report.severity == Severity.WARNING and obj.document.tree == tree
     tab.page.evaluate("document.activeElement?.blur()")
     tab.wait_seen()
@@ -173,7 +173,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     wait_until(lambda: tab.app.motion.q == dict(report.joints[0].worst.q), "the worst pose")
     tab.wait_node("/moment")
     assert tab.selection.step == "Review" and obj.document.review.state == "predicted"
-    joint_button(tab, "Accept as it is").wait_for()
+    joint_button(tab, "Accept anyway").wait_for()
     tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     # Its asset takes long to write: the person goes on meanwhile, and is told once it is there.
@@ -187,7 +187,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     held.cancel()
     tab.page.get_by_text("cupboard: Saved in", exact=False).wait_for()
     assert obj.document.review.state == "accepted"
-    wait_until(lambda: not obj.watched, "nobody looks at it any more")
+    wait_until(lambda: not obj.is_shown, "nobody looks at it any more")
     tab.wait_seen()
     assert tab.object is other
     tab.app.guard._sent = None  # as if it had only just come on the screen
@@ -201,8 +201,8 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     """Y before the verdict, and Esc: it isn't accepted then."""
     tab.wait_seen()
     tab.key("y")
-    tab.button("Don't accept yet (Esc)").wait_for()
-    assert tab.object.judging.waiting
+    tab.button("Cancel acceptance (Esc)").wait_for()
+    assert tab.object.validation.acceptance_waits
     tab.page.screenshot(path=str(picture))
     # Who looked at another one meanwhile is told once all the same.
     obj = tab.object
@@ -216,8 +216,8 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     told.first.wait_for()
     tab.page.wait_for_timeout(300)
     assert told.count() == 1
-    assert not obj.judging.waiting
-    tab.button("Don't accept yet (Esc)").wait_for(state="hidden")
+    assert not obj.validation.acceptance_waits
+    tab.button("Cancel acceptance (Esc)").wait_for(state="hidden")
 
 
 def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
@@ -230,7 +230,7 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     grazing, clean, third = (app_state.object(r.id) for r in app_state.queue.records())
     for obj, sure in ((grazing, 0.6), (clean, 0.7), (third, 0.8)):
         record_prediction(obj, sure)
-    wait_until(lambda: all(o.judging.report for o in (grazing, clean, third)), "verdicts")
+    wait_until(lambda: all(o.validation.report for o in (grazing, clean, third)), "verdicts")
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "judging is held up")
     grazing.do(cmd.SetJoint(replace(DOOR, origin=(-0.28, -0.003, 0.2))), "tester")
@@ -251,24 +251,24 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     assert {o.document.review.state for o in (grazing, clean)} == {"predicted"}
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
     check_a_wish_is_taken_back(tab, tmp_path / "waiting.png")
-    assert grazing.judging.waiting and clean.judging.waiting
+    assert grazing.validation.acceptance_waits and clean.validation.acceptance_waits
 
     held.cancel()
     tab.page.get_by_text("clean: Saved in", exact=False).wait_for()
     assert clean.document.review.state == "accepted"
-    tab.page.get_by_text("Y again accepts it as it is", exact=False).first.wait_for()
+    tab.page.get_by_text("Y again", exact=False).first.wait_for()
     assert grazing.document.review.state == "predicted" and tab.object is third
-    wait_until(lambda: "grazing: look again: part 1: Runs" in first.hint, "the queue says why")
+    wait_until(lambda: "grazing: on hold: part 1: Runs" in first.hint, "the queue says why")
     tab.page.screenshot(path=str(tmp_path / "look_again.png"))
 
     # The way back leads to the worst moment, with what was typed; Y has seen it now.
-    tab.button("Look again: grazing").click()
+    tab.button("On hold: grazing").click()
     wait_until(lambda: tab.object is grazing, "back at it")
-    worst = grazing.judging.report.joints[0].worst
+    worst = grazing.validation.report.joints[0].worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.wait_node("/moment")
     assert tab.selection.step == "Review" and tab.app.review.comment_text == "the hinge is bent"
-    joint_button(tab, "Accept as it is").wait_for()
+    joint_button(tab, "Accept anyway").wait_for()
     tab.wait_seen()
     tab.page.screenshot(path=str(tmp_path / "back.png"))
     tab.key("y")
@@ -299,21 +299,21 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     )  # fmt: skip
     obj.do(cmd.SetJoint(askew), "tester")
     tab.step("Review")
-    report = wait_until(lambda: obj.judging.report, "a verdict", 300)
+    report = wait_until(lambda: obj.validation.report, "a verdict", 300)
     assert report.severity == Severity.ERROR
     pressed = 0
     while report.severity == Severity.ERROR and pressed < 4:
         worst = next(j for j in report.joints if j.fixes)
         before = report
-        tab.button(MENDS[worst.fixes[0].kind]).first.click()
-        wait_until(lambda: obj.judging.report is not before, "the edit")  # noqa: B023
-        report = wait_until(lambda: obj.judging.report, "a new verdict", 300)
+        tab.button(FIXES[worst.fixes[0].kind]).first.click()
+        wait_until(lambda: obj.validation.report is not before, "the edit")  # noqa: B023
+        report = wait_until(lambda: obj.validation.report, "a new verdict", 300)
         pressed += 1
     assert report.severity == Severity.OK
-    tab.page.get_by_text(re.compile("Gate: ✓ 14 fine")).first.wait_for()
+    tab.page.get_by_text(re.compile("Checks: ✓ 14 OK")).first.wait_for()
     # No reason is asked for any more.
-    assert tab.page.get_by_role("button", name=re.compile("against the gate")).count() == 0
-    tab.button("Accept with your edits (Y)").click()
+    assert tab.page.get_by_role("button", name=re.compile("Accept anyway")).count() == 0
+    tab.button("Accept with edits (Y)").click()
     saved = wait_until(lambda: obj.document.saved, "saved", 300)
     gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["override"]) == ("fine", "")

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from app.server import tasks
-from app.viewer.panels.validation_list import MENDS
+from app.viewer.words.review import FIXES
 from model.geometry.crop import largest_piece
 from model.geometry.picking import Picker
 from model.io.open_asset import open_asset
@@ -105,7 +105,7 @@ class RoomTab(SceneTab):
             self.page.get_by_role("button", name="room").first.click()
             self.clicks += 1
         wait_until(lambda: self.scene.choice.selected == "room", "the room is chosen")
-        self.press("Pick an object out of it")
+        self.press("Extract an object")
         wait_until(lambda: self.selection.picking and self.app.drawing.drawn, "the room is open")
         self.wait_node("/scan")
         wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on", SLOW)
@@ -165,8 +165,8 @@ class RoomTab(SceneTab):
 
     def take_out(self, name: str) -> str:
         """Make an object of what is chosen in the room; its id."""
-        self.field("It is a").fill(name)
-        self.press("Take it out of the room")
+        self.field("Name").fill(name)
+        self.press("Extract")
         wait_until(
             lambda: (self.scene.edit.inside or "").startswith(name) and self.app.drawing.drawn,
             "it is open",
@@ -190,14 +190,14 @@ class RoomTab(SceneTab):
         self.step("Review")
         for _ in range(3):
             report = wait_until(
-                lambda: not obj.busy and obj.judging.report, "the gate's answer", SLOW
+                lambda: not obj.busy and obj.validation.report, "the gate's answer", SLOW
             )
             if report.severity != Severity.ERROR:
                 break
             # A scan's door may graze its body: a person takes the range that is free.
-            self.button(MENDS["limits"]).first.click()
+            self.button(FIXES["limits"]).first.click()
             self.clicks += 1
-            wait_until(lambda seen=report: obj.judging.report is not seen, "the gate asks again")
+            wait_until(lambda seen=report: obj.validation.report is not seen, "the gate asks again")
         assert report.severity != Severity.ERROR
         accept = self.page.get_by_role("button", name="ccept").locator("visible=true").first
         accept.click()
@@ -248,7 +248,7 @@ def test_two_objects_come_out_of_a_real_room(
     tab.swing_open(90)
     assert (first, second) == ("refrigerator 1", "cabinet 1")
     assert tab.status(first) == tab.status(second) == "accepted"
-    tab.press("Save the scene")
+    tab.press("Save scene")
     assert tab.clicks <= 36
     saved = wait_until(lambda: tab.desk.document.saved, "the room is saved", SLOW)
     out = Path(saved.folder)

@@ -125,7 +125,7 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.wait_seen()
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
-    tab.button("Save the scene").click()
+    tab.button("Save scene").click()
     saved = wait_until(lambda: tab.desk.document.saved, "saved")
     assert (Path(saved.folder) / "scene.xml").is_file()
 
@@ -144,7 +144,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     wait_until(lambda: tab.object is not None and tab.app.drawing.drawn, "it is open")
     tab.wait_node("/part/1")
     obj, app_state = tab.object, server.app_state
-    wait_until(lambda: obj.judging.report, "a verdict")
+    wait_until(lambda: obj.validation.report, "a verdict")
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "judging is held up")
     # The drawer goes backwards, through the back.
@@ -157,7 +157,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
         "the next",
     )
     row = tab.desk.row(tab.desk.items["cabinet 1"])
-    assert row.shown == "judging" and obj.judging.waiting
+    assert row.shown == "judging" and obj.validation.acceptance_waits
     tab.page.wait_for_timeout(1500)
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
     held.cancel()
@@ -169,7 +169,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     tab.page.screenshot(path=str(tmp_path / "held.png"))
     tab.key("Enter")
     wait_until(lambda: tab.object is obj and tab.selection.step == "Review", "its review")
-    worst = obj.judging.report.joints[0].worst
+    worst = obj.validation.report.joints[0].worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.page.wait_for_timeout(1000)
     tab.page.screenshot(path=str(tmp_path / "inside.png"))

@@ -185,7 +185,7 @@ def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:
     tab.button("knob").click()
     wait_until(lambda: tab.document.part_names, "a name")
     assert tab.document.part_names == dict.fromkeys(knobs, "knob")
-    tab.page.get_by_text("more parts of the same shape").wait_for()
+    tab.page.get_by_text("more parts named knob").wait_for()
     tab.key("Control+z")
     wait_until(lambda: not tab.document.part_names, "all names are taken back")
     assert [p.id for p in tab.document.parts if p.id] == knobs
@@ -239,7 +239,7 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     for part, place in enumerate(("low", "high", "beside"), start=1):
         tab.key(str(part))
         tab.prompt(points[place])
-    tab.page.get_by_text("One triangle holds both clicks").first.wait_for()
+    tab.page.get_by_text("Both clicks are on one triangle").first.wait_for()
 
 
 def test_an_obj_with_its_texture_is_uploaded_in_one_go(

@@ -29,7 +29,7 @@ def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
     tab: Tab = open_tab(start(tmp_path / "cupboard.urdf"))
     app, page = tab.app, tab.page
     wait_until(lambda: tab.selection.step == "Joints", "its joints are shown")
-    page.get_by_text("As cupboard.urdf tells it.").wait_for()
+    page.get_by_text("From cupboard.urdf.").wait_for()
     wait_until(tab.object.part_payloads, "the parts as they move")
     page.evaluate("document.activeElement?.blur()")
     tab.key(" ")
@@ -37,7 +37,7 @@ def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
     tab.key("r")
     tab.key("f")
     wait_until(lambda: tab.document.edited_joints == ("link_1",), "the axis is turned")
-    page.get_by_text("the grey arrow is the file's joint").wait_for()
+    page.get_by_text("Gray arrow: from the file").wait_for()
     page.get_by_role("button", name="Reset to the file's joint").click()
     wait_until(lambda: not tab.document.edited_joints, "as in the file")
     tab.key("p")

@@ -8,6 +8,7 @@ from typing import Any
 
 from app.server.pointer_messages import ArtiworldShownMessage, tell_page
 from app.viewer.tab import Tab
+from app.viewer.words import common as words
 
 LOOK_SECONDS = 0.4
 """Between an object being on the screen and a decision about it."""
@@ -39,7 +40,7 @@ class DecisionGuard:
             if self.long_enough(pressed_at):
                 action()
             else:
-                self._tab.notify("Look at it first", "It had only just come on the screen", "gray")
+                self._tab.notify(*words.TOO_FAST, "gray")
 
         self._tab.act(carry_out)
 

@@ -5,45 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from html import escape
-from typing import Any, Final
+from typing import Any
 
 from app.viewer.tab import Tab
+from app.viewer.words import keys as words
 
-KEYS: Final[tuple[tuple[str, str], ...]] = (
-    ("Click", "this belongs to the chosen part"),
-    ("Shift + click", "this does not belong to it"),
-    ("1 … 9, 0", "choose the part; 0 is the base"),
-    ("Shift + 1 … 6, 0", "name the part; 0: the guessed category"),
-    ("Tab, Shift+Tab", "next mask and back; next joint"),
-    ("Alt + drag", "box (Shift: takes away)"),
-    ("L + drag", "lasso (Shift: takes away)"),
-    ("I + drag", "brush, [ ] its size; Shift as well"),
-    ("K", "cut along a line, click by click"),
-    ("K, K", "cut out a rectangle by two corners"),
-    ("M", "merge with the part clicked next"),
-    ("O", "add all that is connected"),
-    ("U, J", "grow, shrink"),
-    ("Z", "same shape: the other knobs, …"),
-    ("V", "preview of a click on or off"),
-    ("H, Delete", "hide or show, delete the part"),
-    ("Esc", "plain clicks; take back a waiting Y"),
-    ("P", "predict joints"),
-    ("Space, Shift+Space", "play or stop; the whole scene"),
-    ("R, C", "reset the pose, frame the object"),
-    ("T, F", "next joint type, flip the axis"),
-    ("G", "axis handles on or off"),
-    ("Y", "accept; again: as it is"),
-    ("X, then 1 … 6", "reject, and why"),
-    ("N, B", "next, previous object"),
-    ("Enter, Backspace", "scene: into the object, and back"),
-    ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
-    ("Ctrl+K", "all commands by name"),
-    ("Drag, right drag, wheel", "turn, shift, zoom the view"),
-    ("W A S D Q E, arrows", "move the camera"),
-)
-"""Each fits a line of the sheet, and all of them a small screen."""
-
-_SHEET = (
+_STYLE = (
     "display:grid;grid-template-columns:max-content 1fr;gap:0.05em 1.2em;"
     "font-size:0.82em;line-height:1.32"
 )
@@ -92,11 +59,11 @@ class KeySheet:
         if self.close():
             return
         gui = self._tab.client.gui
-        self._modal = gui.add_modal("Keys and mouse")
+        self._modal = gui.add_modal(words.TITLE)
         with self._modal:
-            close = gui.add_button("Close (Esc)", color="gray")
-            rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in KEYS)
-            gui.add_html(f'<div style="{_SHEET}">{rows}</div>')
+            close = gui.add_button(words.CLOSE, color="gray")
+            rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in words.SHEET)
+            gui.add_html(f'<div style="{_STYLE}">{rows}</div>')
         close.on_click(lambda _: self._close_clicked())
 
     def _close_clicked(self) -> None:

@@ -23,6 +23,8 @@ from app.viewer.input.tools import Tools
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.tab import Step, Tab
+from app.viewer.words import annotate as words
+from app.viewer.words.common import NO_JOINTS
 from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
@@ -30,13 +32,7 @@ from sessions import commands as cmd
 
 Armed = Literal["", "cut", "rectangle", "merge"]
 Tool = Literal["click", "lasso", "brush"]
-_CUTS = {"cut": "Cut", "rectangle": "Cut a rectangle"}
-_STROKE_HINTS = {
-    "lasso": "Lasso: draw round what joins the part · Shift takes away · Esc ends",
-    "brush": "Brush: paint what joins the part · Shift takes away · [ ] size · Esc ends",
-}
-
-
+_CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
 _IN_VAIN = 2
 """Clicks that brought hardly anything, after which other tools are pointed to."""
 _FACE_APART = 0.02
@@ -182,30 +178,23 @@ class Pointing:
 
     def _hint(self) -> str:
         if self.armed == "merge":
-            return "Merge: click the part that joins the chosen one · Esc ends"
+            return words.HINT_MERGE
         if self.armed == "cut":
-            if not self._places:
-                return (
-                    "Cut: click where the cut begins (Shift+click: through three places) · "
-                    "K again: a rectangle · Esc ends"
-                )
             left = self._needed - len(self._places)
-            return f"Cut: {left} more place{'s'[: left != 1]} · Esc ends"
+            return words.hint_points(left) if self._places else words.HINT_CUT
         if self.armed == "rectangle":
-            if not self._places:
-                return "Cut a rectangle: click one corner of a door or drawer · Esc ends"
-            return "Cut a rectangle: click the opposite corner (Shift: don't snap) · Esc ends"
-        return _STROKE_HINTS.get(self.tool) or self._mask_hint()
+            return words.HINT_OPPOSITE if self._places else words.HINT_CORNER
+        return words.HINT_STROKES.get(self.tool) or self._mask_hint()
 
     def _mask_hint(self) -> str:
         """Which of the masks for the last click is shown, or what helps where clicks don't."""
         obj = self._selection.need_object()
         shown = obj.segmenting.mask_shown(obj.document, self._selection.part)
         if shown is not None:
-            return f"Mask {shown.number + 1} of {shown.total} · Tab: the next one · Shift+Tab: back"
+            return words.hint_mask(shown.number + 1, shown.total)
         last = obj.document.prompts[-1] if obj.document.prompts else None
-        if obj.segmenting.in_vain >= _IN_VAIN and isinstance(last, Click):
-            return "Clicks change little here · Tab: another mask · L: draw it · K: cut it off"
+        if obj.segmenting.ineffective_clicks >= _IN_VAIN and isinstance(last, Click):
+            return words.HINT_INEFFECTIVE
         return ""
 
     # --- tools
@@ -281,7 +270,7 @@ class Pointing:
             return
         hit = self._queries.pick(obj.asset, origin, direction)
         if hit is None:
-            self._tab.say("Nothing there")
+            self._tab.say(words.NOTHING_THERE)
             return
         if selection.step != "Annotate":
             self._choose_joint_at(hit.element)
@@ -310,9 +299,9 @@ class Pointing:
         tree = self._selection.need_object().document.tree
         link = f"link_{part}"
         if tree is None or part is None:
-            self._tab.say("Nothing there" if part is None else "No joints yet")
+            self._tab.say(words.NOTHING_THERE if part is None else NO_JOINTS)
         elif link not in tree.joint_of:
-            self._tab.say("The base doesn't move")
+            self._tab.say(words.BASE_IS_FIXED)
         else:
             self._selection.choose_joint(link)
 
@@ -320,12 +309,7 @@ class Pointing:
         """A triangle is all one part: who clicks it for two wants it cut."""
         prompts = self._selection.need_object().document.prompts
         if shares_face(click, [p for p in prompts if isinstance(p, Click)], apart):
-            self._tab.notify(
-                "One triangle holds both clicks",
-                "It goes with the last one. To cut it along the border: K for a straight line, "
-                "K twice for a rectangle",
-                "yellow",
-            )
+            self._tab.notify(*words.SHARED_TRIANGLE, "yellow")
 
     def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
         self._shifted = self._shifted or not plain
@@ -373,13 +357,13 @@ class Pointing:
         if part is not None:
             self.merge(part)
         else:
-            self._tab.notify("Merge", "There are no parts yet: click on one first", "gray")
+            self._tab.notify(words.MERGE, words.NO_PARTS, "gray")
 
     def merge(self, other: int) -> None:
         """Join part ``other`` to the chosen one."""
         self.armed = ""
         request = ToolRequest("merge", self._selection.part, other=other)
-        self.tools.use(request, f"Merge with part {other}")
+        self.tools.use(request, words.merge_with(other))
 
     # --- boxes and strokes
 
@@ -409,7 +393,7 @@ class Pointing:
 
     def _add_region(self, ref: str, count: int, positive: bool, tool: str) -> None:
         if not count:
-            self._tab.notify(f"Nothing under the {tool}", "Draw over the object", "gray")
+            self._tab.notify(*words.nothing_under(tool), "gray")
             return
         self.hover.forget()
         self._tab.do(cmd.AddRegion(self._selection.part, ref, positive, count, tool))

@@ -10,6 +10,7 @@ from typing import Final
 from app.viewer.panels.widgets import put
 from app.viewer.picture.palette import CATEGORIES
 from app.viewer.tab import Tab
+from app.viewer.words import annotate as words
 from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.finders import read_lexicon
 from sessions.records import ObjectRecord
@@ -109,9 +110,9 @@ class CategoryGuess:
         self._tab, self._records, self._said = tab, records, said
         self._shown: tuple[str, ...] = ()
         self._row = tab.client.gui.add_button_group(
-            "Shift+0",
+            words.SUGGESTIONS,
             (_MARK,),
-            hint="Guesses, by the file's name and what was said last; the key takes the first one",
+            hint=words.SUGGESTIONS_HINT,
             visible=False,
         )
         self._row.on_click(lambda e: tab.act(lambda: said(e.target.value.removesuffix(_MARK))))

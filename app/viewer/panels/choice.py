@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from app.viewer.panels.widgets import NONE, put
+from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
-
-OTHER = "other…"
+from app.viewer.words.common import NONE, OTHER
 
 
 class Choice:
-    """A dropdown, and a text box that shows where its last entry, "other…", is chosen.
+    """A dropdown, and a text box that shows where its last entry, “Other…”, is chosen.
 
     Args:
         labels: of the dropdown and of the text box.

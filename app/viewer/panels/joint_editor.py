@@ -17,6 +17,8 @@ from app.viewer.panels.joint_text import joint_note, shown
 from app.viewer.panels.widgets import differs, put
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
+from app.viewer.words import joints as words
+from app.viewer.words.common import NONE
 from model.core.errors import CommandError
 from model.core.joint import JOINT_TYPES, Joint
 from model.core.tree import KinematicTree
@@ -25,13 +27,6 @@ from sessions.document import Document
 
 SNAP_SECONDS = 30.0
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-_ALONG = "The axis runs along that side of the part's box"
-_THERE = {
-    "Box edge": "The axis lies on an edge of the part's box",
-    "Contact": "The axis lies where the parts touch",
-    "Centre": "The origin is the middle of the part's box",
-    "free range": "The range ends where the part would collide",
-}
 
 
 class JointEditor:
@@ -52,31 +47,27 @@ class JointEditor:
         """
         self._tab, self._motion, self._worker, self._forget = tab, motion, worker, forget
         gui = tab.client.gui
-        self._child = gui.add_dropdown("Moves", ("—",))
+        self._child = gui.add_dropdown(words.JOINT, (NONE,))
         self.pose_box = gui.add_folder(None)
         self._note = gui.add_markdown("")
-        self._type = gui.add_dropdown("Type", JOINT_TYPES)
-        self._parent = gui.add_dropdown("Parent", ("—",))
-        self._axis = gui.add_vector3("Axis", (0.0, 0.0, 1.0), step=0.001)
-        self._axis_to = gui.add_button_group("Axis to", ("X", "Y", "Z", "Flip (F)"))
+        self._type = gui.add_dropdown(words.TYPE, JOINT_TYPES)
+        self._parent = gui.add_dropdown(words.PARENT, (NONE,))
+        self._axis = gui.add_vector3(words.AXIS, (0.0, 0.0, 1.0), step=0.001)
+        self._axis_to = gui.add_button_group(words.SET_AXIS, words.SET_AXIS_ACTIONS)
         self._axis_box = gui.add_button_group(
-            "Axis along", ("Long", "Middle", "Short"), hint="The sides of the part's box"
+            words.ALIGN_AXIS, tuple(words.ALIGN_AXIS_ACTIONS), hint=words.ALIGN_AXIS_HINT
         )
-        self._origin = gui.add_vector3("Origin [mm]", (0.0, 0.0, 0.0), step=0.1)
-        self._origin_to = gui.add_button_group("Snap to", ("Box edge", "Contact", "Centre"))
-        self._lower = gui.add_number("Lower [°]", 0.0, step=0.1)
-        self._upper = gui.add_number("Upper [°]", 0.0, step=0.1)
-        self._free = gui.add_button_group("Limits", ("Free range", "Zero is closed"))
-        self._gizmo = gui.add_button("Axis handles (G)", icon=viser.Icon.AXIS_X, color="gray")
-        self._name = gui.add_text(
-            "Name in files",
-            "",
-            hint="What URDF and simulators call the joint; screens name its part",
+        self._origin = gui.add_vector3(words.ORIGIN, (0.0, 0.0, 0.0), step=0.1)
+        self._origin_to = gui.add_button_group(words.SNAP_ORIGIN, tuple(words.SNAP_ORIGIN_ACTIONS))
+        self._lower = gui.add_number(words.limit("lower", "°"), 0.0, step=0.1)
+        self._upper = gui.add_number(words.limit("upper", "°"), 0.0, step=0.1)
+        self._free = gui.add_button_group(
+            words.LIMITS, (words.FREE_RANGE, words.CLOSED), hint=words.LIMITS_HINT
         )
-        self._locked = gui.add_checkbox(
-            "Keep it", False, hint="Predicting again leaves this joint as it is"
-        )
-        self._reset = gui.add_button("Reset to the prediction", color="gray")
+        self._gizmo = gui.add_button(words.HANDLES, icon=viser.Icon.AXIS_X, color="gray")
+        self._name = gui.add_text(words.FILE_NAME, "", hint=words.FILE_NAME_HINT)
+        self._locked = gui.add_checkbox(words.LOCK, False, hint=words.LOCK_HINT)
+        self._reset = gui.add_button(words.reset_to(False), color="gray")
         tab.on_update(self._child, self._child_chosen)
         self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
         self._on_edit(self._type, lambda: self.set_type(self._type.value))
@@ -89,8 +80,12 @@ class JointEditor:
         self._on_edit(self._upper, lambda: self._limit("upper", self._upper.value))
         tab.on_update(self._locked, self._lock)
         self._axis_to.on_click(lambda e: tab.act(lambda: self._preset(e.target.value)))
-        self._axis_box.on_click(lambda e: tab.act(lambda: self._snap(f"axis {e.target.value}")))
-        self._origin_to.on_click(lambda e: tab.act(lambda: self._snap(e.target.value)))
+        self._axis_box.on_click(
+            lambda e: tab.act(lambda: self._snap(words.ALIGN_AXIS_ACTIONS[e.target.value]))
+        )
+        self._origin_to.on_click(
+            lambda e: tab.act(lambda: self._snap(words.SNAP_ORIGIN_ACTIONS[e.target.value]))
+        )
         self._free.on_click(lambda e: tab.act(lambda: self._limits(e.target.value)))
         self._gizmo.on_click(lambda _: tab.act(motion.toggle_handles))
         self._reset.on_click(lambda _: tab.act(self._reset_joint))
@@ -111,7 +106,7 @@ class JointEditor:
     def _need_joint(self) -> Joint:
         joint = self._tab.selection.joint
         if joint is None:
-            raise CommandError("choose a joint first: click a part, or press Tab")
+            raise CommandError(words.NEED_JOINT)
         return joint
 
     def _set(self, joint: Joint) -> None:
@@ -126,7 +121,7 @@ class JointEditor:
         for link in () if doc.tree is None else doc.tree.links:
             if called(doc, link) == title:
                 return link
-        raise CommandError(f"nothing is called {title} any more: choose again")
+        raise CommandError(words.gone(title))
 
     def _change(self, **changes: Any) -> None:
         joint = self._need_joint()
@@ -146,7 +141,7 @@ class JointEditor:
             return
         assert doc.tree is not None
         job = self._worker.submit(
-            snapping_tasks.retype_joint, obj.source(), doc.tree, joint.child, kind, priority=EDITS
+            snapping_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._set(job.result(SNAP_SECONDS))
 
@@ -162,7 +157,7 @@ class JointEditor:
         self._set(replace(joint, axis=axis))
 
     def _preset(self, which: str) -> None:
-        if which.startswith("Flip"):
+        if which == words.SET_AXIS_ACTIONS[3]:
             self.flip()
         else:
             self._change(axis=AXES[which])
@@ -176,9 +171,13 @@ class JointEditor:
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:
-            self._tab.notify("Already there", _THERE.get(to, _ALONG), "gray")
+            self._say_unchanged(to)
         else:
             self._set(snapped)
+
+    def _say_unchanged(self, to: str) -> None:
+        text = words.ALREADY_THERE.get(to, words.ALREADY_ALIGNED)
+        self._tab.notify(words.UNCHANGED, text, "gray")
 
     def _limit(self, which: str, value: float) -> None:
         joint = self._need_joint()
@@ -189,12 +188,12 @@ class JointEditor:
     def _limits(self, what: str) -> None:
         joint = self._need_joint()
         if not joint.limited:
-            raise CommandError(f"a {joint.type} joint has no limits; choose another type first")
+            raise CommandError(words.no_limits(joint.type))
         assert joint.lower is not None and joint.upper is not None
-        if what == "Free range":
+        if what == words.FREE_RANGE:
             self._snap("free range")
         elif 0.0 in (joint.lower, joint.upper):
-            self._tab.notify("Already there", "Zero is an end of the range", "gray")
+            self._say_unchanged("closed")
         elif abs(joint.lower) < abs(joint.upper):
             self._change(lower=0.0)
         else:
@@ -214,11 +213,11 @@ class JointEditor:
     def draw(self, obj: OpenObject, tree: KinematicTree) -> None:
         """Bring it up to date."""
         doc = obj.document
-        titles = tuple(joint_title(doc, j.child) for j in tree.joints) or ("—",)
+        titles = tuple(joint_title(doc, j.child) for j in tree.joints) or (NONE,)
         put(self._child, "options", titles)
         joint = self._tab.selection.joint
         if joint is None:
-            put(self._note, "content", "No joint.")
+            put(self._note, "content", words.NO_JOINT)
             return
         put(self._child, "value", joint_title(doc, joint.child))
         put(self._name, "value", joint.name)
@@ -231,10 +230,10 @@ class JointEditor:
         _put_vector(self._origin, tuple(v * 1000 for v in joint.origin), 0.05)
         unit = "°" if joint.rotates else "mm"
         for box, word, value in (
-            (self._lower, "Lower", joint.lower),
-            (self._upper, "Upper", joint.upper),
+            (self._lower, "lower", joint.lower),
+            (self._upper, "upper", joint.upper),
         ):
-            put(box, "label", f"{word} [{unit}]")
+            put(box, "label", words.limit(word, unit))
             put(box, "visible", joint.limited)
             if value is not None:
                 put(box, "value", round(shown(joint, value), 1))
@@ -250,8 +249,7 @@ class JointEditor:
         put(self._free, "visible", joint.limited)
         put(self._gizmo, "color", "pink" if self._motion.handles.on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
-        whose = "prediction" if doc.joints_file is None else "file's joint"
-        put(self._reset, "label", f"Reset to the {whose}")
+        put(self._reset, "label", words.reset_to(doc.joints_file is not None))
         put(self._reset, "visible", joint.child in doc.edited_joints)
         put(self._note, "content", joint_note(joint, doc, obj.checks))
 

@@ -7,10 +7,12 @@ from typing import Any
 
 from app.server.display_names import joint_title, moved_part
 from app.server.scene_rows import Work
-from app.viewer.panels.joint_text import range_text, sure_text, sureness
+from app.viewer.panels.joint_text import confidence_of, confidence_text, range_text
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
+from app.viewer.words import scene as words
+from app.viewer.words.common import EDITED
 from sessions.document import Document
 
 SHOWN = 12
@@ -29,7 +31,7 @@ class JointRows:
         self._tab, self._play = tab, play
         self._key: Any = None
         self._rows: list[Any] = []
-        self._folder = tab.client.gui.add_folder("Joints", visible=False)
+        self._folder = tab.client.gui.add_folder(words.JOINTS, visible=False)
 
     def draw(self, work: Work | None) -> None:
         """Bring the rows up to date; nothing is sent where nothing changed."""
@@ -46,19 +48,19 @@ class JointRows:
         put(self._folder, "visible", bool(lines))
         tab, gui = self._tab, self._tab.client.gui
         with self._folder:
-            for name, line, color in [] if doc is None else least_sure(doc, lines):
-                button = gui.add_button(line, color=color, hint="Play it")
+            for name, line, color in [] if doc is None else least_confident(doc, lines):
+                button = gui.add_button(line, color=color, hint=words.PLAY_JOINT)
                 button.on_click(lambda _, name=name: tab.act(lambda: self._play(name)))
                 self._rows.append(button)
             if len(lines) > SHOWN:
-                self._rows.append(gui.add_markdown(f"… and {len(lines) - SHOWN} surer ones."))
+                self._rows.append(gui.add_markdown(words.more_joints(len(lines) - SHOWN)))
 
 
-def least_sure(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
+def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
     """The lines that are shown, in their order: what wants a look is among them."""
     joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
     sure = [
-        1.0 if j.child in doc.edited_joints else sureness(doc, j.child) or 0.0 for j in joints
+        1.0 if j.child in doc.edited_joints else confidence_of(doc, j.child) or 0.0 for j in joints
     ]  # fmt: skip
     kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
     return [lines[i] for i in sorted(kept)]
@@ -71,12 +73,12 @@ def joint_lines(doc: Document) -> list[JointLine]:
         return out
     for joint in (j for j in doc.tree.joints if j.moves):
         part = moved_part(doc.tree, joint.child)
-        sure = sure_text(doc, joint.child)
-        edited = " ✎" if joint.child in doc.edited_joints else ""
+        sure = confidence_text(doc, joint.child)
+        edited = EDITED * (joint.child in doc.edited_joints)
         # "Turns freely" says the type, and a long line would be cut at its end, which counts most.
         kind = "" if joint.type == "continuous" else joint.type
-        words = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
+        texts = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
         number = part.removeprefix("link_")
         color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
-        out.append((joint.name, " · ".join(w for w in words if w), color))
+        out.append((joint.name, " · ".join(t for t in texts if t), color))
     return out

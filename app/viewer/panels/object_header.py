@@ -7,23 +7,12 @@ from dataclasses import dataclass
 
 import viser
 
-from app.server.display_names import in_words
+from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
-from app.viewer.picture import palette
 from app.viewer.tab import STEPS, Step, Tab
 from app.viewer.text import plain
-
-_BUSY = {
-    "open": "Opening",
-    "save": "Saving",
-    "predict": "Predicting",
-    "room": "Working on the scan",
-    "segment": "Segmenting",
-    "encode": "Preparing for clicks",
-    "tool": "Working",
-}
-_CHOSEN = "● "
+from app.viewer.words import common as words
 
 
 @dataclass(frozen=True)
@@ -51,37 +40,37 @@ class ObjectHeader:
         gui, selection = tab.client.gui, tab.selection
         self._status = gui.add_markdown("")
         self._again = gui.add_button(
-            "Try again", icon=viser.Icon.REFRESH, color="gray", visible=False
+            words.RETRY, icon=viser.Icon.REFRESH, color="gray", visible=False
         )
         self._remove = gui.add_button(
-            "Take it off the list", icon=viser.Icon.X, color="gray", visible=False,
-            hint="The file stays, and so does what was decided about it",
+            words.REMOVE, icon=viser.Icon.X, color="gray", visible=False,
+            hint=words.REMOVE_HINT,
         )  # fmt: skip
         self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
         self._cancel = gui.add_button(
-            "Cancel", icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
+            words.CANCEL, icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
         )
-        history = gui.add_button_group("History", ("Undo", "Redo"))
-        self._steps = gui.add_button_group("Step", STEPS)
-        self._play = gui.add_button_group(
-            "Motion", ("Play / stop (Space)", "Reset pose (R)"), visible=False
-        )
+        history = gui.add_button_group(words.EDIT, words.HISTORY_ACTIONS)
+        self._steps = gui.add_button_group(words.STEP, STEPS)
+        self._play = gui.add_button_group(words.PLAYBACK, words.PLAYBACK_ACTIONS, visible=False)
         self._again.on_click(lambda _: tab.act(lambda: selection.need_object().try_again()))
         self._remove.on_click(lambda _: tab.act(actions.remove))
         # At once: the tab's actions may be waiting for what is to be stopped.
         self._cancel.on_click(lambda _: actions.cancel())
         history.on_click(
-            lambda e: tab.act(actions.undo if e.target.value == "Undo" else actions.redo)
+            lambda e: tab.act(
+                actions.undo if e.target.value == words.HISTORY_ACTIONS[0] else actions.redo
+            )
         )
         self._steps.on_click(lambda e: self._step_clicked(e.target.value))
         self._play.on_click(
             lambda e: tab.act(
-                actions.play if e.target.value.startswith("Play") else actions.reset_pose
+                actions.play if e.target.value == words.PLAYBACK_ACTIONS[0] else actions.reset_pose
             )
         )
 
     def _step_clicked(self, label: str) -> None:
-        step: Step = label.removeprefix(_CHOSEN)  # type: ignore[assignment]
+        step: Step = label.removeprefix(words.CHOSEN)  # type: ignore[assignment]
         self._tab.act(lambda: self._tab.selection.set_step(step))
 
     def draw(self, obj: OpenObject) -> None:
@@ -89,7 +78,7 @@ class ObjectHeader:
         selection, doc = self._tab.selection, obj.document
         broken = obj.problem is not None
         put(self._steps, "visible", not (broken and doc.tree is None) and not selection.picking)
-        labels = tuple(_CHOSEN * (s == selection.step) + s for s in STEPS)
+        labels = tuple(words.CHOSEN * (s == selection.step) + s for s in STEPS)
         put(self._steps, "options", labels)
         put(self._play, "visible", doc.tree is not None and selection.step != "Annotate")
         jobs = dict(obj.busy)  # they end while this is drawn
@@ -102,35 +91,31 @@ class ObjectHeader:
         put(self._remove, "visible", broken and not self._tab.in_scene)
         put(self._progress, "visible", bool(stoppable))
         put(self._progress, "value", round(100 * done, 1))
-        waiting = obj.judging.waiting and not stoppable
+        waiting = obj.validation.acceptance_waits and not stoppable
         put(self._cancel, "visible", bool(stoppable) or waiting)
-        put(self._cancel, "label", "Don't accept yet (Esc)" if waiting else "Cancel")
+        put(self._cancel, "label", words.CANCEL_ACCEPTANCE if waiting else words.CANCEL)
 
     def _lines(
         self, obj: OpenObject, jobs: dict[str, tuple[float, str]], has_bar: bool
     ) -> list[str]:
         doc, asset, review = obj.document, obj.asset, obj.document.review
-        state = "can't be read" if obj.problem else palette.STATE_WORDS[review.state]
+        state = words.UNREADABLE if obj.problem else words.STATES[review.state]
         lines = [f"**{plain(self._name(obj))}** · {state}"]
-        shown = [w for w in _BUSY if w in jobs]
+        shown = [w for w in words.JOBS if w in jobs]
         if shown:  # in the place of the size: each click would move the whole panel otherwise
             fraction, message = jobs[shown[0]]
             percent = "" if has_bar or not fraction else f"{100 * fraction:.0f} % "
-            message = plain(in_words(doc, message))
-            lines.append(f"*{_BUSY[shown[0]]}… {percent}{message}".rstrip() + "*")
+            detail = "" if shown[0] == "encode" else plain(display_text(doc, message))
+            lines.append(f"*{words.job(shown[0], percent, detail)}*")
         elif asset is not None:
-            kind = {"face": "faces", "point": "points"}[asset.element_kind]
-            size = (asset.bounds[1] - asset.bounds[0]) * 1000
-            lines.append(
-                f"{asset.element_count:,} {kind} · {size[0]:.0f} × {size[1]:.0f} × {size[2]:.0f} mm"
-            )
+            size = tuple((asset.bounds[1] - asset.bounds[0]) * 1000)
+            lines.append(words.size(asset.element_count, asset.element_kind, size))
         if review.state == "rejected" and self._tab.selection.step != "Review":
-            # Whoever mends it wants to know what to mend.
-            said = plain((review.reason or "").replace("_", " "))
-            said += f": “{plain(review.comment, 300)}”" if review.comment else ""
-            lines.append(f"⚠ Rejected by {plain(review.by)}: {said}".rstrip(": "))
+            reason = plain((review.reason or "").replace("_", " "))
+            comment = plain(review.comment, 300)
+            lines.append(words.rejected_by(plain(review.by), reason, comment))
         if obj.problem:
-            lines.append(f"⚠ {plain(obj.problem, 400)}")
+            lines.append(words.warning(plain(obj.problem, 400)))
         if doc.prediction_stale:
-            lines.append("⚠ The parts changed since the prediction: predict again (P)")
+            lines.append(words.STALE)
         return lines

@@ -8,9 +8,12 @@ from typing import Any
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.choice import Choice
 from app.viewer.panels.quick_names import QuickNames
+from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
 from app.viewer.text import percent
+from app.viewer.words import annotate as words
+from app.viewer.words import common
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.document import Document
@@ -24,12 +27,12 @@ class PartList:
     def __init__(self, tab: Tab, pointing: Pointing) -> None:
         self._tab, self._pointing = tab, pointing
         gui = tab.client.gui
-        with gui.add_folder("Parts"):
+        with gui.add_folder(words.PARTS):
             self._box = gui.add_folder(None)
             self._buttons: dict[int, Any] = {}
-            actions = gui.add_button_group("Part", ("Add", "Hide", "Delete"))
+            actions = gui.add_button_group(words.PART, words.PART_ACTIONS)
             self._name = Choice(
-                tab, ("Part is a", "Other name"), palette.PART_NAMES, self._chosen_name, self.rename
+                tab, words.PART_NAME, palette.PART_NAMES, self._chosen_name, self.rename
             )
             self._quick = QuickNames(tab, self.rename)
         actions.on_click(lambda e: tab.act(lambda: self._act(e.target.value)))
@@ -52,8 +55,7 @@ class PartList:
         self._tab.do(cmd.NamePart(part, name))
         more = len(self._document().part_names) - before - 1
         if name and more > 0:
-            what = f"{more} more part{'s'[: more != 1]} of the same shape; undo takes all back"
-            self._tab.notify(f"{name.capitalize()}, too", what, "green")
+            self._tab.notify(*words.named_too(name, more), "green")
 
     def _clicked(self, part: int) -> None:
         if self._pointing.armed == "merge":
@@ -62,9 +64,9 @@ class PartList:
             self._tab.selection.choose_part(part)
 
     def _act(self, action: str) -> None:
-        if action == "Add":
+        if action == words.PART_ACTIONS[0]:
             self._tab.selection.choose_part(self._document().next_part)
-        elif action == "Hide":
+        elif action == words.PART_ACTIONS[1]:
             self.toggle_hidden()
         else:
             self.delete()
@@ -73,10 +75,10 @@ class PartList:
         """Delete the chosen part with all its prompts, and choose another one."""
         tab, selection = self._tab, self._tab.selection
         if selection.step != "Annotate":
-            tab.notify("Delete", "Parts are deleted in the Annotate step", "gray")
+            tab.notify(words.DELETE, words.DELETE_ELSEWHERE, "gray")
             return
         if not selection.part:
-            tab.notify("Delete", "Part 0 is the base, which stays", "gray")
+            tab.notify(words.DELETE, words.DELETE_BASE, "gray")
             return
         if self._document().part(selection.part) is not None:
             tab.do(cmd.DeletePart(selection.part))
@@ -104,13 +106,10 @@ class PartList:
                 self._buttons[part] = self._add_button(part)
             name = _part_name(doc, part)
             if name in (None, f"link_{part}"):  # as read from a folder of parts: no name at all
-                name = "part" if part else "base"
-            share = f" · {percent(shares[part])}" if part in shares else ""
-            mark = "▸ " if part == selection.part else ""
-            hidden = " (hidden)" if part in selection.hidden else ""
-            label = f"{mark}{part} · {name[:24]}{share}{hidden}"
-            if self._buttons[part].label != label:
-                self._buttons[part].label = label
+                name = words.UNNAMED if part else words.BASE
+            share = percent(shares[part]) if part in shares else ""
+            label = words.part_button(part, name, share, part in selection.hidden)
+            put(self._buttons[part], "label", common.SELECTED * (part == selection.part) + label)
         name, picking = _part_name(doc, selection.part), selection.picking
         self._name.show(name, not picking)
         self._quick.show(selection.part != BASE and not picking, name)

@@ -8,12 +8,8 @@ import viser
 
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
+from app.viewer.words import scene as words
 from sessions import commands as cmd
-
-_HOW = (
-    "**Pick an object out:** click it, once more where something is missing, Shift+click what is "
-    "too much; or Alt+drag a box round it. Then say what it is and take it out."
-)
 
 
 class PickPanel:
@@ -23,16 +19,14 @@ class PickPanel:
         """Make the widgets; ``take_out`` gets the new object's name."""
         self._tab = tab
         gui = tab.client.gui
-        self._how = gui.add_markdown(_HOW, visible=False)
+        self._how = gui.add_markdown(words.EXTRACT_HELP, visible=False)
         self._back = gui.add_button(
-            "Put floor and walls back", color="gray", visible=False,
-            hint="They are left out while you pick; doors and windows may be among them",
+            words.RESTORE_ROOM, color="gray", visible=False,
+            hint=words.RESTORE_ROOM_HINT,
         )  # fmt: skip
-        self._name = gui.add_text(
-            "It is a", "", hint="refrigerator, cabinet, oven, …", visible=False
-        )
+        self._name = gui.add_text(words.OBJECT_NAME, "", hint=words.OBJECT_NAME_HINT, visible=False)
         self._take = gui.add_button(
-            "Take it out of the room", icon=viser.Icon.SCISSORS, color="green", visible=False
+            words.EXTRACT, icon=viser.Icon.SCISSORS, color="green", visible=False
         )
         self._back.on_click(lambda _: tab.act(lambda: tab.do(cmd.LeaveOut(None))))
         self._take.on_click(lambda _: tab.act(lambda: take_out(self._name.value)))

@@ -8,6 +8,7 @@ import viser
 
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
+from app.viewer.words import common as words
 
 
 class PredictButtons:
@@ -16,9 +17,9 @@ class PredictButtons:
     def __init__(self, tab: Tab) -> None:
         self._tab = tab
         gui = tab.client.gui
-        self._predict = gui.add_button("Predict joints (P)", icon=viser.Icon.WAND, color="blue")
+        self._predict = gui.add_button(words.PREDICT, icon=viser.Icon.WAND, color="blue")
         self._here = gui.add_button(
-            "Predict on this machine", icon=viser.Icon.CPU, color="gray", visible=False
+            words.PREDICT_LOCALLY, icon=viser.Icon.CPU, color="gray", visible=False
         )
         self._predict.on_click(lambda _: tab.act(lambda: predict(tab)))
         self._here.on_click(lambda _: tab.act(lambda: predict(tab, here=True)))

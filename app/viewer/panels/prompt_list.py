@@ -11,14 +11,13 @@ import viser
 from app.server.tool_tasks import NEXT_MASK
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
+from app.viewer.words import annotate as words
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
 
 PROMPTS_SHOWN = 12
 Prompt = Click | RegionRef
-_LABELS = {"propose": "All parts", "cut": "Line", "source": "From the file"}
-"""Tools that are recorded under another word than their button's."""
 
 
 @dataclass(frozen=True)
@@ -44,23 +43,25 @@ class PromptList:
     def __init__(self, tab: Tab) -> None:
         self._tab = tab
         gui = tab.client.gui
-        with gui.add_folder("Prompts", expand_by_default=True):
+        with gui.add_folder(words.PROMPTS):
             self._note = gui.add_markdown("")
             self._box = gui.add_folder(None)
             self._buttons: list[tuple[Any, PromptEntry]] = []
-            actions = gui.add_button_group("Remove", ("Last", "Of this part", "All"))
+            actions = gui.add_button_group(words.PROMPTS_REMOVE, words.PROMPT_ACTIONS)
         actions.on_click(lambda e: tab.act(lambda: self.remove(e.target.value)))
 
     def remove(self, which: str) -> None:
-        """Remove "Last" or "All" prompts, or those "Of this part"."""
+        """Remove prompts of the selected part, or all; ``which`` is a button."""
+        last, _, every = words.PROMPT_ACTIONS
         tab, part = self._tab, self._tab.selection.part
         prompts = tab.selection.need_object().document.prompts
         mine = [entry for entry in prompt_entries(prompts) if entry.part == part]
-        if which == "All" and prompts:
+        if which == every and prompts:
             tab.do(cmd.ClearPrompts())
         elif not mine:
-            tab.notify("Remove", "This part has no prompts" if prompts else "None yet", "gray")
-        elif which == "Last":  # of those that are listed
+            text = words.NONE_ON_PART if prompts else words.NO_PROMPTS
+            tab.notify(words.PROMPTS_REMOVE, text, "gray")
+        elif which == last:  # of those that are listed
             tab.do(cmd.RemovePrompt(mine[-1].index, mine[-1].count))
         else:
             tab.do(cmd.ClearPrompts(part))
@@ -74,8 +75,8 @@ class PromptList:
         tab = self._tab
         entries = prompt_entries(doc.prompts, elements)
         mine = [entry for entry in entries if entry.part == tab.selection.part]
-        note = f"{len(mine)} on this part, {len(entries)} in all. Click one to remove it."
-        put(self._note, "content", note if doc.prompts else "None yet.")
+        note = words.prompt_count(len(mine), len(entries))
+        put(self._note, "content", note if doc.prompts else words.NO_PROMPTS)
         wanted = mine[-PROMPTS_SHOWN:]
         if [entry for _, entry in self._buttons] == wanted:
             return
@@ -102,7 +103,7 @@ def prompt_entries(prompts: Sequence[Prompt], elements: str = "face") -> list[Pr
         if _is_mask(prompt) and before is not None and before.part == prompt.part:
             if isinstance(before, Click):
                 clicked = out.pop()
-                label = f"{clicked.label}, other mask"
+                label = f"{clicked.label}, {words.OTHER_MASK}"
                 out.append(PromptEntry(clicked.part, clicked.index, 2, label))
                 continue
             if _is_mask(before):
@@ -113,11 +114,6 @@ def prompt_entries(prompts: Sequence[Prompt], elements: str = "face") -> list[Pr
     return out
 
 
-def tool_label(tool: str) -> str:
-    """What people call a tool that did something: as on its button."""
-    return _LABELS.get(tool, tool[:1].upper() + tool[1:])
-
-
 def _is_mask(prompt: Prompt) -> bool:
     return isinstance(prompt, RegionRef) and prompt.tool == NEXT_MASK
 
@@ -125,10 +121,7 @@ def _is_mask(prompt: Prompt) -> bool:
 def _label(prompt: Prompt, elements: str) -> str:
     sign = "+" if prompt.positive else "−"
     if isinstance(prompt, Click):
-        x, y, z = prompt.position
-        return f"{sign}  {x:.3f}, {y:.3f}, {z:.3f} m"
+        return words.prompt_click(sign, prompt.position)
     if prompt.tool == NEXT_MASK:
-        return "other mask"
-    return (
-        f"{sign}  {tool_label(prompt.tool)} · {prompt.count:,} {elements}{'s'[: prompt.count != 1]}"
-    )
+        return words.OTHER_MASK
+    return words.prompt_region(sign, prompt.tool, prompt.count, elements)

@@ -16,11 +16,13 @@ from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
 from app.viewer.text import plain
+from app.viewer.words import common
+from app.viewer.words import queue as words
+from model.validation.report import Severity
 from sessions.records import ObjectRecord
 
 PAGE = 14
 NAME_LENGTH = 22
-ALL = "all"
 _ICONS = {
     "todo": viser.Icon.CIRCLE,
     "in_progress": viser.Icon.PENCIL,
@@ -55,29 +57,28 @@ class QueuePanel:
         self._held = 0
         gui = tab.client.gui
         panel = gui.add_panel()
-        with panel.add_tab("Queue", viser.Icon.LIST_DETAILS):
+        with panel.add_tab(words.TITLE, viser.Icon.LIST_DETAILS):
             self._summary = gui.add_markdown("")
             self._bar = gui.add_progress_bar(0.0, color="green")
-            options = (ALL, *palette.STATE_WORDS.values())
-            self._filter = gui.add_dropdown("Show", options, initial_value=ALL)
-            self._search = gui.add_text("Find", "", hint="Part of an object's name")
+            options = (common.ALL, *common.STATES.values())
+            self._filter = gui.add_dropdown(common.FILTER, options, initial_value=common.ALL)
+            self._search = gui.add_text(common.SEARCH, "", hint=words.SEARCH_HINT)
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
             self._again = gui.add_button(
-                "", icon=viser.Icon.ALERT_TRIANGLE, color=palette.VERDICT_COLORS["look"],
+                "", icon=viser.Icon.ALERT_TRIANGLE, color=palette.SEVERITY_COLORS[Severity.WARNING],
                 visible=False,
-                hint="You wanted it accepted before its joints were judged; the gate held it back",
+                hint=words.ON_HOLD_HINT,
             )  # fmt: skip
             self._back = gui.add_button(
                 "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
             )
-            self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
-            self._next = gui.add_button_group("Object", ("Previous (B)", "Next (N)"))
+            self._pages = gui.add_button_group(common.PAGE, ("◀", "1", "▶"))
+            self._next = gui.add_button_group(common.NAVIGATE, common.PREVIOUS_NEXT)
             self._upload = gui.add_upload_button(
-                "Add files",
+                words.UPLOAD,
                 icon=viser.Icon.UPLOAD,
                 color="gray",
-                hint="A mesh or a scan (GLB, PLY, STL, OBJ, PCD, XYZ); choose an OBJ together with "
-                "its materials and textures, or give a zip",
+                hint=words.UPLOAD_HINT,
             )
             self.user_name = UserName(tab, remember)
         panel.dock_left()
@@ -89,7 +90,7 @@ class QueuePanel:
         self._search.on_update(lambda _: self._turn(None))
         self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
         self._next.on_click(
-            lambda e: tab.act(lambda: step(1 if e.target.value.startswith("Next") else -1))
+            lambda e: tab.act(lambda: step(1 if e.target.value == common.PREVIOUS_NEXT[1] else -1))
         )
         self._again.on_click(lambda _: tab.act(lambda: open_object(self._held)))
         self._back.on_click(lambda _: tab.act(lambda: open_object(app_state.queue.restore())))
@@ -112,12 +113,11 @@ class QueuePanel:
         app_state, obj = self._app_state, self._tab.selection.object
         records = app_state.queue.records()
         current = None if obj is None else obj.record.id
-        words = palette.STATE_WORDS
         names = queue_names(records)
         chosen = [
             r
             for r in records
-            if self._filter.value in (ALL, words[r.state])
+            if self._filter.value in (common.ALL, common.STATES[r.state])
             and self._search.value.lower() in names[r.id].lower()
         ]
         if current != self._followed:
@@ -128,8 +128,8 @@ class QueuePanel:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
 
-        at_it = {r.id: "being judged, then accepted" for r in page if app_state.is_validating(r.id)}
-        at_it |= {r.id: "being saved" for r in page if app_state.is_saving(r.id)}
+        at_it = {r.id: words.CHECKING for r in page if app_state.is_validating(r.id)}
+        at_it |= {r.id: words.SAVING for r in page if app_state.is_saving(r.id)}
         held = [r.id for r in records if app_state.on_hold(r)]
         now = (
             tuple((r.id, names[r.id], r.state, self._alarm(r)) for r in page),
@@ -146,17 +146,17 @@ class QueuePanel:
         self._shown = now
 
         def stands(record: ObjectRecord) -> str:
-            return at_it.get(record.id) or self._alarm(record) or words[record.state]
+            return at_it.get(record.id) or self._alarm(record) or common.STATES[record.state]
 
         done = sum(r.state == "accepted" for r in records)
-        self._summary.content = f"**{done} of {len(records)}** accepted"
+        self._summary.content = words.progress(done, len(records))
         self._bar.value = round(100 * done / max(len(records), 1), 1)
         self._ids = [r.id for r in page]
         off = app_state.queue.removed
         put(self._back, "visible", bool(off))
         if off:
             name = app_state.store.object(off[-1]).name
-            put(self._back, "label", f"Put {clipped(name, NAME_LENGTH - 6)} back")
+            put(self._back, "label", words.restore(clipped(name, NAME_LENGTH - 4)))
         self._draw_held([i for i in held if i != current], names)
         put(self._pages, "visible", len(chosen) > PAGE)
         put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
@@ -167,13 +167,13 @@ class QueuePanel:
                 continue
             record = page[k]
             here = record.id == current
-            button.label = ("▸ " if here else "") + clipped(names[record.id], NAME_LENGTH)
+            button.label = common.SELECTED * here + clipped(names[record.id], NAME_LENGTH)
             button.icon = viser.Icon.ALERT_TRIANGLE if self._alarm(record) else _ICONS[record.state]
             if record.id in at_it:
                 button.icon = viser.Icon.DEVICE_FLOPPY
             button.color = palette.STATE_COLORS[record.state] if here else _pale(record.state)
             if record.id in held:
-                button.color = palette.VERDICT_COLORS["look"]
+                button.color = palette.SEVERITY_COLORS[Severity.WARNING]
             button.hint = f"{plain(names[record.id])}: {stands(record)}"
             button.visible = True
         title_buttons(
@@ -188,18 +188,17 @@ class QueuePanel:
         """What a person has to know of an object before all else, or ""."""
         app_state = self._app_state
         if record.id in app_state.queue.unreadable:
-            return "can't be read"
+            return common.UNREADABLE
         if why := app_state.on_hold(record):
-            return f"look again: {why}"
-        return "was being accepted" if app_state.was_interrupted(record) else ""
+            return words.on_hold_because(why)
+        return words.INTERRUPTED if app_state.was_interrupted(record) else ""
 
     def _draw_held(self, held: list[int], names: Mapping[int, str]) -> None:
         """The way back to what the gate held back after a person went on."""
         put(self._again, "visible", bool(held))
         if held:
-            more = f" (+{len(held) - 1})" if len(held) > 1 else ""
             name = clipped(names[held[0]], NAME_LENGTH - 10)
-            put(self._again, "label", f"Look again: {name}{more}")
+            put(self._again, "label", words.on_hold(name, len(held) - 1))
             self._held = held[0]
 
 

@@ -9,19 +9,11 @@ import viser
 
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
+from app.viewer.words import review as words
 from model.core.errors import CommandError
 from sessions.review import RejectReason
 
-REASONS: dict[str, RejectReason] = {
-    "range": "range",
-    "axis": "axis",
-    "type": "type",
-    "parts": "parts",
-    "not articulated": "not_articulated",
-    "other": "other",
-}
-_NUMBERED = tuple(f"{k} {word}" for k, word in enumerate(REASONS, 1))
-_ROWS = (_NUMBERED[:4], _NUMBERED[4:])
+_ROWS = (words.reason_buttons()[:4], words.reason_buttons()[4:])
 
 
 class Rejecting:
@@ -53,7 +45,7 @@ class Rejecting:
             return
         self._asked = self._about()
         self._note = self._tab.client.add_notification(
-            "What is wrong?", f"{' · '.join(_NUMBERED)} · Esc: nothing", color="red"
+            words.ASK_REASON, words.reason_keys(), color="red"
         )
         self._tab.invalidate()
 
@@ -63,10 +55,10 @@ class Rejecting:
         Raises:
             CommandError: where no reason has that number.
         """
-        if not 1 <= number <= len(REASONS):
-            raise CommandError(f"choose a reason: 1 to {len(REASONS)}, or Esc")
+        if not 1 <= number <= len(words.REASONS):
+            raise CommandError(words.bad_reason())
         self.cancel()
-        self._reject(tuple(REASONS.values())[number - 1])
+        self._reject(tuple(words.REASONS)[number - 1])
 
     def cancel(self) -> None:
         """Nothing is rejected."""
@@ -83,9 +75,9 @@ class RejectButtons:
         """Make the buttons; ``clicked`` is called where the question is wanted or off."""
         self._tab, self._rejecting = tab, rejecting
         gui = tab.client.gui
-        self._reject = gui.add_button("Reject (X)", icon=viser.Icon.X, color="red")
+        self._reject = gui.add_button(words.REJECT, icon=viser.Icon.X, color="red")
         self._rows = [
-            gui.add_button_group("What is wrong" if k == 0 else "", row, visible=False)
+            gui.add_button_group(words.REASON_LABEL if k == 0 else "", row, visible=False)
             for k, row in enumerate(_ROWS)
         ]
         self._reject.on_click(lambda _: clicked())
@@ -100,6 +92,6 @@ class RejectButtons:
         """Bring them up to date; ``visible`` where there is something to reject."""
         asking = visible and self._rejecting.asking
         put(self._reject, "visible", visible)
-        put(self._reject, "label", "Don't reject (Esc)" if asking else "Reject (X)")
+        put(self._reject, "label", words.CANCEL_REJECTION if asking else words.REJECT)
         for row in self._rows:
             put(row, "visible", asking)

@@ -1,4 +1,4 @@
-"""The left side of a scene: what the colours mean, and its objects, the least sure ones first."""
+"""The left side of a scene: what the colours mean, and its objects, lowest confidence first."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from app.viewer.picture import palette
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.tab import Tab
 from app.viewer.text import plain
+from app.viewer.words import common
+from app.viewer.words import scene as words
+from app.viewer.words.joints import confidence
 
 PAGE = 13
-ALL = "all"
 _ICONS = {
     "predicted": viser.Icon.SPARKLES,
     "held": viser.Icon.ALERT_TRIANGLE,
@@ -56,21 +58,18 @@ class SceneList:
         self._ids: list[str] = []
         gui = tab.client.gui
         panel = gui.add_panel()
-        with panel.add_tab("Scene", viser.Icon.HOME):
+        with panel.add_tab(words.TITLE, viser.Icon.HOME):
             self._title = gui.add_markdown("")
             self._legend = gui.add_html("")
             self._own = gui.add_checkbox(
-                "Own colours",
-                False,
-                hint="All objects as their source has them; else only what is static looks so, "
-                "and the others have the colour of their state",
+                words.ORIGINAL_COLORS, False, hint=words.ORIGINAL_COLORS_HINT
             )
             self._filter = gui.add_dropdown(
-                "Show", (ALL, *palette.SCENE_WORDS.values()), initial_value=ALL
+                common.FILTER, (common.ALL, *common.SCENE_STATES.values()), initial_value=common.ALL
             )
-            self._search = gui.add_text("Find", "", hint="Part of an object's id or description")
+            self._search = gui.add_text(common.SEARCH, "", hint=words.SEARCH_HINT)
             self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
-            self._pages = gui.add_button_group("Page", ("◀", "1", "▶"))
+            self._pages = gui.add_button_group(common.PAGE, ("◀", "1", "▶"))
             self.user_name = UserName(tab, remember)
         panel.dock_left()
         panel.set_width(250)
@@ -109,7 +108,7 @@ class SceneList:
             return
         self._shown = now
         name = self._desk.record.name if self._desk.scene is None else self._desk.scene.name
-        put(self._title, "content", f"**{plain(name, 60)}** · {_number(len(rows))}")
+        put(self._title, "content", words.about(plain(name, 60), len(rows)))
         put(self._legend, "content", legend(counts, own))
         self._ids = [r.id for r in page]
         put(self._pages, "visible", len(chosen) > PAGE)
@@ -120,18 +119,20 @@ class SceneList:
                 self._show(button, page[k], page[k].id == current)
 
     def _fits(self, row: Row) -> bool:
-        words = palette.SCENE_WORDS[row.shown]
         item = self._desk.items[row.id]
         text = f"{row.id} {item.obj.description} {item.category or ''}".lower()
-        return self._filter.value in (ALL, words) and self._search.value.lower() in text
+        return (
+            self._filter.value in (common.ALL, common.SCENE_STATES[row.shown])
+            and self._search.value.lower() in text
+        )
 
     def _show(self, button: Any, row: Row, here: bool) -> None:
-        sure = f" · {100 * row.confidence:.0f} %" if row.status == "predicted" else ""
-        put(button, "label", ("▸ " if here else "") + _short(row.id, 16 if sure else 22) + sure)
+        share = confidence(row.confidence) if row.status == "predicted" else ""
+        put(button, "label", words.row(_short(row.id, 16 if share else 22), here, share))
         put(button, "icon", _ICONS[row.shown])
         color = palette.SCENE_COLORS[row.shown]
         put(button, "color", color if here else _deep(color))
-        put(button, "hint", f"{plain(row.id)}: {palette.SCENE_WORDS[row.shown]}")
+        put(button, "hint", words.state(plain(row.id), row.shown))
 
 
 def page_buttons(page: int, count: int) -> tuple[str, str, str]:
@@ -152,7 +153,7 @@ def legend(counts: Counter[Any], own: bool) -> str:
         f'<div style="display:flex;align-items:center;gap:6px">'
         f'<span style="width:12px;height:12px;border-radius:3px;flex:none;box-sizing:border-box;'
         f'{square(s)}"></span>'
-        f"<span>{palette.SCENE_WORDS[s]}</span>"
+        f"<span>{common.SCENE_STATES[s]}</span>"
         f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
         for s in SHOWN
         if s not in ("failed", "missing", "held", "judging") or counts[s]
@@ -161,10 +162,6 @@ def legend(counts: Counter[Any], own: bool) -> str:
         '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'
         f'margin:2px 12px 6px">{cells}</div>'
     )
-
-
-def _number(count: int) -> str:
-    return f"{count} object{'s'[: count != 1]}"
 
 
 def _short(text: str, limit: int) -> str:
@@ -182,5 +179,5 @@ def _deep(color: palette.Rgb) -> palette.Rgb:
 
 
 def order(rows: Sequence[Row]) -> list[str]:
-    """Ids in the order of a review: what wants a decision, the least sure first."""
+    """Ids in the order of a review: undecided ones, lowest confidence first."""
     return [r.id for r in rows if r.undecided]

@@ -10,6 +10,8 @@ from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
 from app.viewer.text import plain
+from app.viewer.words import annotate as words
+from app.viewer.words.common import warning
 from model.core.errors import CommandError
 from model.geometry.units import UNITS
 from sessions import commands as cmd
@@ -19,50 +21,42 @@ class SourcePanel:
     """Two folders below the annotation tools, closed until somebody needs them."""
 
     def __init__(self, tab: Tab, open_object: Callable[[int], None]) -> None:
-        """Make the folders; ``open_object`` gets the id of what was cut out.
-
-        Attributes:
-            touch: whether a tap adds a prompt.
-        """
+        """Make the folders; ``open_object`` gets the id of what was cut out."""
         self._tab, self._open = tab, open_object
         self._drawn: Any = None
-        self.touch = False
         gui = tab.client.gui
-        with gui.add_folder("Room or table top", expand_by_default=False):
+        with gui.add_folder(words.EXTRACT_FOLDER, expand_by_default=False):
             self._room_note = gui.add_markdown("")
             self._leave_out = gui.add_button_group(
-                "Leave out",
-                ("Floor, walls", "This part"),
-                hint="What is left out is not looked at; undo, or Put back, brings it back",
+                words.EXCLUDE,
+                words.EXCLUDE_ACTIONS,
+                hint=words.EXCLUDE_HINT,
             )
-            self._back = gui.add_button("Put everything back", color="gray", visible=False)
+            self._back = gui.add_button(words.RESTORE_ALL, color="gray", visible=False)
             self._cut_out = gui.add_button(
-                "Cut this part out as an object",
+                words.EXTRACT,
                 color="gray",
-                hint="It becomes an entry of the queue and keeps its place in this scan",
+                hint=words.EXTRACT_HINT,
                 visible=not tab.in_scene,
             )
-        with gui.add_folder("Source", expand_by_default=False):
+        with gui.add_folder(words.FRAME_FOLDER, expand_by_default=False):
             self._source = gui.add_markdown("")
-            self._up = gui.add_dropdown("Up axis", ("z", "y", "x", "-z", "-y", "-x"))
-            self._unit = gui.add_dropdown("File's unit", tuple(UNITS))
-            self._frame = gui.add_button("Read again with these", color="gray")
-            self._touch = gui.add_checkbox(
-                "Touch screen", False, hint="A tap adds a prompt; keys are not needed"
-            )
+            self._up = gui.add_dropdown(words.UP_AXIS, ("z", "y", "x", "-z", "-y", "-x"))
+            self._unit = gui.add_dropdown(words.UNIT, tuple(UNITS))
+            self._frame = gui.add_button(words.APPLY, color="gray")
         self._leave_out.on_click(lambda e: tab.act(lambda: self.leave_out(e.target.value)))
         self._back.on_click(lambda _: tab.act(self.put_back))
         self._cut_out.on_click(lambda _: tab.act(self.cut_out))
         self._frame.on_click(lambda _: tab.act(self._read_again))
-        tab.on_update(self._touch, self._touched)
 
-    def leave_out(self, what: str = "Floor, walls") -> None:
+    def leave_out(self, what: str = words.EXCLUDE_ACTIONS[0]) -> None:
         """Look no more at the floor and the walls, or at the chosen part."""
         tab, part = self._tab, self._tab.selection.part
         obj = tab.selection.need_object()
-        if what == "This part" and not part:
-            raise CommandError("choose the part to leave out; the base is what stays")
-        leave_out(obj, "part" if what == "This part" else "floor and walls", part, tab.user)
+        one = what == words.EXCLUDE_ACTIONS[1]
+        if one and not part:
+            raise CommandError(words.EXCLUDE_BASE)
+        leave_out(obj, "part" if one else "floor and walls", part, tab.user)
 
     def put_back(self) -> None:
         """Look at the whole source again."""
@@ -72,9 +66,9 @@ class SourcePanel:
         """Make the chosen part an object of its own and open it."""
         tab, part = self._tab, self._tab.selection.part
         if tab.in_scene:
-            raise CommandError("in a scene, go back and press “Pick an object out of it”")
+            raise CommandError(words.EXTRACT_IN_SCENE)
         if not part:
-            raise CommandError("choose the part to cut out; part 0 is the rest of the scan")
+            raise CommandError(words.EXTRACT_BASE)
 
         def open_it(object_id: int) -> None:
             tab.act(lambda: self._open(object_id))
@@ -85,10 +79,6 @@ class SourcePanel:
         obj = self._tab.selection.need_object()
         self._tab.do(cmd.SetFrame(self._up.value, UNITS[self._unit.value]))
         obj.ensure_open()
-
-    def _touched(self) -> None:
-        self.touch = self._touch.value
-        self._tab.invalidate()
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the folders up to date."""
@@ -110,29 +100,25 @@ class SourcePanel:
             return
         lines = [plain(str(obj.record.path), 200)]
         if asset is not None:
-            lines += [f"⚠ {plain(w, 300)}" for w in asset.warnings]
+            lines += [warning(plain(w, 300)) for w in asset.warnings]
             self._up.value = asset.up_axis
         for word, scale in UNITS.items():
             if abs(scale - doc.unit_scale) < 1e-9:
                 self._unit.value = word
-        lines.append("Reading again starts this object afresh (undo brings it back).")
+        lines.append(words.RELOAD_NOTE)
         self._source.content = "\n\n".join(lines)
 
 
 def _room_note(obj: OpenObject, in_scene: bool) -> str:
     doc = obj.document
     if doc.placement is not None:
-        x, y, z = doc.placement.position
         scene = plain(doc.placement.scene.rpartition("/")[2])
-        return f"Cut out of {scene}; its origin lies at {x:.3f}, {y:.3f}, {z:.3f} m there."
+        return words.extracted_from(scene, doc.placement.position)
     lines = []
     if doc.left_out is not None:
-        lines.append(f"Left out: {plain(doc.left_out.what)}, {doc.left_out.count:,} elements.")
+        lines.append(words.excluded(plain(doc.left_out.what), doc.left_out.count))
     if doc.crops:
-        lines.append("Cut out: " + ", ".join(plain(c.name) for c in doc.crops) + ".")
+        lines.append(words.extracted(", ".join(plain(c.name) for c in doc.crops)))
     if in_scene:
         return "\n\n".join(lines)
-    return "\n\n".join(lines) or (
-        "For a scan of several things: leave out the floor and the walls, click or box one thing, "
-        "and cut it out."
-    )
+    return "\n\n".join(lines) or words.EXTRACT_HELP

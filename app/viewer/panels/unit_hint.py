@@ -5,6 +5,7 @@ from __future__ import annotations
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
+from app.viewer.words.annotate import set_unit
 from model.geometry.units import UNITS, OddSize, odd_size
 from sessions import commands as cmd
 
@@ -15,7 +16,7 @@ class UnitHint:
     def __init__(self, tab: Tab) -> None:
         self._tab = tab
         self._odd: OddSize | None = None
-        self._button = tab.client.gui.add_button("Set the unit", color="gray", visible=False)
+        self._button = tab.client.gui.add_button("", color="gray", visible=False)
         self._button.on_click(lambda _: tab.act(self._set))
 
     def draw(self, obj: OpenObject) -> str | None:
@@ -26,7 +27,7 @@ class UnitHint:
         unit = None if self._odd is None else self._odd.unit
         put(self._button, "visible", unit is not None)
         if unit is not None:
-            put(self._button, "label", f"Yes, it is in {unit}")
+            put(self._button, "label", set_unit(unit))
         return None if self._odd is None else self._odd.question
 
     def _set(self) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
+from app.viewer.words import common as words
 from sessions import commands as cmd
 
 
@@ -14,9 +15,7 @@ class UserName:
 
     def __init__(self, tab: Tab, remember: Callable[[], None]) -> None:
         self._tab, self._remember = tab, remember
-        self._box = tab.client.gui.add_text(
-            "Your name", tab.user, hint="Written beside your decisions"
-        )
+        self._box = tab.client.gui.add_text(words.USER_NAME, tab.user, hint=words.USER_NAME_HINT)
         tab.on_update(self._box, self._renamed)
 
     def show(self) -> None:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-NONE = "—"
-"""The entry of a list where nothing is chosen."""
-
 
 def put(handle: Any, name: str, value: Any) -> None:
     """Assign a widget's property where it differs: nothing is sent twice."""

@@ -13,7 +13,7 @@ import viser
 from viser import transforms as vtf
 
 from app.server.display_tasks import PartPayload
-from app.server.validating import JointCheck
+from app.server.validating import JointCollision
 from app.viewer.picture import palette
 from model.core.tree import KinematicTree
 
@@ -129,7 +129,7 @@ class JointMarks:
             receive_shadow=False,
         )
 
-    def show_contacts(self, checks: Sequence[JointCheck], tree: KinematicTree | None) -> None:
+    def show_contacts(self, checks: Sequence[JointCollision], tree: KinematicTree | None) -> None:
         """Mark where a sweep hits something; without a tree nothing is marked."""
         hits = [c for c in checks if tree is not None and c.joint in tree.by_name]
         key = (tree, tuple((c.joint, c.q, c.where, c.other) for c in hits))
@@ -146,7 +146,7 @@ class JointMarks:
             ]
 
     def _contact(
-        self, name: str, check: JointCheck, tree: KinematicTree, radius: float
+        self, name: str, check: JointCollision, tree: KinematicTree, radius: float
     ) -> _Contact:
         joint, then = tree.by_name[check.joint], tree.pose({check.joint: check.q})
         other = check.other if check.other in then else joint.parent

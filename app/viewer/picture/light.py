@@ -8,6 +8,7 @@ import viser
 
 from app.viewer.picture.stage import LIGHT_ROOT
 from app.viewer.tab import Tab
+from app.viewer.words import common as words
 
 PLAIN = "plain"
 """What the browser remembers where there are no reflections."""
@@ -23,9 +24,9 @@ class LightSwitch:
         self._tab, self._remember = tab, remember
         self._lamps: list[viser.SceneNodeHandle] = []
         self._box = tab.client.gui.add_checkbox(
-            "Plain light",
+            words.SIMPLE_LIGHT,
             False,
-            hint="No reflections. Moves several times more smoothly where the browser has no GPU",
+            hint=words.SIMPLE_LIGHT_HINT,
         )
         self._box.on_update(lambda _: tab.act(self._switched))
 

@@ -11,6 +11,8 @@ from app.viewer.picture.animation import Animation
 from app.viewer.picture.axis_handles import AxisHandles
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.tab import Step, Tab
+from app.viewer.words import common as words
+from app.viewer.words.joints import SELECT_JOINT
 from model.core.joint import Joint
 from model.validation.report import Finding
 
@@ -85,7 +87,7 @@ class Motion:
         selection = self._tab.selection
         tree = selection.need_object().document.tree
         if tree is None:
-            self._tab.notify("No joints yet", "Predict them first (P)", "gray")
+            self._tab.notify(words.NO_JOINTS, words.PREDICT_FIRST, "gray")
             return
         if selection.step == "Annotate":
             selection.set_step("Joints")
@@ -131,7 +133,7 @@ class Motion:
         """Show or hide the handles for the chosen joint's axis."""
         tab, joint = self._tab, self._tab.selection.joint
         if joint is None or not joint.moves:
-            tab.notify("Choose a joint first", "Tab chooses the next one", "gray")
+            tab.notify(*SELECT_JOINT, "gray")
             return
         on = not self.handles.on
         if on:

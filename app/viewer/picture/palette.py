@@ -1,29 +1,19 @@
-"""Colours, icons and words of the screens."""
+"""Colors of the screens, and the names that parts and objects are given."""
 
 from __future__ import annotations
 
 import colorsys
 from typing import Final
 
-from app.server.scene_rows import HELD
+from model.validation.report import Severity
 
 Rgb = tuple[int, int, int]
 
 BASE_COLOR: Final[Rgb] = (148, 156, 166)
 PART_COLORS: Final[tuple[Rgb, ...]] = (
-    (230, 126, 34),
-    (41, 128, 225),
-    (39, 174, 96),
-    (192, 57, 160),
-    (214, 174, 0),
-    (22, 180, 190),
-    (231, 76, 60),
-    (120, 94, 220),
-    (141, 180, 40),
-    (200, 110, 110),
-    (70, 110, 150),
-    (160, 110, 60),
-)
+    (230, 126, 34), (41, 128, 225), (39, 174, 96), (192, 57, 160), (214, 174, 0), (22, 180, 190),
+    (231, 76, 60), (120, 94, 220), (141, 180, 40), (200, 110, 110), (70, 110, 150), (160, 110, 60),
+)  # fmt: skip
 _LIGHTER, _DARKER, _TURN = 0.56, 0.55, 0.065
 """What further parts have of the first ones' colours: light, and a turn of the hue each round."""
 SELECTED: Final[Rgb] = (236, 0, 140)
@@ -34,86 +24,18 @@ DIRECTIONS: Final[tuple[Rgb, Rgb, Rgb]] = ((204, 51, 51), (60, 150, 60), (51, 90
 NEGATIVE: Final[Rgb] = (25, 25, 30)
 
 PART_NAMES: Final[tuple[str, ...]] = (
-    "base",
-    "door",
-    "drawer",
-    "lid",
-    "knob",
-    "button",
-    "handle",
-    "wheel",
-    "lever",
-    "switch",
-    "screen",
-    "seat",
-    "leg",
-    "arm",
-    "cap",
-    "blade",
-    "tray",
-    "shelf",
-    "panel",
-    "pedal",
-    "spout",
-    "hinge",
-    "rotor",
-    "caster",
-)
+    "base", "door", "drawer", "lid", "knob", "button", "handle", "wheel", "lever", "switch",
+    "screen", "seat", "leg", "arm", "cap", "blade", "tray", "shelf", "panel", "pedal", "spout",
+    "hinge", "rotor", "caster",
+)  # fmt: skip
 CATEGORIES: Final[tuple[str, ...]] = (
-    "Bottle",
-    "Box",
-    "Bucket",
-    "Camera",
-    "Cart",
-    "Chair",
-    "Clock",
-    "CoffeeMachine",
-    "Dishwasher",
-    "Dispenser",
-    "Display",
-    "Door",
-    "Eyeglasses",
-    "Fan",
-    "Faucet",
-    "FoldingChair",
-    "Globe",
-    "Kettle",
-    "Keyboard",
-    "KitchenPot",
-    "Knife",
-    "Lamp",
-    "Laptop",
-    "Lighter",
-    "Microwave",
-    "Mouse",
-    "Oven",
-    "Pen",
-    "Phone",
-    "Pliers",
-    "Printer",
-    "Refrigerator",
-    "Remote",
-    "Safe",
-    "Scissors",
-    "Stapler",
-    "StorageFurniture",
-    "Suitcase",
-    "Switch",
-    "Table",
-    "Toaster",
-    "Toilet",
-    "TrashCan",
-    "USB",
-    "WashingMachine",
-    "Window",
-)
-STATE_WORDS: Final[dict[str, str]] = {
-    "todo": "to do",
-    "in_progress": "in progress",
-    "predicted": "predicted",
-    "accepted": "accepted",
-    "rejected": "rejected",
-}
+    "Bottle", "Box", "Bucket", "Camera", "Cart", "Chair", "Clock", "CoffeeMachine", "Dishwasher",
+    "Dispenser", "Display", "Door", "Eyeglasses", "Fan", "Faucet", "FoldingChair", "Globe",
+    "Kettle", "Keyboard", "KitchenPot", "Knife", "Lamp", "Laptop", "Lighter", "Microwave",
+    "Mouse", "Oven", "Pen", "Phone", "Pliers", "Printer", "Refrigerator", "Remote", "Safe",
+    "Scissors", "Stapler", "StorageFurniture", "Suitcase", "Switch", "Table", "Toaster", "Toilet",
+    "TrashCan", "USB", "WashingMachine", "Window",
+)  # fmt: skip
 STATE_COLORS: Final[dict[str, Rgb]] = {
     "todo": (134, 142, 150),
     "in_progress": (51, 126, 204),
@@ -147,22 +69,10 @@ SCENE_ALBEDO: Final[dict[str, Rgb]] = {s: albedo(color) for s, color in SCENE_CO
 SCENE_GHOST: Final[Rgb] = (120, 130, 145)
 SCAN_GHOST: Final[Rgb] = (186, 192, 201)
 """Of points, which nothing shows through."""
-SCENE_WORDS: Final[dict[str, str]] = {
-    "predicted": "predicted",
-    "held": HELD,
-    "todo": "to do",
-    "judging": "being judged",
-    "rejected": "rejected",
-    "accepted": "accepted",
-    "static": "static",
-    "failed": "failed",
-    "missing": "missing",
-}
-
-VERDICT_COLORS: Final[dict[str, Rgb]] = {
-    "fine": (47, 158, 68),
-    "look": (201, 118, 0),
-    "broken": (201, 42, 42),
+SEVERITY_COLORS: Final[dict[Severity, Rgb]] = {
+    Severity.OK: (47, 158, 68),
+    Severity.WARNING: (201, 118, 0),
+    Severity.ERROR: (201, 42, 42),
 }
 
 

@@ -22,12 +22,11 @@ from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.picture.stage import may_be_a_room
 from app.viewer.tab import Tab
+from app.viewer.words import annotate as words
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.records import ObjectRecord
-
-LEAVE_OUT = "Leave out floor and walls"
 
 
 class AnnotateStep:
@@ -59,7 +58,7 @@ class AnnotateStep:
         # Above the parts: however many these are, it stays where it is.
         self._predict = PredictButtons(tab)
         self._category = Choice(
-            tab, ("Category", "Other category"), palette.CATEGORIES,
+            tab, words.CATEGORY, palette.CATEGORIES,
             lambda: tab.selection.need_object().document.category,
             lambda category: tab.do(cmd.SetCategory(category)),
         )  # fmt: skip
@@ -73,7 +72,7 @@ class AnnotateStep:
         self._room.on_click(lambda _: tab.act(self._room_clicked))
 
     def _room_clicked(self) -> None:
-        if self._room.label == LEAVE_OUT:
+        if self._room.label == words.EXCLUDE_ROOM:
             self.source.leave_out()
         else:
             self.source.cut_out()
@@ -90,14 +89,14 @@ class AnnotateStep:
         """
         if number == 0:
             category = self._guess.take_first()
-            return f"The object is: {category}" if category else "There is no guess of the category"
+            return words.category_set(category) if category else words.NO_SUGGESTION
         if number > len(NUMBERED):
             return ""
         part, name = self._tab.selection.part, NUMBERED[number - 1]
         if part == BASE:
-            return "Part 0 is the base: choose another one"
+            return words.BASE_HAS_NO_NAME
         self.parts.rename(name)
-        return f"Part {part} is: {name}"
+        return words.name_set(part, name)
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the widgets up to date."""
@@ -138,39 +137,23 @@ class AnnotateStep:
         whole = room and doc.left_out is None and not doc.prompts
         odd = self._unit.draw(obj)
         mine = [p for p in doc.prompts if p.part == selection.part]
-        put(self._room, "label", LEAVE_OUT if whole else "Cut this part out as an object")
+        put(self._room, "label", words.EXCLUDE_ROOM if whole else words.EXTRACT)
         put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")
         put(self._room, "visible", room and odd is None)
         if selection.picking:
-            text = (
-                f"**Part {selection.part}** is what is taken out. Things side by side with one "
-                "front: **K**, then two clicks, one above the other, cut them apart."
-            )
+            text = words.extracting(selection.part)
         elif odd is not None:
-            text = f"**{odd}**"
+            text = words.question(odd)
         elif doc.review.state == "accepted":
-            text = "**Accepted.** To change it, reopen it in the Review step."
+            text = words.IS_ACCEPTED
         elif whole:
-            text = (
-                "**A room?** Leave out the floor and the walls first. "
-                "Then click or box one thing and cut it out as an object."
-            )
+            text = words.IS_ROOM
         elif room:
-            text = (
-                "**Click or box (Alt+drag) one thing** and cut it out as an object. "
-                "Shift+click says *not this*; **Tab** shows other masks."
-            )
+            text = words.IN_ROOM
         elif not mine and (selection.part or not doc.prompts):
-            text = (
-                "**Click a part that moves** (a door, a drawer, a knob). "
-                "Press **2**, **3**, … for the next part; Shift+click says *not this*."
-            )
-        elif not any(isinstance(p, Click) for p in mine):
-            text = "Tint wrong? Click what is missing, Shift+click what is too much."
-            text += " **Delete** takes the part away." if selection.part else ""
+            text = words.CLICK_A_PART
+        elif any(isinstance(p, Click) for p in mine):
+            text = words.REFINE_WITH_MASKS
         else:
-            text = (
-                "Tint wrong? **Tab** shows other masks; or click what is missing, Shift+click what "
-                "is too much."
-            )
+            text = f"{words.REFINE} {words.DELETE_PART}" if selection.part else words.REFINE
         put(self._hint, "content", text)

@@ -14,10 +14,13 @@ from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.panels.joint_text import shown, tree_text
 from app.viewer.panels.predict_buttons import PredictButtons, predict
 from app.viewer.panels.quick_names import NUMBERED, QuickNames
-from app.viewer.panels.widgets import NONE, put
+from app.viewer.panels.widgets import put
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.palette import CATEGORIES, PART_NAMES
 from app.viewer.tab import Tab
+from app.viewer.words import joints as words
+from app.viewer.words.annotate import NO_SUGGESTION, category_set, name_set
+from app.viewer.words.common import NONE, PLAY_ONE
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from sessions import commands as cmd
@@ -57,13 +60,13 @@ class JointsStep:
         self._tree = gui.add_markdown("")
         self._what = gui.add_markdown("")
         self._quick = QuickNames(tab, self._named)
-        self._name = gui.add_dropdown("Part is a", (NONE, *PART_NAMES), initial_value=NONE)
+        self._name = gui.add_dropdown(words.PART_NAME, (NONE, *PART_NAMES), initial_value=NONE)
         self._guess = CategoryGuess(tab, records, self._said)
-        self._category = gui.add_dropdown("Category", (NONE, *CATEGORIES), initial_value=NONE)
-        self._folder = gui.add_folder("Joint")
+        self._category = gui.add_dropdown(words.CATEGORY, (NONE, *CATEGORIES), initial_value=NONE)
+        self._folder = gui.add_folder(words.FOLDER)
         with self._folder:
             self.editor = JointEditor(tab, motion, worker, self._forget)
-        self._all = gui.add_folder("All joints")
+        self._all = gui.add_folder(words.ALL_JOINTS)
         tab.on_update(self._name, self._name_chosen)
         tab.on_update(self._category, self._categorised)
         motion.on_move(self._show_q)
@@ -123,8 +126,7 @@ class JointsStep:
         self._draw_names(doc, wanted)
         self._predict.show(wanted)
         if tree is None:
-            text = "No joints yet. Click the moving parts, then predict."
-            put(self._empty, "content", text)
+            put(self._empty, "content", words.EMPTY)
             self._draw_motion(None, doc)
             self._draw_pose(None)
             return
@@ -166,16 +168,12 @@ class JointsStep:
         self._quick.show(bool(unnamed))
         put(self._name, "visible", bool(unnamed))
         put(self._name, "value", NONE)  # the next one has none yet
-        what = "**What is the object?**"
+        what = words.ASK_CATEGORY
         if unnamed:
             assert doc.tree is not None
-            what = f"**What is {part_title(doc, unnamed[0].link)}?**"
-            if unnamed[0].link != self._chosen_part(doc.tree):
-                what += " (Not the one chosen: that has a name.)"
-        why = "Joints come right more often if that is known."
-        if _settled(doc):
-            why = "It is kept for the next prediction (P)."
-        put(self._what, "content", f"{what} {why}")
+            link = unnamed[0].link
+            what = words.ask_name(part_title(doc, link), link != self._chosen_part(doc.tree))
+        put(self._what, "content", f"{what} {words.ask_why(_settled(doc))}")
 
     def _name_chosen(self) -> None:
         if self._name.value != NONE:
@@ -207,16 +205,16 @@ class JointsStep:
         """
         if number == 0:
             category = self._guess.take_first()
-            return f"The object is: {category}" if category else "There is no guess of the category"
+            return category_set(category) if category else NO_SUGGESTION
         doc = self._tab.selection.need_object().document
         unnamed = [] if doc.prediction_stale else self._unknown(doc)[0]
         if not unnamed:
-            return "Every part has a name: the Annotate step changes it"
+            return words.ALL_NAMED
         if number > len(NUMBERED):
             return ""
         name = NUMBERED[number - 1]
         self._named(name)
-        return f"Part {unnamed[0].id} is: {name}"
+        return name_set(unnamed[0].id, name)
 
     def _named(self, name: str) -> None:
         unnamed, _ = self._unknown(self._tab.selection.need_object().document)
@@ -252,8 +250,9 @@ class JointsStep:
         with self._all:
             for joint in moving:
                 unit = "°" if joint.rotates else "mm"
-                slider = self._slider(f"{joint_title(doc, joint.child)} [{unit}]", joint)
-                buttons = gui.add_button_group("", ("▶ / ■", "Edit"))
+                label = words.pose(joint_title(doc, joint.child), unit)
+                slider = self._slider(label, joint)
+                buttons = gui.add_button_group("", (PLAY_ONE, words.ROW_EDIT))
                 buttons.on_click(lambda e, j=joint: self._row_clicked(e.target.value, j))
                 sliders[joint.name] = slider
                 self._rows += [slider, buttons]
@@ -273,8 +272,8 @@ class JointsStep:
             return
         tab, gui = self._tab, self._tab.client.gui
         with self.editor.pose_box:
-            slider = self._slider("Pose [°]" if joint.rotates else "Pose [mm]", joint)
-            play = gui.add_button_group("", ("▶ / ■",))
+            slider = self._slider(words.pose("", "°" if joint.rotates else "mm"), joint)
+            play = gui.add_button_group("", (PLAY_ONE,))
         play.on_click(lambda _: tab.act(lambda: self._motion.play(joint.name)))
         self._pose = key, [slider, play]
 
@@ -309,7 +308,7 @@ class JointsStep:
 
     def _row_clicked(self, which: str, joint: Joint) -> None:
         tab = self._tab
-        if which == "Edit":
+        if which == words.ROW_EDIT:
             tab.act(lambda: tab.selection.choose_joint(joint.child))
         else:
             tab.act(lambda: self._motion.play(joint.name))

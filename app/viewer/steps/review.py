@@ -13,19 +13,20 @@ from typing import Any
 
 import viser
 
-from app.server.accepting import accept, take_back
-from app.server.display_names import in_words, joint_title, part_title
-from app.server.open_object import INTERRUPTED, OpenObject
-from app.server.validating import LookFirstError
-from app.viewer.panels.joint_text import range_text, sure_text
-from app.viewer.panels.prompt_list import tool_label
+from app.server.accepting import accept, withdraw
+from app.server.display_names import display_text, joint_title, part_title
+from app.server.open_object import OpenObject
+from app.server.validating import UnseenWarningsError
+from app.viewer.panels.joint_text import confidence_text, range_text
 from app.viewer.panels.rejecting import RejectButtons, Rejecting
 from app.viewer.panels.validation_list import ValidationList
 from app.viewer.panels.widgets import put
-from app.viewer.picture import palette
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.text import plain
+from app.viewer.words import review as words
+from app.viewer.words.annotate import tool_label
+from app.viewer.words.common import EDITED, STATES
 from model.core.errors import CommandError
 from model.validation.report import Severity
 from sessions import commands as cmd
@@ -76,23 +77,23 @@ class ReviewStep:
         gui = tab.client.gui
         self.gate = ValidationList(tab, motion, actions.drawn)
         self._override = gui.add_text(
-            "Right all the same, because", "", visible=False,
-            hint="The gate calls a joint broken: say why it may be accepted",
+            words.OVERRIDE, "", visible=False,
+            hint=words.OVERRIDE_HINT,
         )  # fmt: skip
-        self._accept = gui.add_button("Accept (Y)", icon=viser.Icon.CHECK, color="green")
+        self._accept = gui.add_button(
+            words.accept(False, False, False), icon=viser.Icon.CHECK, color="green"
+        )
         self._reject = RejectButtons(tab, rejecting, actions.reject)
         self.gate.build_list()
         self._summary = gui.add_markdown("")
-        self._comment = gui.add_text("Comment", "", multiline=True)
-        self._go_on = gui.add_checkbox(
-            "Go on to the next object", True, hint="After a decision: the least sure one first"
-        )
-        self._reopen = gui.add_button("Reopen", color="gray", visible=False)
+        self._comment = gui.add_text(words.COMMENT, "", multiline=True)
+        self._go_on = gui.add_checkbox(words.GO_ON, True, hint=words.GO_ON_HINT)
+        self._reopen = gui.add_button(words.REOPEN, color="gray", visible=False)
         self._saved = gui.add_markdown("", visible=False)
         self._download = gui.add_button(
-            "Download the asset", icon=viser.Icon.DOWNLOAD, color="gray", visible=False
+            words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
-        with gui.add_folder("History", expand_by_default=False):
+        with gui.add_folder(words.HISTORY, expand_by_default=False):
             self._history = gui.add_markdown("")
         self._accept.on_click(lambda _: actions.accept())
         self._reopen.on_click(lambda _: tab.act(lambda: tab.do(cmd.Reopen(self.comment_text))))
@@ -118,7 +119,7 @@ class ReviewStep:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         obj = selection.need_object()
         if obj.document.review.state == "accepted":
-            tab.notify("Accepted", "It is already; Reopen lets it be changed", "gray")
+            tab.notify(*words.ALREADY_ACCEPTED, "gray")
             return
 
         def refused(error: CommandError) -> None:
@@ -128,9 +129,9 @@ class ReviewStep:
             with self._deciding():
                 accept(
                     obj, self.comment_text, tab.user, now, self.override_text,
-                    looked_at=self.gate.looked_at(obj), refused=refused,
+                    seen=self.gate.looked_at(obj), refused=refused,
                 )  # fmt: skip
-        except LookFirstError as error:
+        except UnseenWarningsError as error:
             self._refused(obj, error)
 
     def _refused(self, obj: OpenObject, error: CommandError) -> None:
@@ -138,19 +139,19 @@ class ReviewStep:
         tab, name = self._tab, self._actions.name_of(obj.record)
         self._forget_decision(obj)
         shown = tab.selection.object is obj
-        if isinstance(error, LookFirstError) and shown:
+        if isinstance(error, UnseenWarningsError) and shown:
             tab.selection.set_step("Review")
             self.gate.show_worst()
-            tab.notify("Look at it first", str(error), "yellow")
-        elif not shown and obj.held:
-            tab.notify("Look again", f"{name}: {obj.held}", "yellow", seconds=None)
+            tab.notify(words.NOT_ACCEPTED_YET, str(error), "yellow")
+        elif not shown and obj.hold_reason:
+            tab.notify(words.ON_HOLD, words.about(name, obj.hold_reason), "yellow", seconds=None)
         else:
-            tab.notify("Not accepted", f"{name}: {error}", "yellow")
+            tab.notify(words.NOT_ACCEPTED, words.about(name, str(error)), "yellow")
 
     def withdraw(self) -> None:
         """Don't accept the object once its joints are judged. May be called on any thread."""
         obj = self._tab.selection.object
-        if obj is not None and take_back(obj):
+        if obj is not None and withdraw(obj):
             self._forget_decision(obj)
 
     def reject(self, reason: RejectReason) -> None:
@@ -161,7 +162,7 @@ class ReviewStep:
             tab.do(cmd.Reject(reason, self.comment_text))
         self._clear()
         # The next object is shown by now.
-        tab.notify("Rejected", f"{name}: it is back with its annotator", "orange")
+        tab.notify(words.REJECTED, words.sent_back(name), "orange")
 
     @contextmanager
     def _deciding(self) -> Iterator[None]:
@@ -189,19 +190,19 @@ class ReviewStep:
 
     def _say_again(self, obj: OpenObject) -> None:
         """What was typed for an acceptance that was cut off."""
-        begun = obj.begun
-        if begun is not None:
-            self._comment.value = begun.comment
-            self._override.value = begun.override
+        pending_acceptance = obj.pending_acceptance
+        if pending_acceptance is not None:
+            self._comment.value = pending_acceptance.comment
+            self._override.value = pending_acceptance.override
 
     def _send(self) -> None:
         saved = self._tab.selection.need_object().document.saved
         if saved is None or not Path(saved.folder).is_dir():
-            raise CommandError("the saved asset isn't on this server's disk; accept again")
+            raise CommandError(words.ASSET_MISSING)
         folder = Path(saved.folder)
         files = sorted(p for p in folder.rglob("*") if p.is_file())
         if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
-            raise CommandError(f"too large to send through the browser; it lies in {folder}")
+            raise CommandError(words.too_large(str(folder)))
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in files:
@@ -213,7 +214,7 @@ class ReviewStep:
         doc = obj.document
         self.gate.draw(obj, doc)
         self._reject.draw(True)
-        report = obj.judging.report
+        report = obj.validation.report
         now = (
             obj.record.id,
             obj.state.seq,
@@ -224,8 +225,8 @@ class ReviewStep:
             "save" in obj.busy,
             self.gate.looked_at(obj) is not None,
             obj.interrupted,
-            obj.held,
-            obj.judging.waiting,
+            obj.hold_reason,
+            obj.validation.acceptance_waits,
         )
         if now == self._drawn:
             return
@@ -234,25 +235,18 @@ class ReviewStep:
                 self._clear()
             self._say_again(obj)
         self._drawn = now
-        begun = ""
-        if obj.judging.waiting:
-            begun = (
-                "**Accepted as soon as the joints are judged, if the gate has nothing against it.**"
-                " Esc takes that back."
-            )
-        elif obj.held:
-            begun = f"**Look again:** {plain(obj.held, 500)}"
-        elif obj.interrupted and "save" not in obj.busy:
-            begun = f"**{INTERRUPTED}.**"
-        put(self._summary, "content", (f"{begun}\n\n" if begun else "") + summary(doc))
+        saving = "save" in obj.busy
+        pending = words.pending(
+            obj.validation.acceptance_waits,
+            plain(obj.hold_reason, 500),
+            obj.interrupted and not saving,
+        )
+        put(self._summary, "content", (f"{pending}\n\n" if pending else "") + summary(doc))
         decided = doc.review.state in DECIDED
         broken = report is not None and report.severity == Severity.ERROR and not decided
         put(self._override, "visible", broken)
-        words = "Accept with your edits" if doc.edited_joints else "Accept"
-        looked = report is not None and self.gate.looked_at(obj) is report and not decided
-        if looked and not broken:
-            words = "Accept as it is"
-        put(self._accept, "label", f"{words} against the gate (Y)" if broken else f"{words} (Y)")
+        warned = report is not None and self.gate.looked_at(obj) is report and not decided
+        put(self._accept, "label", words.accept(bool(doc.edited_joints), warned, broken))
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
         put(self._accept, "visible", doc.review.state != "accepted")
@@ -260,12 +254,11 @@ class ReviewStep:
         put(self._download, "visible", doc.saved is not None)
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:
-            put(self._saved, "content", f"Saved in {plain(doc.saved.folder, 200)}")
+            put(self._saved, "content", words.saved_in(plain(doc.saved.folder, 200)))
         self._draw_history()
         id, before = self._asked or (None, 0)
-        saving = "save" in obj.busy
         # Nobody need wait for the gate's answer, nor for the asset to be written.
-        done = saving or obj.judging.waiting
+        done = saving or obj.validation.acceptance_waits
         if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
             if self._go_on.value:
@@ -279,48 +272,46 @@ class ReviewStep:
             f"{plain(what_happened(obj.document, e.command), 80)}"
             for e in reversed(entries)
         ]
-        put(self._history, "content", "\n".join(lines) or "Nothing yet.")
+        put(self._history, "content", "\n".join(lines) or words.HISTORY_EMPTY)
 
 
 def what_happened(doc: Document, command: cmd.Command) -> str:
     """One line of the history, in the words of the screens."""
     if isinstance(command, cmd.SetJoint):
-        return f"change the joint of {part_title(doc, command.joint.child)}"
+        return words.joint_changed(part_title(doc, command.joint.child))
     if isinstance(command, ApplyTool):
         command = replace(command, tool=tool_label(command.tool).lower())
-    return in_words(doc, describe(command))
+    return display_text(doc, describe(command))
 
 
 def summary(doc: Document) -> str:
     """What a reviewer must know before deciding."""
     review = doc.review
-    said = f"**{palette.STATE_WORDS[review.state]}**" + (
-        f" by {plain(review.by)}" if review.by else ""
-    )
+    said = words.state(STATES[review.state], plain(review.by) if review.by else "")
     if review.state == "predicted" and doc.joints_file is not None:
-        said = f"**as {plain(doc.joints_file)} tells it**"
+        said = words.from_file(plain(doc.joints_file))
     lines = [said]
     if review.reason:
-        lines.append(f"Reason: {plain(review.reason.replace('_', ' '))}")
+        lines.append(words.reason(plain(review.reason.replace("_", " "))))
     if review.comment:
-        lines.append(f"“{plain(review.comment, 500)}”")
+        lines.append(words.comment(plain(review.comment, 500)))
     if review.override:
-        lines.append(f"Accepted against the gate: “{plain(review.override, 500)}”")
+        lines.append(words.override(plain(review.override, 500)))
     if doc.tree is None:
-        lines.append("No joints yet: there is nothing to accept.")
+        lines.append(words.NO_JOINTS)
         return "\n\n".join(lines)
-    rows = ["| joint | type | range | sure |", "|---|---|---|---|"]
+    rows = [words.TABLE_HEAD, "|---|---|---|---|"]
     for joint in doc.tree.joints:
-        edited = " ✎" if joint.child in doc.edited_joints else ""
+        edited = EDITED * (joint.child in doc.edited_joints)
         rows.append(
             f"| {plain(joint_title(doc, joint.child), 40)}{edited} | {joint.type} "
-            f"| {range_text(joint)} | {sure_text(doc, joint.child)} |"
+            f"| {range_text(joint)} | {confidence_text(doc, joint.child)} |"
         )
     lines.append("\n".join(rows))
     found = () if doc.prediction is None else doc.prediction.problems
-    problems = [plain(in_words(doc, p), 300) for p in found]
+    problems = [plain(display_text(doc, p), 300) for p in found]
     if doc.prediction_stale:
-        problems.append("the parts changed since the prediction")
+        problems.append(words.STALE)
     if problems:
-        lines.append("**Look at:**\n" + "\n".join(f"- {p}" for p in problems))
+        lines.append(words.PROBLEMS + "\n" + "\n".join(f"- {p}" for p in problems))
     return "\n\n".join(lines)

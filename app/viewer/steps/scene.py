@@ -20,6 +20,8 @@ from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.steps.scene_edit import SceneEdit
 from app.viewer.steps.scene_review import SceneReview
 from app.viewer.tab import Tab
+from app.viewer.words import scene as words
+from app.viewer.words.common import NO_JOINTS
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,7 @@ class SceneStep:
 
     def build_object_widgets(self) -> None:
         """Make the widgets above everything else about one object."""
-        back = self._tab.client.gui.add_button(
-            "Back to the scene (Backspace)", icon=viser.Icon.ARROW_LEFT, color="dark"
-        )
+        back = self._tab.client.gui.add_button(words.BACK, icon=viser.Icon.ARROW_LEFT, color="dark")
         back.on_click(lambda _: self._tab.act(self.edit.leave))
         self._pick_panel = PickPanel(self._tab, self.edit.take_out)
 
@@ -190,7 +190,7 @@ class SceneStep:
         if self.motion.playing:
             self.motion.stop()
         elif not self.motion.play(works, joint):
-            self._tab.notify("No joints yet", "They move once objects are predicted", "gray")
+            self._tab.notify(NO_JOINTS, words.PLAY_LATER, "gray")
         self._tab.invalidate()
 
     def _report(self) -> None:

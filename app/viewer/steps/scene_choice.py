@@ -12,24 +12,25 @@ from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.scene_list import order
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.tab import Tab
+from app.viewer.words import scene as words
 from model.core.errors import CommandError
 
 
 def _at_the_end(desk: SceneWorkspace) -> tuple[str, str, str]:
-    """What is told where nothing waits for a decision: title, words, colour."""
+    """Why nothing waits for a decision: title, text, color."""
     if desk.scene is None:
         if desk.problem:
-            return "Nothing could be read", desk.problem, "red"
-        return "Not yet", "The scene is still being read", "gray"
+            return words.READ_NOTHING, desk.problem, "red"
+        return *words.STILL_READING, "gray"
     rows = [r for r in desk.rows() if r.work is not None]
     if not desk.items:
-        return "Nothing could be read", "The scene holds no object", "yellow"
+        return words.READ_NOTHING, words.NO_OBJECTS, "yellow"
     if not rows:
-        return "Nothing to decide", "No object of the scene counts as articulable", "gray"
-    going = sum(r.mark == "judging" for r in rows)
-    if going:
-        return "Nothing else to decide", f"{going} being judged", "gray"
-    return "Everything is decided", f"{decided_text(rows)}. Save the scene", "green"
+        return *words.NOTHING_TO_DECIDE, "gray"
+    checking = sum(r.mark == "judging" for r in rows)
+    if checking:
+        return *words.still_checking(checking), "gray"
+    return *words.done(decided_text(rows)), "green"
 
 
 class SceneChoice:
@@ -98,7 +99,7 @@ class SceneChoice:
             CommandError: where none is chosen.
         """
         if self.selected is None:
-            raise CommandError("choose an object first: click it, or press N")
+            raise CommandError(words.NEED_SELECTION)
         return self.selected
 
     def need_work(self) -> Work:
@@ -109,5 +110,5 @@ class SceneChoice:
         """
         work = self._desk.work(self.need())
         if work is None:
-            raise CommandError(f"{self.selected} counts as static: there is nothing to decide")
+            raise CommandError(words.is_static(self.need()))
         return work

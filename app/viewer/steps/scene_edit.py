@@ -13,6 +13,7 @@ from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.picture.stage import fitting_distance
 from app.viewer.steps.scene_choice import SceneChoice
 from app.viewer.tab import Tab
+from app.viewer.words import scene as words
 from model.core.errors import CommandError
 
 
@@ -92,7 +93,7 @@ class SceneEdit:
         """
         tab, selection = self._tab, self._tab.selection
         if self.inside is None or not selection.picking:
-            raise CommandError("choose an object of the scene and press “Pick an object out of it”")
+            raise CommandError(words.EXTRACT_NOTHING)
 
         def taken(id: str) -> None:
             tab.act(lambda: self._taken(id))

@@ -6,13 +6,13 @@ from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.scene_list import order
 from app.viewer.steps.scene_choice import SceneChoice
 from app.viewer.tab import Tab
+from app.viewer.words import scene as words
+from app.viewer.words.common import CHOSEN, REDO_EMPTY, UNDO_EMPTY
 from model.core.errors import CommandError
 from sessions import commands as cmd
 from sessions.review import RejectReason
 from sessions.scene_commands import DecideObjects
 from sessions.state import review_problems
-
-LABEL = "● "
 
 
 class SceneReview:
@@ -23,27 +23,25 @@ class SceneReview:
 
     def classify(self, label: str) -> None:
         """Say whether the chosen object is articulable."""
-        articulable = label.removeprefix(LABEL) == "Articulable"
+        articulable = label.removeprefix(CHOSEN) == words.ARTICULABLE
         self._desk.set_articulable(self._choice.need(), articulable, self._tab.user)
 
     def accept(self) -> None:
         """Accept the chosen object, and go to the next one."""
         work, id, accepting = self._choice.need_work(), self._choice.need(), self._desk.accepting
         if work.document.tree is None:
-            raise CommandError(f"{id} has no joints yet: press Enter to work on it")
+            raise CommandError(words.no_joints(id))
         if work.document.review.state == "accepted":
-            raise CommandError(f"{id} is accepted already")
+            raise CommandError(words.already_accepted(id))
         if accepting.mark(work) == "judging":
-            raise CommandError(f"{id} is being judged already")
+            raise CommandError(words.already_checking(id))
         problems = review_problems(work.document)
         if problems:
-            raise CommandError(f"{id}: {'; '.join(problems)}. Enter opens it")
+            raise CommandError(words.has_problems(id, "; ".join(problems)))
         refusal = accepting.refusal(work)
-        if refusal is not None and refusal.report is not None and not refusal.wants_a_look:
-            raise CommandError(
-                f"{id}, {refusal.why} Enter shows where: mend it, or say why it is right"
-            )
-        looked = refusal is not None and refusal.wants_a_look
+        if refusal is not None and refusal.report is not None and not refusal.only_warnings:
+            raise CommandError(words.has_errors(id, refusal.why))
+        looked = refusal is not None and refusal.only_warnings
         self._decide(DecideObjects("accept", (work.id,), looked=looked))
 
     def reject(self, reason: RejectReason) -> None:
@@ -62,12 +60,9 @@ class SceneReview:
         if following is not None:
             choice.choose(following, look=True)
         elif ahead:
-            coming = sum(desk.to_come(r) for r in desk.rows() if r.id in ahead)
-            left = len(ahead) - coming
-            said = [f"{coming} still to be predicted"] if coming else []
-            if left:
-                said.append(f"{left} {'wants' if left == 1 else 'want'} you: N, then Enter")
-            tab.notify("Nothing else is predicted", "; ".join(said), "gray")
+            coming = sum(desk.awaits_prediction(r) for r in desk.rows() if r.id in ahead)
+            left = words.remaining(coming, len(ahead) - coming)
+            tab.notify(words.NO_MORE_PREDICTED, left, "gray")
         else:
             choice.say_end()
 
@@ -88,18 +83,18 @@ class SceneReview:
         """Accept all of at least that confidence, 0..1, that pass the checks."""
         ids = self.above(confidence)
         if not ids:
-            raise CommandError("no predicted object is so sure")
+            raise CommandError(words.NONE_ABOVE)
         command = DecideObjects("accept", tuple(ids), above=confidence)
         self._desk.do(command, self._tab.user, self._tab.notify)
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""
         undone = self._desk.undo(self._tab.user)
-        self._tab.notify(f"Undone: {undone}" if undone else "Nothing to undo", "", "gray")
+        self._tab.notify(words.undone(undone) if undone else UNDO_EMPTY, "", "gray")
 
     def redo(self) -> None:
         """Do again what was taken back."""
         if self._desk.live.state.can_redo:
             self._desk.do(cmd.Redo(), self._tab.user)
         else:
-            self._tab.notify("Nothing to redo", "", "gray")
+            self._tab.notify(REDO_EMPTY, "", "gray")

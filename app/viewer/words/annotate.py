@@ -1,0 +1,295 @@
+"""Words of the annotate step and of its tools."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from app.server.tool_tasks import NEXT_MASK
+from app.viewer.words.common import plural
+
+# --- what to do next
+
+CLICK_A_PART: Final = (
+    "**Click a moving part** (door, drawer, knob). "
+    "**2**, **3**, … select the next part. Shift+click excludes."
+)
+REFINE: Final = "**Refine:** click to add, Shift+click to remove."
+REFINE_WITH_MASKS: Final = (
+    "**Refine:** **Tab** shows other masks; click to add, Shift+click to remove."
+)
+DELETE_PART: Final = "**Delete** deletes the part."
+IS_ACCEPTED: Final = "**Accepted.** Reopen it in Review to edit it."
+IS_ROOM: Final = (
+    "**A room?** Exclude floor and walls first. "
+    "Then click an object, or Alt+drag a box around it, and extract it."
+)
+IN_ROOM: Final = (
+    "**Click an object**, or Alt+drag a box around it, and extract it. "
+    "Shift+click excludes; **Tab** shows other masks."
+)
+
+
+def extracting(part: int) -> str:
+    """What to do where an object of a scene is extracted."""
+    return (
+        f"**Part {part}** will be extracted. To separate neighbors with one common front, press "
+        "**K** and click above and below the border."
+    )
+
+
+def question(text: str) -> str:
+    """A question about the source, such as its unit."""
+    return f"**{text}**"
+
+
+# --- category and parts
+
+CATEGORY: Final = ("Category", "Other category")
+SUGGESTIONS: Final = "Shift+0"
+SUGGESTIONS_HINT: Final = (
+    "Suggestions, from the file's name and the objects before; Shift+0 takes the first one"
+)
+NO_SUGGESTION: Final = "No category is suggested"
+PARTS: Final = "Parts"
+PART: Final = "Part"
+PART_ACTIONS: Final = ("Add", "Hide", "Delete")
+PART_NAME: Final = ("Part name", "Other name")
+UNNAMED, BASE = "part", "base"
+BASE_HAS_NO_NAME: Final = "Part 0 is the base: select another part"
+DELETE: Final = "Delete"
+DELETE_ELSEWHERE: Final = "Parts are deleted in the Annotate step"
+DELETE_BASE: Final = "Part 0 is the base and can't be deleted"
+
+
+def quick_names(first: int, last: int) -> str:
+    """Keys of a row of names."""
+    return f"Shift+{first}…{last}"
+
+
+def part_button(part: int, name: str, share: str, hidden: bool) -> str:
+    """A part in the list."""
+    words = [str(part), name[:24], share]
+    return " · ".join(w for w in words if w) + (" (hidden)" if hidden else "")
+
+
+def category_set(category: str) -> str:
+    """The category was set by a key."""
+    return f"Category: {category}"
+
+
+def name_set(part: int, name: str) -> str:
+    """A part was named by a key."""
+    return f"Part {part}: {name}"
+
+
+def named_too(name: str, count: int) -> tuple[str, str]:
+    """Parts of the same shape got the same name: title and text."""
+    return "Same shape", f"{count} more {plural('part', count)} named {name}. Undo reverts all"
+
+
+# --- tools
+
+
+@dataclass(frozen=True)
+class ToolRow:
+    """A row of tools.
+
+    Attributes:
+        label: of the row.
+        tools: button → the tool's recorded name.
+        hint: what each does.
+    """
+
+    label: str
+    tools: dict[str, str]
+    hint: str
+
+
+TOOLS: Final = "Tools"
+TOOL_ROWS: Final[tuple[ToolRow, ...]] = (
+    ToolRow(
+        "Select",
+        {"Lasso": "lasso", "Brush": "brush"},
+        "Lasso (L) and brush (I): drag; Shift subtracts",
+    ),
+    ToolRow(
+        "Cut",
+        {"Line": "cut", "Rectangle": "rectangle"},
+        "Line (K): click two points; the part is cut along the line. Rectangle (K twice): click "
+        "two opposite corners of a door or drawer. Large faces are split",
+    ),
+    ToolRow(
+        "Mask",
+        {"Next": NEXT_MASK, "Connected": "connected"},
+        "Next (Tab, Shift+Tab back): another mask for the last click. Connected (O): add "
+        "everything connected to it",
+    ),
+    ToolRow(
+        "Size",
+        {"Grow": "grow", "Shrink": "shrink"},
+        "Grow (U) or shrink (J) by one ring of neighbors, never across a gap",
+    ),
+    ToolRow(
+        "Find",
+        {"Same shape": "same shape", "Mirror": "mirror", "All parts": "propose"},
+        "Same shape (Z): make parts of all pieces of this shape, such as knobs. Mirror: the "
+        "counterpart across the symmetry plane. All parts: segment everything",
+    ),
+    ToolRow(
+        "Clean up",
+        {"Merge": "merge", "Split": "split", "Fragments": "leftovers"},
+        "Merge (M): click the part to merge into the selected one. Split: one part per connected "
+        "piece. Fragments: assign small pieces to the part that they touch",
+    ),
+)
+PREVIEW: Final = "Preview (V)"
+PREVIEW_HINT: Final = "Dots show what a click would select"
+TOUCH: Final = "Touch screen"
+TOUCH_HINT: Final = "Taps select, without keys"
+CUT, CUT_RECTANGLE, NEXT = "Cut", "Cut a rectangle", "Next mask"
+NOTHING_FOUND: Final[dict[str, str]] = {
+    "split": "The part is one connected piece",
+    "same shape": "No other piece has this shape",
+    "leftovers": "There are no fragments",
+    "mirror": "No counterpart, or it is a part already",
+    "propose": "No more parts found: click on one",
+    NEXT_MASK: "No other mask: click on the part first",
+    "merge": "That is the selected part: select the part to keep, then click the other one",
+}
+NO_CHANGE: Final = "Nothing to change"
+CANCELLED: Final = "Cancelled. Nothing was changed"
+MERGE: Final = "Merge"
+NO_PARTS: Final = "No parts yet: click on one first"
+SHARED_TRIANGLE: Final = (
+    "Both clicks are on one triangle",
+    "It belongs to the last one. To cut it: K for a line, K twice for a rectangle",
+)
+NOTHING_THERE: Final = "Nothing there"
+BASE_IS_FIXED: Final = "The base doesn't move"
+
+
+def merge_with(part: int) -> str:
+    """The title of notes about a merge."""
+    return f"Merge with part {part}"
+
+
+def found(count: int) -> str:
+    """A tool made new parts."""
+    return f"{count} new {plural('part', count)}. Undo reverts"
+
+
+def connected(count: int, kind: str, share: str) -> str:
+    """How many elements ("face" or "point") were added."""
+    return f"Connected: {count:,} {plural(kind, count)}, {share} of all"
+
+
+def nothing_under(tool: str) -> tuple[str, str]:
+    """A stroke or box that selects nothing: title and text."""
+    return f"Nothing under the {tool}", "Draw over the object"
+
+
+# --- below the picture
+
+HINT_MERGE: Final = "Merge: click the part to merge into the selected one · Esc cancels"
+HINT_CUT: Final = (
+    "Cut: click the first point (Shift+click: three points) · K: rectangle · Esc cancels"
+)
+HINT_CORNER: Final = "Cut a rectangle: click a corner of a door or drawer · Esc cancels"
+HINT_OPPOSITE: Final = (
+    "Cut a rectangle: click the opposite corner (Shift: no snapping) · Esc cancels"
+)
+HINT_STROKES: Final[dict[str, str]] = {
+    "lasso": "Lasso: draw around what to add · Shift subtracts · Esc ends",
+    "brush": "Brush: paint what to add · Shift subtracts · [ ] size · Esc ends",
+}
+HINT_INEFFECTIVE: Final = "Clicks change little here · Tab: other mask · L: lasso · K: cut"
+
+
+def hint_points(left: int) -> str:
+    """Points that a cut still needs."""
+    return f"Cut: {left} more {plural('point', left)} · Esc cancels"
+
+
+def hint_mask(number: int, total: int) -> str:
+    """Which of the masks for the last click is shown, from 1."""
+    return f"Mask {number} of {total} · Tab: next · Shift+Tab: previous"
+
+
+# --- prompts
+
+PROMPTS: Final = "Prompts"
+PROMPTS_REMOVE: Final = "Remove"
+PROMPT_ACTIONS: Final = ("Last", "This part", "All")
+NO_PROMPTS: Final = "No prompts yet."
+NONE_ON_PART: Final = "This part has no prompts"
+OTHER_MASK: Final = "other mask"
+OTHER_TOOLS: Final[dict[str, str]] = {"box": "Box", "source": "From the file"}
+"""Recorded names that no button has."""
+
+
+def prompt_count(here: int, total: int) -> str:
+    """Above the prompts of the selected part."""
+    return f"{here} on this part, {total} in total. Click one to remove it."
+
+
+def prompt_click(sign: str, position: tuple[float, float, float]) -> str:
+    """A click, in metres."""
+    x, y, z = position
+    return f"{sign}  {x:.3f}, {y:.3f}, {z:.3f} m"
+
+
+def prompt_region(sign: str, tool: str, count: int, kind: str) -> str:
+    """A region of elements ("face" or "point")."""
+    return f"{sign}  {tool_label(tool)} · {count:,} {plural(kind, count)}"
+
+
+def tool_label(tool: str) -> str:
+    """A recorded tool as on its button."""
+    labels = {name: label for row in TOOL_ROWS for label, name in row.tools.items()}
+    return (labels | OTHER_TOOLS).get(tool, tool.capitalize())
+
+
+# --- source
+
+EXTRACT_FOLDER: Final = "Extract from a scan"
+EXCLUDE: Final = "Exclude"
+EXCLUDE_ACTIONS: Final = ("Floor and walls", "This part")
+EXCLUDE_HINT: Final = "Excluded geometry is ignored until it is restored"
+EXCLUDE_ROOM: Final = "Exclude floor and walls"
+EXCLUDE_BASE: Final = "select the part to exclude; the base stays"
+RESTORE_ALL: Final = "Restore all"
+EXTRACT: Final = "Extract this part as an object"
+EXTRACT_HINT: Final = "It joins the queue and keeps its place in this scan"
+EXTRACT_BASE: Final = "select the part to extract; part 0 is the rest of the scan"
+EXTRACT_IN_SCENE: Final = "in a scene, go back and press “Extract an object”"
+EXTRACT_HELP: Final = (
+    "For a scan of several objects: exclude floor and walls, select one object with clicks or a "
+    "box, and extract it."
+)
+FRAME_FOLDER: Final = "Orientation and units"
+UP_AXIS: Final = "Up axis"
+UNIT: Final = "File's unit"
+APPLY: Final = "Apply and reload"
+RELOAD_NOTE: Final = "Reloading discards parts and joints; undo restores them."
+
+
+def set_unit(unit: str) -> str:
+    """The button that takes the suggested unit."""
+    return f"Use {unit}"
+
+
+def extracted_from(scene: str, position: tuple[float, float, float]) -> str:
+    """Where an extracted object stands, in metres."""
+    x, y, z = position
+    return f"Extracted from {scene}, where its origin is at {x:.3f}, {y:.3f}, {z:.3f} m."
+
+
+def excluded(what: str, count: int) -> str:
+    """What of the source is ignored."""
+    return f"Excluded: {what}, {count:,} {plural('element', count)}."
+
+
+def extracted(names: str) -> str:
+    """The objects that were extracted."""
+    return f"Extracted: {names}."

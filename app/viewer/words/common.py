@@ -1,0 +1,113 @@
+"""Words that several screens share, and those above every step."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from app.server.scene_rows import HELD
+
+NONE: Final = "—"
+OTHER: Final = "Other…"
+ALL: Final = "All"
+SELECTED: Final = "▸ "
+CHOSEN: Final = "● "
+EDITED: Final = " ✎"
+CANCEL: Final = "Cancel"
+HISTORY_ACTIONS: Final = ("Undo", "Redo")
+PLAY_ONE: Final = "▶ / ■"
+EDIT: Final = "Edit"
+STEP: Final = "Step"
+NAVIGATE: Final = "Navigate"
+PREVIOUS_NEXT: Final = ("Previous (B)", "Next (N)")
+PAGE: Final = "Page"
+FILTER: Final = "Show"
+SEARCH: Final = "Search"
+USER_NAME: Final = "Your name"
+USER_NAME_HINT: Final = "Recorded with your decisions"
+
+STATES: Final[dict[str, str]] = {
+    "todo": "to do",
+    "in_progress": "in progress",
+    "predicted": "predicted",
+    "accepted": "accepted",
+    "rejected": "rejected",
+}
+SCENE_STATES: Final[dict[str, str]] = {
+    **STATES,
+    "held": HELD,
+    "judging": "checking",
+    "static": "static",
+    "failed": "failed",
+    "missing": "missing",
+}
+UNREADABLE: Final = "unreadable"
+
+# --- above every step
+
+RETRY: Final = "Retry"
+REMOVE: Final = "Remove"
+REMOVE_HINT: Final = "Removes it from the queue; the file and all decisions stay"
+CANCEL_ACCEPTANCE: Final = "Cancel acceptance (Esc)"
+PLAYBACK: Final = "Motion"
+PLAYBACK_ACTIONS: Final = ("Play / stop (Space)", "Reset pose (R)")
+STALE: Final = "⚠ Parts changed since the prediction. Predict again (P)"
+PREDICT: Final = "Predict joints (P)"
+PREDICT_LOCALLY: Final = "Predict on this machine"
+JOBS: Final[dict[str, str]] = {
+    "open": "Opening",
+    "save": "Saving",
+    "predict": "Predicting joints",
+    "room": "Processing the scan",
+    "segment": "Segmenting",
+    "encode": "Preparing",
+    "tool": "Running the tool",
+}
+"""Running jobs, the most important one first."""
+KEYS_BUTTON: Final = "Keys and mouse (?)"
+SIMPLE_LIGHT: Final = "Simple lighting"
+SIMPLE_LIGHT_HINT: Final = "No reflections; much faster where the browser has no GPU"
+
+
+def job(name: str, percent: str, detail: str) -> str:
+    """A running job in one line."""
+    return f"{JOBS[name]}… {percent}{detail}".rstrip()
+
+
+def size(count: int, kind: str, millimetres: tuple[float, float, float]) -> str:
+    """Elements ("face" or "point") and extent of an object."""
+    x, y, z = millimetres
+    return f"{count:,} {plural(kind, count)} · {x:.0f} × {y:.0f} × {z:.0f} mm"
+
+
+def rejected_by(user: str, reason: str, comment: str) -> str:
+    """Why an object came back to its annotator."""
+    return f"⚠ Rejected by {user}: {reason}{f': “{comment}”' if comment else ''}".rstrip(": ")
+
+
+def warning(text: str) -> str:
+    """A line that stands out."""
+    return f"⚠ {text}"
+
+
+def plural(noun: str, count: int) -> str:
+    """A regular English noun as it stands beside a count."""
+    return f"{noun}{'s'[: count != 1]}"
+
+
+# --- notes
+
+UNDO_EMPTY: Final = "Nothing to undo"
+REDO_EMPTY: Final = "Nothing to redo"
+NOT_POSSIBLE: Final = "Not possible"
+INTERNAL_ERROR: Final = ("Internal error", "Your work is saved; details are in the server's log")
+CANNOT_OPEN: Final = "Can't open this file"
+TOO_FAST: Final = ("Not accepted yet", "The object has only just appeared: press again")
+NO_JOINTS: Final = "No joints yet"
+PREDICT_FIRST: Final = "Predict them first (P)"
+NAMES_EARLIER: Final = "Names are given in Annotate and Joints"
+
+
+def need_object(in_scene: bool) -> str:
+    """Why a command can't be carried out where no object is open."""
+    where = "select one in the scene and press Enter" if in_scene else "select one in the queue"
+    return f"no object is open: {where}"

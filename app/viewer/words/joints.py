@@ -1,0 +1,133 @@
+"""Words of the joints step."""
+
+from __future__ import annotations
+
+from typing import Final
+
+EMPTY: Final = "No joints yet. Click the moving parts, then predict."
+ASK_CATEGORY: Final = "**What is the object?**"
+PART_NAME: Final = "Part name"
+CATEGORY: Final = "Category"
+ALL_NAMED: Final = "All parts are named; rename them in Annotate"
+FOLDER: Final = "Selected joint"
+ALL_JOINTS: Final = "All joints"
+ROW_EDIT: Final = "Edit"
+JOINT: Final = "Joint"
+TYPE: Final = "Type"
+PARENT: Final = "Parent"
+AXIS: Final = "Axis"
+SET_AXIS: Final = "Set axis"
+SET_AXIS_ACTIONS: Final = ("X", "Y", "Z", "Flip (F)")
+ALIGN_AXIS: Final = "Align axis"
+ALIGN_AXIS_ACTIONS: Final[dict[str, str]] = {
+    "Longest": "axis Long",
+    "Middle": "axis Middle",
+    "Shortest": "axis Short",
+}
+"""Button → what the axis is snapped to."""
+ALIGN_AXIS_HINT: Final = "Align to the part's longest, middle or shortest side"
+ORIGIN: Final = "Origin [mm]"
+SNAP_ORIGIN: Final = "Snap origin"
+SNAP_ORIGIN_ACTIONS: Final[dict[str, str]] = {
+    "Box edge": "Box edge",
+    "Contact": "Contact",
+    "Center": "Centre",
+}
+LIMITS: Final = "Limits"
+FREE_RANGE, CLOSED = "Collision-free", "Scan is closed"
+LIMITS_HINT: Final = (
+    "Collision-free: as far as nothing collides. Scan is closed: one limit becomes 0"
+)
+HANDLES: Final = "Axis handles (G)"
+FILE_NAME: Final = "Joint name"
+FILE_NAME_HINT: Final = "Used in URDF and other exports"
+LOCK: Final = "Lock joint"
+LOCK_HINT: Final = "New predictions leave it unchanged"
+NO_JOINT: Final = "No joint."
+SELECT_JOINT: Final = ("Select a joint first", "Tab selects the next one")
+NEED_JOINT: Final = "select a joint first: click a part, or press Tab"
+UNCHANGED: Final = "No change"
+ALREADY_THERE: Final[dict[str, str]] = {
+    "Box edge": "The axis is on an edge of the part's box",
+    "Contact": "The axis is where the parts touch",
+    "Centre": "The origin is at the center of the part's box",
+    "free range": "The range ends where the part would collide",
+    "closed": "One limit is 0",
+}
+ALREADY_ALIGNED: Final = "The axis is aligned to that side of the part's box"
+SET_MANUALLY: Final = "Set manually."
+UNLIMITED: Final = "unlimited"
+EDITED: Final = "edited"
+BEYOND_A_TURN: Final = "The range exceeds one turn; a continuous joint has no limits."
+SCAN_OUTSIDE: Final = "The scanned pose (0) is outside the range."
+
+
+def ask_name(part: str, other_selected: bool) -> str:
+    """Ask what an unnamed part is; the selected joint may be of another part."""
+    return f"**What is {part}?**" + " (The selected part is named.)" * other_selected
+
+
+def ask_why(settled: bool) -> str:
+    """What a name or category is good for."""
+    if settled:
+        return "The next prediction uses it (P)."
+    return "Naming this improves the prediction."
+
+
+def reset_to(file: bool) -> str:
+    """The button that drops edits."""
+    return "Reset to the file's joint" if file else "Reset to prediction"
+
+
+def limit(which: str, unit: str) -> str:
+    """A field for the "lower" or "upper" limit."""
+    return f"{which.capitalize()} [{unit}]"
+
+
+def pose(name: str, unit: str) -> str:
+    """A slider that moves a joint."""
+    return f"{name or 'Pose'} [{unit}]"
+
+
+def confidence(share: float) -> str:
+    """Confidence of a prediction, 0..1."""
+    return f"{100 * share:.0f} %"
+
+
+def span(lower: str, upper: str) -> str:
+    """A range with its unit."""
+    return f"{lower} to {upper}"
+
+
+def tree_line(
+    title: str, kind: str, confidence: str, locked: bool, odd_range: bool, collides: bool
+) -> str:
+    """A joint of the tree; ``kind`` holds type and range, ``confidence`` may say "edited"."""
+    sure = f"confidence {confidence}" if confidence.endswith("%") else confidence
+    marks = (locked, "locked"), (odd_range, "⚠ range"), (collides, "⚠ collision")
+    words = [kind, sure, *(word for marked, word in marks if marked)]
+    return f"**{title}** " + " · ".join(w for w in words if w)
+
+
+def edited(file: bool, note: str) -> str:
+    """A joint was edited; ``note`` says how it was predicted."""
+    arrow = "from the file" if file else "prediction"
+    return f"Edited. Gray arrow: {arrow}{f' ({note})' * bool(note)}."
+
+
+def collision(other: str, at: str, millimetres: float) -> str:
+    """The first collision over a joint's range."""
+    return (
+        f"⚠ Collides{f' with {other}' * bool(other)} at {at}, penetration {millimetres:.1f} mm "
+        "(red ball)."
+    )
+
+
+def no_limits(kind: str) -> str:
+    """Why limits can't be set."""
+    return f"a {kind} joint has no limits: choose another type first"
+
+
+def gone(title: str) -> str:
+    """A part or joint that is no longer there."""
+    return f"{title} no longer exists: select again"

@@ -1,0 +1,77 @@
+"""Words of the sheet of keys and of the command palette."""
+
+from __future__ import annotations
+
+from typing import Final
+
+TITLE: Final = "Keys and mouse"
+CLOSE: Final = "Close (Esc)"
+SHEET: Final[tuple[tuple[str, str], ...]] = (
+    ("Click", "add to the selected part"),
+    ("Shift + click", "remove from it"),
+    ("1 … 9, 0", "select a part; 0 is the base"),
+    ("Shift + 1 … 6, 0", "name the part; 0: suggested category"),
+    ("Tab, Shift+Tab", "next or previous mask; next joint or finding"),
+    ("Alt + drag", "box (Shift subtracts)"),
+    ("L + drag", "lasso (Shift subtracts)"),
+    ("I + drag", "brush, [ ] size (Shift subtracts)"),
+    ("K", "cut along a line"),
+    ("K, K", "cut out a rectangle"),
+    ("M", "merge with the part clicked next"),
+    ("O", "add everything connected"),
+    ("U, J", "grow, shrink"),
+    ("Z", "find the same shape"),
+    ("V", "preview on or off"),
+    ("H, Delete", "hide, delete the part"),
+    ("Esc", "cancel; also a waiting acceptance"),
+    ("P", "predict joints"),
+    ("Space, Shift+Space", "play or stop; the whole scene"),
+    ("R, C", "reset pose, frame object"),
+    ("T, F", "next joint type, flip axis"),
+    ("G", "axis handles on or off"),
+    ("Y", "accept; again: accept anyway"),
+    ("X, then 1 … 6", "reject, with a reason"),
+    ("N, B", "next, previous object"),
+    ("Enter, Backspace", "scene: edit the object, go back"),
+    ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
+    ("Ctrl+K", "command palette"),
+    ("Drag, right drag, wheel", "orbit, pan, zoom"),
+    ("W A S D Q E, arrows", "move the camera"),
+)
+"""Each fits a line of the sheet, and all of them a small screen."""
+
+UNDO, REDO = "Undo", "Redo"
+PREDICT: Final = "Predict joints"
+PLAY, PLAY_SCENE = "Play joints", "Play all joints of the scene"
+RESET_POSE: Final = "Reset pose"
+NEXT_CHOICE, PREVIOUS_MASK = "Next joint, mask or finding", "Previous mask"
+NEXT_TYPE, FLIP_AXIS, HANDLES = "Next joint type", "Flip axis", "Axis handles"
+HIDE, DELETE = "Hide or show part", "Delete part"
+TAKE_CATEGORY: Final = "Take the suggested category"
+CUT: Final = "Tool: Cut along a line or a rectangle"
+PREVIEW: Final = "Preview"
+EXCLUDE_ROOM, EXTRACT = "Exclude floor and walls", "Extract this part as an object"
+ACCEPT, REJECT = "Accept", "Reject"
+NEXT, PREVIOUS = "Next object", "Previous object"
+FRAME: Final = "Frame object"
+EDIT_IN_SCENE, BACK = "Edit the selected object", "Back to the scene"
+
+
+def select_part(part: int) -> str:
+    """Select a part by its number."""
+    return f"Select {f'part {part}' if part else 'the base'}"
+
+
+def name_part(name: str) -> str:
+    """Name the selected part."""
+    return f"Name: {name}"
+
+
+def tool(label: str) -> str:
+    """Use a tool."""
+    return f"Tool: {label}"
+
+
+def step(name: str) -> str:
+    """Go to a step."""
+    return f"Step: {name}"

@@ -1,0 +1,210 @@
+"""Words of the review step, and of rejecting."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from app.server.open_object import INTERRUPTED
+from app.viewer.words.common import plural
+from model.validation.report import FixKind, Severity
+from sessions.review import RejectReason
+
+OVERRIDE: Final = "Reason for override"
+OVERRIDE_HINT: Final = "Required where the checks found errors"
+COMMENT: Final = "Comment"
+GO_ON: Final = "Go to the next object"
+GO_ON_HINT: Final = "After each decision, lowest confidence first"
+REOPEN: Final = "Reopen"
+DOWNLOAD: Final = "Download asset"
+HISTORY: Final = "History"
+HISTORY_EMPTY: Final = "No changes yet."
+TABLE_HEAD: Final = "| joint | type | range | confidence |"
+NO_JOINTS: Final = "No joints yet."
+PROBLEMS: Final = "**Warnings of the prediction:**"
+STALE: Final = "parts changed since the prediction"
+WAITING: Final = "**Will be accepted when the checks pass.** Esc cancels."
+ALREADY_ACCEPTED: Final = ("Already accepted", "Reopen it to edit it")
+NOT_ACCEPTED_YET: Final = "Not accepted yet"
+ON_HOLD: Final = "On hold"
+NOT_ACCEPTED: Final = "Not accepted"
+REJECTED: Final = "Rejected"
+ASSET_MISSING: Final = "the asset isn't on this server's disk: accept again"
+
+
+def accept(edited: bool, warned: bool, errors: bool) -> str:
+    """The button that accepts.
+
+    Args:
+        edited: the user changed joints.
+        warned: the warnings were shown.
+        errors: the checks found errors.
+    """
+    if warned or errors:
+        return "Accept anyway (Y)"
+    return "Accept with edits (Y)" if edited else "Accept (Y)"
+
+
+def saved_in(folder: str) -> str:
+    """Where the asset is."""
+    return f"Saved in {folder}"
+
+
+def too_large(folder: str) -> str:
+    """Why an asset isn't sent."""
+    return f"too large to download: it is in {folder}"
+
+
+def pending(waiting: bool, held: str, interrupted: bool) -> str:
+    """What an acceptance waits for; "" where there is none."""
+    if waiting:
+        return WAITING
+    if held:
+        return f"**On hold:** {held}"
+    return f"**{INTERRUPTED}.**" if interrupted else ""
+
+
+def state(state: str, user: str) -> str:
+    """The state, and who decided it."""
+    return f"**{state.capitalize()}**" + (f" by {user}" if user else "")
+
+
+def from_file(name: str) -> str:
+    """The joints are a file's."""
+    return f"**From {name}**"
+
+
+def reason(text: str) -> str:
+    """Why it was rejected."""
+    return f"Reason: {text}"
+
+
+def comment(text: str) -> str:
+    """What somebody wrote."""
+    return f"“{text}”"
+
+
+def override(text: str) -> str:
+    """Why it was accepted despite errors."""
+    return f"Accepted with errors: “{text}”"
+
+
+def about(name: str, text: str) -> str:
+    """News of an object that may not be shown any more."""
+    return f"{name}: {text}"
+
+
+def sent_back(name: str) -> str:
+    """An object was rejected."""
+    return f"{name}: back to annotation"
+
+
+def joint_changed(part: str) -> str:
+    """A line of the history."""
+    return f"change the joint of {part}"
+
+
+# --- rejecting
+
+REASONS: Final[dict[RejectReason, str]] = {
+    "range": "range",
+    "axis": "axis",
+    "type": "type",
+    "parts": "parts",
+    "not_articulated": "not articulated",
+    "other": "other",
+}
+"""Recorded reason → its name."""
+REJECT: Final = "Reject (X)"
+CANCEL_REJECTION: Final = "Cancel rejection (Esc)"
+REASON_LABEL: Final = "Reason"
+ASK_REASON: Final = "Reason for rejection?"
+
+
+def reason_buttons() -> tuple[str, ...]:
+    """The reasons with their numbers."""
+    return tuple(f"{k} {word}" for k, word in enumerate(REASONS.values(), 1))
+
+
+def reason_keys() -> str:
+    """The same as keys."""
+    return f"{' · '.join(reason_buttons())} · Esc cancels"
+
+
+def bad_reason() -> str:
+    """Another number was pressed."""
+    return f"choose a reason: 1 to {len(REASONS)}, or Esc"
+
+
+# --- the checks
+
+SIGNS: Final[dict[Severity, str]] = {
+    Severity.OK: "✓",
+    Severity.WARNING: "▲",
+    Severity.ERROR: "✖",
+}
+SEVERITIES: Final[dict[Severity, str]] = {
+    Severity.OK: "OK",
+    Severity.WARNING: "warning",
+    Severity.ERROR: "error",
+}
+FINDINGS: Final = "Findings, worst first"
+SHOW_WORST: Final = "Show the worst pose (Tab: next)"
+FIX: Final = "Fix"
+FIXES: Final[dict[FixKind, str]] = {
+    "flip": "Flip",
+    "shift": "Shift axis",
+    "limits": "Fit limits",
+    "shrink": "Shrink colliders",
+}
+FIXED: Final = "Fixed"
+NO_POSE: Final = "No pose to show"
+ALL_OK: Final = ("No warnings", "Accept with Y")
+STILL_CHECKING: Final = "the checks are still running"
+NOTHING_MOVES: Final = "no moving joints"
+
+
+def checks(counts: dict[Severity, int]) -> str:
+    """The result in one line: "Checks: ✖ 1 error · ▲ 4 warnings · ✓ 3 OK"."""
+    words = {
+        s: w if s == Severity.OK else plural(w, counts.get(s, 0)) for s, w in SEVERITIES.items()
+    }
+    parts = [f"{SIGNS[s]} {n} {words[s]}" for s, n in counts.items() if n]
+    return f"**Checks: {' · '.join(parts) or NOTHING_MOVES}**"
+
+
+def checks_failed(why: str) -> str:
+    """The checks ended with an error of their own."""
+    return f"⚠ **The checks failed:** {why}"
+
+
+def checking(share: float, detail: str) -> str:
+    """How far the checks are, 0..1."""
+    return f"*Checking the joints… {100 * share:.0f} % {detail}".rstrip() + "*"
+
+
+def no_physics(why: str) -> str:
+    """Physics could not be simulated."""
+    return f"*Physics: {why}*"
+
+
+def finding(severity: Severity, title: str) -> str:
+    """A joint with findings."""
+    return f"{SIGNS[severity]} {title}: {SEVERITIES[severity]}"[:60]
+
+
+def more_findings(count: int) -> str:
+    """Joints without a button."""
+    return f"… and {count} more (Tab)."
+
+
+def fixed(message: str) -> str:
+    """What a fix did."""
+    return f"{message} Undo with Ctrl+Z."
+
+
+def moment(kind: str, metres: float) -> str:
+    """Beside the contact of a finding, whose kind it names."""
+    millimetres = f"{1000 * metres:.0f} mm"
+    if kind in ("detached", "floating"):
+        return f"{millimetres} gap"
+    return f"{millimetres} deep"

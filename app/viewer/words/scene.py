@@ -1,0 +1,228 @@
+"""Words of a whole scene."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from app.viewer.words.common import SCENE_STATES, plural
+
+TITLE: Final = "Scene"
+ORIGINAL_COLORS: Final = "Original colors"
+ORIGINAL_COLORS_HINT: Final = (
+    "Show all objects in their own colors, instead of the colors of states"
+)
+SEARCH_HINT: Final = "Part of the id or description"
+JOBS: Final[dict[str, str]] = {
+    "read": "Reading the scene",
+    "shapes": "Reading the assets",
+    "copy": "Making a working copy",
+    "accept": "Accepting",
+    "save": "Saving the scene",
+    "report": "Writing the report",
+    "prepare": "Predicting joints",
+    "parts": "Preparing the view",
+}
+"""Running jobs, the most important one first."""
+PAUSE, RESUME = "Pause prediction", "Resume prediction"
+PLAY, STOP = "Play all joints (Shift+Space)", "Stop (Space)"
+SELECTED: Final = "Selected object"
+KIND: Final = "Kind"
+ARTICULABLE, STATIC = "Articulable", "Static"
+EDIT: Final = "Edit (Enter)"
+PICK: Final = "Extract an object"
+ACCEPT, ACCEPT_ANYWAY, CHECKING = "Accept (Y)", "Accept anyway (Y)", "Checking…"
+BY_CONFIDENCE: Final = "Accept by confidence"
+MINIMUM: Final = "Minimum [%]"
+SAVE_FOLDER: Final = "Save"
+INCLUDE: Final = "Include unreviewed"
+INCLUDE_HINT: Final = "Unreviewed predictions move, too; otherwise these objects are rigid"
+SAVE, SAVING = "Save scene", "Saving the scene…"
+REPORT: Final = "Scene report"
+JOINTS: Final = "Joints"
+PLAY_JOINT: Final = "Play this joint"
+NOTHING_SELECTED: Final = "Click an object in the view or in the list. N: lowest confidence first."
+NOT_PREDICTED: Final = "Not predicted yet."
+PLAY_LATER: Final = "Joints can be played once objects are predicted"
+BACK: Final = "Back to the scene (Backspace)"
+
+EXTRACT_HELP: Final = (
+    "**Extract an object:** click it (Shift+click removes), or Alt+drag a box around it. Then name "
+    "it and extract it."
+)
+RESTORE_ROOM: Final = "Restore floor and walls"
+RESTORE_ROOM_HINT: Final = "They are excluded here, and doors and windows may be among them"
+OBJECT_NAME: Final = "Name"
+OBJECT_NAME_HINT: Final = "refrigerator, cabinet, oven, …"
+EXTRACT: Final = "Extract"
+EXTRACT_NOTHING: Final = "select an object of the scene and press “Extract an object”"
+
+
+def about(name: str, count: int) -> str:
+    """Above the list."""
+    return f"**{name}** · {count} {plural('object', count)}"
+
+
+def row(name: str, selected: bool, confidence: str) -> str:
+    """An object in the list."""
+    return "▸ " * selected + name + (f" · {confidence}" if confidence else "")
+
+
+def state(name: str, state: str) -> str:
+    """An object and its state."""
+    return f"{name}: {SCENE_STATES[state]}"
+
+
+def job(name: str, detail: str) -> str:
+    """A running job in one line."""
+    return f"{JOBS[name]}… {detail}".rstrip()
+
+
+def file_problems(lines: list[str], more: int) -> str:
+    """What the scene's file says that can't be used."""
+    rest = [f"and {more} more"] if more else []
+    return "⚠ About the file:\n" + "\n".join(f"- {line}" for line in [*lines, *rest])
+
+
+def more_joints(count: int) -> str:
+    """Joints without a button."""
+    return f"… and {count} with higher confidence."
+
+
+def accept_count(count: int) -> str:
+    """The button that accepts all above a confidence."""
+    return f"Accept {count} {plural('object', count)}" if count else "Accept"
+
+
+def kind_set(articulable: bool) -> str:
+    """A user decided the kind."""
+    return f"Set by a user: {'articulable' if articulable else 'static'}."
+
+
+def why(reason: str) -> str:
+    """Why an object has its kind."""
+    return f"Reason: {reason}"
+
+
+def instances(count: int) -> str:
+    """How often an asset stands in the scene."""
+    return f"{count} instances: a decision applies to all."
+
+
+def refused(why: str, anyway: bool, findings: bool) -> str:
+    """Why it wasn't accepted, and how to go on: accept anyway, or look at the findings."""
+    then = "Enter shows the findings." if findings else ""
+    if anyway:
+        then = "**Press Y again to accept anyway; Enter shows the findings.**"
+    return f"⚠ Not accepted: {why} {then}".rstrip()
+
+
+def expected(parts: str) -> str:
+    """Parts that move in objects of its kind."""
+    return f"Expected moving parts: {parts}"
+
+
+def left(reason: str) -> str:
+    """Why there is no prediction."""
+    return f"⚠ Needs annotation: {reason}"
+
+
+def decided(state: str, user: str, reason: str) -> str:
+    """Who decided, and why it was rejected."""
+    return f"{state.capitalize()} by {user}{f': {reason}' * bool(reason)}"
+
+
+def to_decide(
+    predicted: int, above: int, minimum: float, checking: int, held: int, coming: int, clicks: int
+) -> str:
+    """What is left to decide; "" where nothing is.
+
+    Args:
+        predicted: objects to review; ``above`` of them have a confidence of at least ``minimum``.
+        checking: whose checks run. held: whose acceptance is on hold. coming: to be predicted.
+        clicks: that need annotation.
+    """
+    lines = [f"{checking} checking."] if checking else []
+    if predicted:
+        lines.append(
+            f"**{above}** of {predicted} predicted objects: {100 * minimum:.0f} % or more."
+        )
+    if held:
+        lines.append(f"{held} on hold (⚠).")
+    if coming:
+        lines.append(f"{coming} to be predicted.")
+    if clicks:
+        lines.append(f"{clicks} {'needs' if clicks == 1 else 'need'} annotation (✎).")
+    return " ".join(lines)
+
+
+def sentence(text: str) -> str:
+    """A sentence of the server's."""
+    return f"{text}."
+
+
+NOTHING_ARTICULABLE: Final = "No articulable objects."
+EXTRACT_FIRST: Final = "Extract an object first."
+
+# --- notes
+
+READ_NOTHING: Final = "Nothing could be read"
+STILL_READING: Final = ("Not yet", "The scene is still being read")
+NO_OBJECTS: Final = "The scene has no objects"
+NOTHING_TO_DECIDE: Final = ("Nothing to decide", "No object is articulable")
+DONE: Final = "All objects are decided"
+NO_MORE_PREDICTED: Final = "No more predictions"
+NONE_ABOVE: Final = "no predicted object has that confidence"
+NEED_SELECTION: Final = "select an object first: click it, or press N"
+
+
+def undone(what: str) -> str:
+    """The title after undo."""
+    return f"Undone: {what}"
+
+
+def still_checking(count: int) -> tuple[str, str]:
+    """Only checks are left: title and text."""
+    return "Nothing else to decide", f"{count} checking"
+
+
+def done(decided: str) -> tuple[str, str]:
+    """All is decided: title and text."""
+    return DONE, f"{decided}. Save the scene"
+
+
+def remaining(coming: int, left: int) -> str:
+    """What is left after the last predicted object."""
+    lines = [f"{coming} to be predicted"] if coming else []
+    if left:
+        lines.append(f"{left} {'needs' if left == 1 else 'need'} annotation: N, then Enter")
+    return "; ".join(lines)
+
+
+def is_static(id: str) -> str:
+    """Why there is nothing to decide."""
+    return f"{id} is static: there is nothing to decide"
+
+
+def no_joints(id: str) -> str:
+    """Why it can't be accepted."""
+    return f"{id} has no joints yet: press Enter to edit it"
+
+
+def already_accepted(id: str) -> str:
+    """It was accepted before."""
+    return f"{id} is already accepted"
+
+
+def already_checking(id: str) -> str:
+    """It will be accepted soon."""
+    return f"{id} is already being checked"
+
+
+def has_problems(id: str, problems: str) -> str:
+    """Why it can't be accepted."""
+    return f"{id}: {problems}. Press Enter to edit it"
+
+
+def has_errors(id: str, why: str) -> str:
+    """The checks found errors."""
+    return f"{id}: {why} Press Enter to see them; fix them, or accept with a reason"
