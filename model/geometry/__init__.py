@@ -1,1 +1,1 @@
-"""Points, meshes, assets: reading, sampling, picking, splitting, writing."""
+"""Algorithms on meshes and clouds: sampling, normals, picking, splitting, surfaces."""

@@ -1,4 +1,4 @@
-"""Colours of places on a mesh: textures, vertex colours, base colours."""
+"""Colours of points on a mesh: textures, vertex colours, base colours."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ Array = npt.NDArray[Any]
 
 
 def colors_at(mesh: Mesh, face: Array, barycentric: Array) -> npt.NDArray[np.uint8]:
-    """RGBA at places on faces.
+    """Return RGBA at points on faces.
 
     Args:
-        mesh: the mesh.
-        face: (N,) face of each place.
+        face: (N,) face of each point.
         barycentric: (N, 3) weights of the face's corners.
 
     Returns:
@@ -44,13 +43,13 @@ def colors_at(mesh: Mesh, face: Array, barycentric: Array) -> npt.NDArray[np.uin
 
 
 def face_colors(mesh: Mesh) -> npt.NDArray[np.uint8]:
-    """(F, 4) RGBA at the middle of each face."""
+    """Return (F, 4) RGBA at the centre of each face."""
     middle = np.full((len(mesh.faces), 3), 1.0 / 3.0)
     return colors_at(mesh, np.arange(len(mesh.faces)), middle)
 
 
 def vertex_colors(mesh: Mesh) -> npt.NDArray[np.uint8]:
-    """(V, 4) RGBA of each vertex, looked up from one of its faces; grey where it has none."""
+    """Return (V, 4) RGBA of the vertices, each by one of its faces; grey without one."""
     out = np.full((len(mesh.vertices), 4), 200, np.uint8)
     out[:, 3] = 255
     if not len(mesh.faces):

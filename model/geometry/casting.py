@@ -1,4 +1,4 @@
-"""Rays against an object's meshes: what a camera sees of it, and simple pictures."""
+"""Ray casting against an object's meshes, and simple pictures."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays struck, in the order of the rays that struck something.
+    """Hits of rays, in the order of the rays that hit.
 
     Attributes:
         ray: (H,) index of the ray.
         part: (H,) index of the part in the object's order; face: (H,) its face.
-        points: (H, 3) metres; normals: (H, 3) towards the ray's start; distance: (H,) metres.
+        points: (H, 3) metres; normals: (H, 3) towards the ray's origin; distance: (H,) metres.
         colors: (H, 3) uint8 of the surface, unlit.
     """
 
@@ -37,11 +37,11 @@ class Hits:
 
 
 class Caster:
-    """Meshes ready for rays.
+    """A ray-casting scene of meshes.
 
     Args:
-        meshes: each is a part of what is struck.
-        see_through: glass (alpha below 128) lets rays pass.
+        meshes: one per part.
+        see_through: whether rays pass glass (alpha below 128).
     """
 
     def __init__(self, meshes: Sequence[Mesh], *, see_through: bool = False) -> None:
@@ -63,13 +63,13 @@ class Caster:
 
     @classmethod
     def of(cls, obj: ArticulatedObject | SegmentedObject, *, see_through: bool = False) -> Caster:
-        """An object's parts in their order; they need meshes."""
+        """Make a scene of an object's parts, which need meshes."""
         meshes = [p.mesh for p in obj.parts if p.mesh is not None]
         assert len(meshes) == len(obj.parts), f"{obj.name} has parts without a mesh"
         return cls(meshes, see_through=see_through)
 
     def cast(self, origins: Array, directions: Array, *, colors: bool = True) -> Hits:
-        """First hits of (R, 3) rays; ``directions`` are unit vectors."""
+        """Cast (R, 3) rays with unit ``directions`` to their first hits."""
         rays = self._tensor(np.concatenate([origins, directions], 1).astype(np.float32))
         found = self._scene.cast_rays(rays)
         distance = found["t_hit"].numpy().astype(np.float64)
@@ -91,13 +91,13 @@ class Caster:
         return Hits(ray, part, face, points, normals, distance[ray], rgb)
 
     def occluded(self, origins: Array, directions: Array) -> npt.NDArray[np.bool_]:
-        """(R,) whether anything lies on the way."""
+        """(R,) whether rays hit anything."""
         rays = self._tensor(np.concatenate([origins, directions], 1).astype(np.float32))
         return self._scene.test_occlusions(rays).numpy()
 
 
 def look_at(eye: Array, target: Array) -> Array:
-    """(3, 3) rows right, down, forward of a camera at ``eye`` that looks at ``target``."""
+    """Return (3, 3): right, down and forward of a camera at ``eye`` that looks at ``target``."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -105,7 +105,7 @@ def look_at(eye: Array, target: Array) -> Array:
 
 
 def camera_rays(eye: Array, target: Array, width: int, height: int, fov: float) -> Array:
-    """(height * width, 3) unit directions of a pinhole camera; ``fov`` is vertical, radians."""
+    """Return (height * width, 3) unit rays of a pinhole camera; ``fov`` is vertical, radians."""
     right, down, forward = look_at(eye, target)
     step = 2 * np.tan(fov / 2) / height
     x = (np.arange(width) + 0.5 - width / 2) * step
@@ -115,7 +115,7 @@ def camera_rays(eye: Array, target: Array, width: int, height: int, fov: float) 
 
 
 def daylight(caster: Caster, hits: Hits, *, samples: int = 12, reach: float = 0.35) -> Array:
-    """(H,) brightness under a soft sky and a lamp above the viewer's left shoulder."""
+    """Return (H,) brightness under a soft sky and a lamp above the viewer's left shoulder."""
     lamp = np.array([-0.45, -0.75, 0.85])
     lamp /= np.linalg.norm(lamp)
     start = hits.points + 1e-4 * hits.normals + 1e-4 * lamp
@@ -127,8 +127,8 @@ def daylight(caster: Caster, hits: Hits, *, samples: int = 12, reach: float = 0.
     open_ = np.zeros(len(hits.points))
     for d in directions:
         side = hits.normals @ d
-        way = np.where((side < 0)[:, None], -d, d)
-        found = caster.cast(hits.points + 2e-4 * hits.normals, way, colors=False)
+        outward = np.where((side < 0)[:, None], -d, d)
+        found = caster.cast(hits.points + 2e-4 * hits.normals, outward, colors=False)
         near = np.ones(len(open_))
         near[found.ray] = np.clip(found.distance / reach, 0, 1)
         open_ += near
@@ -144,11 +144,11 @@ def render(
     elevation: float = 0.35,
     labels: bool = False,
 ) -> Image.Image:
-    """A picture of an object that fills the frame.
+    """Render an object that fills the frame.
 
     Args:
         azimuth, elevation: of the camera, radians; azimuth 0 looks at the front.
-        labels: parts in flat colours instead of their own.
+        labels: whether parts have flat colours instead of their own.
     """
     bounds = np.concatenate([p.bounds for p in obj.parts])
     low, high = bounds.min(0), bounds.max(0)
@@ -176,7 +176,7 @@ def render(
 
 
 def part_colors(count: int) -> npt.NDArray[np.uint8]:
-    """(count, 3) colours that are told apart easily; the first is grey."""
+    """Return (count, 3) easily distinguished colours; the first is grey."""
     hue = (np.arange(count) * 0.618034) % 1.0
     wheel = np.abs((hue[:, None] * 6 + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1
     out = (70 + 170 * np.clip(wheel, 0, 1)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What a browser can draw: large meshes decimated, large clouds thinned."""
+"""Level of detail for the browser: large meshes decimated, large clouds thinned."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DisplayAsset:
 
     Attributes:
         mesh, cloud: exactly one is given.
-        element: (D,) int32 source face or point that displayed face or point i stands for.
+        element: (D,) int32 source face or point of each displayed face or point.
     """
 
     mesh: Mesh | None
@@ -35,7 +35,7 @@ class DisplayAsset:
 def display_asset(
     asset: Asset, max_faces: int = 150_000, max_points: int = 150_000
 ) -> DisplayAsset:
-    """The asset at a size that a browser draws smoothly; the same input gives the same output."""
+    """Reduce an asset to a size that a browser draws smoothly; deterministic."""
     if asset.mesh is not None:
         mesh = asset.mesh
         if len(mesh.faces) <= max_faces:
@@ -48,26 +48,26 @@ def display_asset(
     return DisplayAsset(None, cloud.take(element) if len(element) < len(cloud) else cloud, element)
 
 
-def cells(points: Array, size: float, low: Array) -> npt.NDArray[np.int64]:
-    """(N,) number of the cubic cell that each point is in; cells count from corner ``low``."""
+def cell_index(points: Array, size: float, low: Array) -> npt.NDArray[np.int64]:
+    """Return (N,) the cubic cell of each point, counted from corner ``low``."""
     index = np.floor((points - low) / size).astype(np.int64)
     ny, nz = (int(index[:, k].max(initial=0)) + 1 for k in (1, 2))
     return (index[:, 0] * ny + index[:, 1]) * nz + index[:, 2]
 
 
 def thin(points: Array, max_points: int) -> npt.NDArray[np.int32]:
-    """Indices of at most ``max_points`` points, spread evenly: the first one in each cell."""
+    """Return indices of at most ``max_points`` evenly spread points: the first of each cell."""
     count = len(points)
     if count <= max_points:
         return np.arange(count, dtype=np.int32)
     low = points.min(axis=0)
     extent = np.sort(np.maximum(np.ptp(points, axis=0).astype(np.float64), 1e-12))
-    # A scan is a surface: as many cells are filled as squares fit on its two longest sides.
+    # A scan is a surface: about as many cells are filled as fit its two longest sides.
     size = float(np.sqrt(extent[2] * extent[1] / max_points))
     size = max(size, extent[2] * 1e-5)
     best = np.zeros(0, np.int64)
     for _ in range(_ROUNDS):
-        first = np.unique(cells(points, size, low), return_index=True)[1]
+        first = np.unique(cell_index(points, size, low), return_index=True)[1]
         if len(best) < len(first) <= max_points:
             best = first
         if 0.8 * max_points <= len(first) <= max_points:
@@ -80,7 +80,7 @@ def thin(points: Array, max_points: int) -> npt.NDArray[np.int32]:
 
 
 def spacing(points: Array) -> float:
-    """Metres between the points of a surface, about: points of this size close it."""
+    """Estimate the distance between points in metres: points of this size close the surface."""
     from scipy.spatial import KDTree
 
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -93,12 +93,12 @@ def spacing(points: Array) -> float:
 
 
 def decimate(mesh: Mesh, max_faces: int) -> tuple[Mesh, npt.NDArray[np.int32]]:
-    """At most ``max_faces`` faces by clustering vertices on a grid (Rossignac and Borrel, 1993).
+    """Decimate by clustering vertices on a grid (Rossignac and Borrel, 1993).
 
     Textures become vertex colours.
 
     Returns:
-        The mesh, and the source face that each of its faces was made of.
+        The mesh, and the source face of each of its faces.
     """
     low = mesh.vertices.min(axis=0)
     longest = float(np.ptp(mesh.vertices, axis=0).max())
@@ -135,22 +135,22 @@ def decimate(mesh: Mesh, max_faces: int) -> tuple[Mesh, npt.NDArray[np.int32]]:
 
 
 def _cluster(mesh: Mesh, size: float, low: Array) -> tuple[Array, Array, Array]:
-    """Cluster of each vertex, source faces that keep three of them, and those faces."""
-    vertex = np.unique(cells(mesh.vertices, size, low), return_inverse=True)[1].reshape(-1)
+    """Cluster of each vertex, source faces with three different ones, and these faces."""
+    vertex = np.unique(cell_index(mesh.vertices, size, low), return_inverse=True)[1].reshape(-1)
     faces = vertex[mesh.faces]
-    alive = np.flatnonzero(
+    real = np.flatnonzero(
         (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     )
-    corners = np.sort(faces[alive], axis=1).astype(np.uint64)
+    corners = np.sort(faces[real], axis=1).astype(np.uint64)
     count = np.uint64(int(vertex.max(initial=0)) + 1)
     # Wraps around beyond 2^64, which may merge two faces of very many, never more.
     key = (corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2]
-    keep = alive[np.sort(np.unique(key, return_index=True)[1])]
+    keep = real[np.sort(np.unique(key, return_index=True)[1])]
     return vertex, keep, faces[keep]
 
 
 def _largest(mesh: Mesh, max_faces: int) -> tuple[Mesh, npt.NDArray[np.int32]]:
-    """The faces with most area, where no grid works (dust of unconnected slivers)."""
+    """Keep the largest faces, where no grid works (many unconnected slivers)."""
     order = np.argsort(-mesh.face_areas, kind="stable")[:max_faces]
     keep = np.sort(order)
     taken = mesh.take_faces(keep)

@@ -63,23 +63,52 @@ def find_up(points: npt.NDArray[np.floating], normals: Array | None = None) -> L
     Raises:
         GeometryError: for fewer than four finite points.
     """
-    sample, facing = _sampled(np.asarray(points, np.float64), normals)
-    candidates = _candidates(sample, facing)
-    described = [describe(sample, facing, up) for up in candidates]
-    features = np.array([d.features for d in described])
+    found = candidates_of(points, normals)
+    features = np.array([c.described.features for c in found])
     weights = _weights()
     scores = (features - weights.mean) / weights.scale @ weights.weight
     odds = np.exp(scores - scores.max())
     odds /= odds.sum()
     order = np.argsort(-odds)
-    best = described[order[0]]
-    up = _refined(sample, facing, candidates[order[0]], best)
+    best = found[order[0]]
     return Levelling(
-        _vector(up),
+        _vector(best.refined),
         float(odds[order[0]]),
-        None if best.support is None else float(np.median(sample[best.on_support] @ up)),
-        tuple(_vector(candidates[k]) for k in order[1:4]),
+        best.height,
+        tuple(_vector(found[k].up) for k in order[1:4]),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A direction that may be up.
+
+    Attributes:
+        up, refined: (3,) unit vectors, as found, and square to the supporting surface.
+        described: what speaks for it.
+        height: of the supporting surface along ``refined``, or None.
+    """
+
+    up: Array
+    refined: Array
+    described: Described
+    height: float | None
+
+
+def candidates_of(
+    points: npt.NDArray[np.floating], normals: Array | None = None
+) -> list[Candidate]:
+    """The directions that may be up; arguments and errors as of :func:`find_up`."""
+    sample, facing = _sampled(np.asarray(points, np.float64), normals)
+    out: list[Candidate] = []
+    for up in _candidates(sample, facing):
+        described = describe(sample, facing, up)
+        refined = _refined(sample, facing, up, described)
+        height = None
+        if described.support is not None:
+            height = float(np.median(sample[described.on_support] @ refined))
+        out.append(Candidate(up, refined, described, height))
+    return out
 
 
 def supporting_height(

@@ -1,4 +1,4 @@
-"""Normals of point clouds: estimated from neighbours, turned outwards."""
+"""Normals of point clouds, estimated from neighbours and oriented outwards."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _AGREE = 0.7  # |cos| below which neighbours belong to different pieces of the s
 
 
 def estimate_normals(cloud: PointCloud, *, neighbours: int = NEIGHBOURS) -> PointCloud:
-    """``cloud`` with a unit normal at each point, turned outwards.
+    """Estimate a unit normal at each point, oriented outwards.
 
-    The direction is that of least spread among the neighbours. Signs are made to agree along a
-    minimum spanning tree of the neighbourhood (Hoppe et al., 1992), but only within smooth pieces;
-    each piece then turns to the side from which more of it can be seen. A single sheet, seen from
-    both sides alike, turns away from the cloud's middle.
+    Directions come from a principal component analysis of the neighbours. Signs agree along a
+    minimum spanning tree of the neighbourhood (Hoppe et al., 1992) within each smooth piece, which
+    is then oriented to the side from which more of it is visible. A single sheet, equally visible
+    from both sides, is oriented away from the cloud's centre.
 
     Raises:
-        GeometryError: where there are fewer than three points.
+        GeometryError: for fewer than three points.
     """
     from scipy.spatial import KDTree
 
@@ -40,20 +40,20 @@ def estimate_normals(cloud: PointCloud, *, neighbours: int = NEIGHBOURS) -> Poin
         [tree.query(points[i : i + _CHUNK], k=k)[1] for i in range(0, len(points), _CHUNK)]
     ).astype(np.int32)
     normals = np.concatenate(
-        [_least_spread(points, index[i : i + _CHUNK]) for i in range(0, len(points), _CHUNK)]
+        [_smallest_components(points, index[i : i + _CHUNK]) for i in range(0, len(points), _CHUNK)]
     )
-    normals = _agreeing(points, normals, index[:, 1 : min(k, 9)])
+    normals = _oriented(points, normals, index[:, 1 : min(k, 9)])
     return replace(cloud, normals=normals.astype(np.float32))
 
 
-def _least_spread(points: Array, index: Array) -> npt.NDArray[np.float64]:
+def _smallest_components(points: Array, index: Array) -> npt.NDArray[np.float64]:
     around = points[index]
     around = around - around.mean(axis=1, keepdims=True)
     covariance = np.einsum("nki,nkj->nij", around, around)
     return np.linalg.eigh(covariance)[1][:, :, 0]
 
 
-def _agreeing(points: Array, normals: Array, near: Array) -> npt.NDArray[np.float64]:
+def _oriented(points: Array, normals: Array, near: Array) -> npt.NDArray[np.float64]:
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import (
         breadth_first_order,
@@ -72,7 +72,7 @@ def _agreeing(points: Array, normals: Array, near: Array) -> npt.NDArray[np.floa
     )
     tree = (tree + tree.T).tocsr()
     pieces, piece = connected_components(tree, directed=False)
-    # One more node joins all the pieces, so that one walk visits every point.
+    # One more node connects all pieces, so that one search visits every point.
     seeds = np.unique(piece, return_index=True)[1]
     ones = np.ones(pieces)
     spokes = coo_matrix((ones, (np.full(pieces, count), seeds)), shape=(count + 1, count + 1))
@@ -90,17 +90,17 @@ def _agreeing(points: Array, normals: Array, near: Array) -> npt.NDArray[np.floa
     for node, above, turn in zip(inner.tolist(), towards.tolist(), flip.tolist(), strict=True):
         signs[node] = signs[above] * (turn or 1.0)
     normals = normals * np.asarray(signs[:count])[:, None]
-    vote = np.bincount(piece, _seen_side(points, normals), pieces)
+    vote = np.bincount(piece, _visible_side(points, normals), pieces)
     size = np.bincount(piece, minlength=pieces)
     away = np.einsum("ij,ij->i", normals, points - points.mean(axis=0))
     vote = np.where(np.abs(vote) > 0.05 * size, vote, np.bincount(piece, away, pieces))
     return normals * np.where(vote < 0, -1.0, 1.0)[piece][:, None]
 
 
-def _seen_side(points: Array, normals: Array) -> npt.NDArray[np.float64]:
-    """(N,) positive where a point is seen rather from the side that its normal is on.
+def _visible_side(points: Array, normals: Array) -> npt.NDArray[np.float64]:
+    """(N,) positive where a point is visible mainly from the side of its normal.
 
-    Views from 26 directions, each with a coarse z-buffer.
+    From 26 directions, each with a coarse z-buffer.
     """
     steps = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     views = steps[np.abs(steps).sum(axis=1) > 0].astype(np.float64)

@@ -1,7 +1,7 @@
-"""Points of a scan that float alone: they lie on no surface.
+"""Outliers of a scan: points that lie on no surface.
 
-A depth camera leaves points in the air and between what is near and what is far. They would join
-surfaces that don't touch, push an object's box outwards, and catch clicks that mean what is behind.
+A depth camera leaves points in the air, and between near and far surfaces. They would connect
+separate surfaces, enlarge an object's box, and catch clicks on surfaces behind them.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 _NEIGHBOR, _FAR = 6, 4.5
-"""A point that is that many times as far from its n-th neighbour as most may be stray."""
+"""A point this many times as far from its n-th neighbour as the median may be an outlier,"""
 _LINK, _GROUP = 10.0, 20
-"""Unless it is one of more than so many, that many usual distances apart,"""
+"""unless it is in a group of more points, connected by this many median distances,"""
 _ALIKE, _AROUND, _FLAT = 2.0, 10, 0.03
-"""or all neighbours but one lie no more than so many times as near to theirs, and so many on a
-plane but for that share of their spread: a surface that was seen at a slant, or from afar."""
+"""or its neighbours but one are at most this many times as dense, and so many of them are planar up
+to this share of their variance: a surface that was scanned at a slant, or from afar."""
 _MOST = 0.1
-"""Of all points: a cloud with more has no usual distance."""
+"""Largest share of outliers: a cloud with more has no typical distance."""
 _SAMPLE = 2000
 
 Points = npt.NDArray[np.floating]
@@ -28,21 +28,21 @@ Index = npt.NDArray[np.integer]
 Bool = npt.NDArray[np.bool_]
 
 
-def stray_points(points: Points, tree: KDTree) -> npt.NDArray[np.int64]:
-    """(S,) ascending, the points (N, 3) that lie on no surface; ``tree`` is over all of them."""
+def outlier_points(points: Points, tree: KDTree) -> npt.NDArray[np.int64]:
+    """Return (S,) ascending indices of the outliers of (N, 3) points, of which is ``tree``."""
     none = np.zeros(0, np.int64)
     if len(points) <= _GROUP:
         return none
     apart = _apart(tree, points, workers=2)
-    usual = float(np.median(apart))
-    at = np.flatnonzero(apart > _FAR * usual)
-    if not usual or not 0 < len(at) <= _MOST * len(points):
+    typical = float(np.median(apart))
+    at = np.flatnonzero(apart > _FAR * typical)
+    if not typical or not 0 < len(at) <= _MOST * len(points):
         return none
-    return at[_alone(points[at], _LINK * usual) & ~_sparse_surface(points, tree, at)]
+    return at[_isolated(points[at], _LINK * typical) & ~_sparse_surface(points, tree, at)]
 
 
-class Strays:
-    """Asks a cloud about single points, without looking at all of them."""
+class OutlierTest:
+    """Tests single points of a cloud, without computing all outliers."""
 
     def __init__(self, points: Points, tree: KDTree) -> None:
         self._points, self._tree = points, tree
@@ -53,8 +53,8 @@ class Strays:
             if far and (apart > far).mean() <= _MOST:
                 self._far = far
 
-    def holds(self, index: int) -> bool:
-        """Whether a point lies on no surface; of small groups some may pass for one."""
+    def is_outlier(self, index: int) -> bool:
+        """Whether a point is an outlier; points of small groups may not be recognised."""
         at = np.array([index])
         if _apart(self._tree, self._points[at])[0] <= self._far:
             return False
@@ -67,8 +67,8 @@ def _apart(tree: KDTree, points: Points, workers: int = 1) -> npt.NDArray[np.flo
     return np.asarray(distance)[:, -1]
 
 
-def _alone(points: Points, reach: float) -> Bool:
-    """(K,) whether few of ``points`` (K, 3) hang together, by steps of at most ``reach``."""
+def _isolated(points: Points, reach: float) -> Bool:
+    """(K,) whether ``points`` (K, 3) are in small groups connected by at most ``reach``."""
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(points), len(points)))
     _, group = connected_components(links, directed=False)
@@ -76,13 +76,13 @@ def _alone(points: Points, reach: float) -> Bool:
 
 
 def _sparse_surface(points: Points, tree: KDTree, at: Index) -> Bool:
-    """(K,) whether the points ``at`` (K,) lie among others that are as far apart, on a plane."""
+    """(K,) whether points ``at`` (K,) have equally sparse neighbours on a plane."""
     distance, near = tree.query(points[at], k=min(_AROUND + 1, len(points)))
-    near = np.asarray(near)  # with the point itself
+    near = np.asarray(near)  # includes the point itself
     apart = np.asarray(distance)[:, _NEIGHBOR]
     neighbor = near[:, 1 : _NEIGHBOR + 1]
     others = _apart(tree, points[neighbor.ravel()]).reshape(neighbor.shape)
-    # But for one, which may lie on a denser surface.
+    # Except for one, which may lie on a denser surface.
     alike = apart < _ALIKE * np.sort(others, axis=1)[:, 1]
     offset = points[near].astype(np.float64)
     offset -= offset.mean(1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Cut an asset into its parts: every face, or point, goes to exactly one."""
+"""Split an asset into its parts: every face or point belongs to exactly one."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from model.core.asset import Asset
 from model.core.errors import GeometryError
 
 BASE = 0
-"""The part that takes what nobody assigned."""
+"""The part of unassigned elements."""
 
 
 def split(
     asset: Asset, labels: npt.NDArray[np.integer], names: Mapping[int, str] | None = None
 ) -> tuple[Part, ...]:
-    """Parts of ``asset`` by label. Textures, colours and normals go along.
+    """Split ``asset`` by labels, with its textures, colours and normals.
 
     Args:
-        asset: what was labelled; where it has a mesh and a cloud, the mesh is cut.
-        labels: (E,) part of each element; -1 (unassigned) goes to part 0.
-        names: label → what the part is.
+        asset: its mesh is split if it has one, else its cloud.
+        labels: (E,) part of each element; -1 (unassigned) becomes part 0.
+        names: label → name of the part.
 
     Returns:
-        A part ``link_i`` for each label i that has elements, ascending. Faces keep their order,
-        and their areas add up to those of the asset.
+        A part ``link_i`` for each label i with elements, ascending. Faces keep their order.
 
     Raises:
         GeometryError: where the labels don't fit the asset.
@@ -42,7 +41,7 @@ def split(
         raise GeometryError(f"{asset.name}: label {labels.min()} is below -1")
     labels = np.where(labels < 0, BASE, labels)
     names = names or {}
-    # One stable sort instead of a scan for each part.
+    # One stable sort instead of one scan per part.
     order = np.argsort(labels, kind="stable")
     kept, starts = np.unique(labels[order], return_index=True)
     out = []

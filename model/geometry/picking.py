@@ -1,4 +1,4 @@
-"""Which face or point is under the cursor, in a box on the screen, or near a place."""
+"""Picking: the face or point under the cursor, in a box, or under a stroke on the screen."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
-from model.geometry.outliers import Strays
+from model.geometry.outliers import OutlierTest
 from model.geometry.strokes import Stroke, covered
 
 Array = npt.NDArray[Any]
 Bool = npt.NDArray[np.bool_]
 
 _PASSED = 100
-"""Stray points that a ray passes at most."""
+"""Most outliers that a ray passes."""
 
 DEFAULT_PIXEL_ANGLE = 1.5e-3
-"""Radians a pixel: 60 degrees over 700 pixels."""
+"""Radians per pixel: 60 degrees over 700 pixels."""
 TOLERANCE = 3
-"""Pixels beside the ray where something still counts as met."""
+"""Largest distance in pixels from the ray that counts as a hit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pick:
-    """What a ray met.
+    """The hit of a ray.
 
     Attributes:
         position: (3,) on the surface, metres, object frame.
         element: face or point.
-        normal: (3,) unit, towards where the ray came from.
+        normal: (3,) unit, towards the ray's origin.
     """
 
     position: npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ class Camera:
         aspect: width over height.
 
     Raises:
-        GeometryError: for a rotation or a field of view that is none.
+        GeometryError: for an invalid rotation or field of view.
     """
 
     def __init__(
@@ -62,42 +62,42 @@ class Camera:
         from scipy.spatial.transform import Rotation
 
         self.position = np.asarray(position, np.float64).reshape(3)
-        turn = np.asarray(world_from_camera, np.float64)
-        if turn.shape == (4,) and np.linalg.norm(turn) > 0 and np.isfinite(turn).all():
-            turn = Rotation.from_quat(turn[[1, 2, 3, 0]]).as_matrix()
-        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4):
+        rotation = np.asarray(world_from_camera, np.float64)
+        if rotation.shape == (4,) and np.linalg.norm(rotation) > 0 and np.isfinite(rotation).all():
+            rotation = Rotation.from_quat(rotation[[1, 2, 3, 0]]).as_matrix()
+        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4):
             raise GeometryError("the camera's orientation is no rotation")
         if not (0 < fov < np.pi and aspect > 0 and np.isfinite(self.position).all()):
             raise GeometryError(f"no camera has a field of view of {fov} and an aspect of {aspect}")
-        self.world_from_camera = turn
+        self.world_from_camera = rotation
         self.fov, self.aspect = float(fov), float(aspect)
 
     def project(self, points: Array) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Screen coordinates (N, 2), (0, 0) the top left and (1, 1) the bottom right, and depth."""
-        seen = (points - self.position) @ self.world_from_camera
-        depth = seen[:, 2]
+        """Return screen coordinates (N, 2), (0, 0) top left and (1, 1) bottom right, and depth."""
+        local = (points - self.position) @ self.world_from_camera
+        depth = local[:, 2]
         half = np.tan(self.fov / 2)
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
-        x = 0.5 + seen[:, 0] / (safe * 2 * half * self.aspect)
-        y = 0.5 + seen[:, 1] / (safe * 2 * half)
+        x = 0.5 + local[:, 0] / (safe * 2 * half * self.aspect)
+        y = 0.5 + local[:, 1] / (safe * 2 * half)
         return np.stack([x, y], axis=1), depth
 
     def ray(self, screen: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Origin and unit direction of the ray through a place on the screen."""
+        """Return origin and unit direction of the ray through a point on the screen."""
         return self.position, self.directions(np.asarray(screen, np.float64)[None])[0]
 
     def directions(self, screen: Array) -> npt.NDArray[np.float64]:
-        """(N, 3) unit directions of the rays through (N, 2) places on the screen."""
+        """Return (N, 3) unit directions of the rays through (N, 2) points on the screen."""
         half = np.tan(self.fov / 2) * np.array([self.aspect, 1.0])
-        seen = np.concatenate([(2 * screen - 1) * half, np.ones((len(screen), 1))], axis=1)
-        directions = seen @ self.world_from_camera.T
+        local = np.concatenate([(2 * screen - 1) * half, np.ones((len(screen), 1))], axis=1)
+        directions = local @ self.world_from_camera.T
         return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def rings_around(
     direction: npt.ArrayLike, pixel_angle: float = DEFAULT_PIXEL_ANGLE
 ) -> Iterator[npt.NDArray[np.float64]]:
-    """Directions that pass a ray within the tolerance: a ring for each pixel, the nearest first.
+    """Yield directions within the tolerance of a ray: a ring per pixel, the nearest first.
 
     Args:
         direction: (3,) of the ray, not zero.
@@ -118,9 +118,9 @@ def rings_around(
 
 
 class Picker:
-    """Answers picks on one asset. Building it indexes the asset once.
+    """Picks elements of one asset, which it indexes once.
 
-    Meshes are asked through Embree, clouds by marching along the ray through a KD-tree.
+    Meshes use Embree, clouds a march along the ray through a KD-tree.
     """
 
     def __init__(self, asset: Asset) -> None:
@@ -134,7 +134,7 @@ class Picker:
 
             self._o3d = o3d
             self._scene = o3d.t.geometry.RaycastingScene()
-            # Embree counts in float32: bring the object to the origin first.
+            # Embree computes in float32: move the object to the origin.
             self._shift = (low + high) / 2
             vertices = (asset.mesh.vertices - self._shift).astype(np.float32)
             self._scene.add_triangles(
@@ -149,10 +149,10 @@ class Picker:
             self._points = np.asarray(asset.cloud.points)
             self._tree = KDTree(self._points, balanced_tree=False, compact_nodes=True)
             self._spacing = self._measure_spacing()
-            self._strays = Strays(self._points, self._tree)
+            self._outliers = OutlierTest(self._points, self._tree)
 
     def _measure_spacing(self) -> float:
-        """Metres between neighbours, as most points have it."""
+        """Median distance between neighbours, metres."""
         step = max(1, len(self._points) // 1000)
         k = min(2, len(self._points))
         distance = np.atleast_2d(self._tree.query(self._points[::step], k=k)[0])
@@ -163,7 +163,7 @@ class Picker:
 
     @property
     def centers(self) -> npt.NDArray[np.float32]:
-        """(E, 3) middle of each element."""
+        """(E, 3) centre of each element."""
         if self._centers is None:
             self._centers = self._asset.element_centers.astype(np.float32)
         return self._centers
@@ -176,23 +176,22 @@ class Picker:
         pixel_angle: float = DEFAULT_PIXEL_ANGLE,
         hidden: Bool | None = None,
     ) -> Pick | None:
-        """The first element that a ray meets, or None.
+        """Return the first element that a ray hits, or None.
 
         Args:
-            origin: (3,) where the ray begins.
-            direction: (3,) need not have length 1.
-            pixel_angle: radians of one pixel; a cloud's points count within a cone of three, and
-                so does a mesh that the ray itself passes by.
-            hidden: (E,) elements that a ray passes as if they weren't there.
+            origin: (3,) of the ray.
+            direction: (3,) of any length.
+            pixel_angle: radians of one pixel; elements count within a cone of three pixels.
+            hidden: (E,) elements that are ignored.
 
         Raises:
-            GeometryError: for a ray that is none.
+            GeometryError: for an invalid ray.
         """
         o = np.asarray(origin, np.float64).reshape(-1)
         d = np.asarray(direction, np.float64).reshape(-1)
         length = np.linalg.norm(d) if d.shape == (3,) else 0.0
         if o.shape != (3,) or not np.isfinite(o).all() or not 0 < length < np.inf:
-            raise GeometryError(f"ray from {o.tolist()} along {d.tolist()} is no ray")
+            raise GeometryError(f"ray from {o.tolist()} along {d.tolist()} is invalid")
         d = d / length
         if self._asset.mesh is not None:
             return self._pick_mesh(o, d, pixel_angle, hidden)
@@ -203,10 +202,10 @@ class Picker:
     def _cast(
         self, origins: Array, directions: Array, hidden: Bool | None = None
     ) -> tuple[Array, Array]:
-        """Distance (inf: nothing) and face."""
+        """Distance (infinite without a hit) and face."""
         rays = np.concatenate([origins - self._shift, directions], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(self._o3d.core.Tensor.from_numpy(rays))
-        distance, face = answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
+        found = self._scene.cast_rays(self._o3d.core.Tensor.from_numpy(rays))
+        distance, face = found["t_hit"].numpy(), found["primitive_ids"].numpy().astype(np.int64)
         if hidden is not None:
             again = np.flatnonzero(np.isfinite(distance))
             again = again[hidden[face[again]]]
@@ -214,12 +213,12 @@ class Picker:
         return distance, face
 
     def _cast_behind(self, rays: Array, hidden: Bool) -> tuple[Array, Array]:
-        """As :meth:`_cast`, for (R, 6) rays whose first face is hidden: all that they meet."""
+        """As :meth:`_cast`, for (R, 6) rays whose first face is hidden."""
         distance, face = np.full(len(rays), np.inf, np.float32), np.full(len(rays), -1, np.int64)
         if not len(rays):
             return distance, face
-        met = self._scene.list_intersections(self._o3d.core.Tensor.from_numpy(rays))
-        at, ray, element = (met[name].numpy() for name in ("t_hit", "ray_ids", "primitive_ids"))
+        hits = self._scene.list_intersections(self._o3d.core.Tensor.from_numpy(rays))
+        at, ray, element = (hits[name].numpy() for name in ("t_hit", "ray_ids", "primitive_ids"))
         shown = ~hidden[element.astype(np.int64)]
         at, ray, element = at[shown], ray[shown].astype(np.int64), element[shown]
         order = np.lexsort((at, ray))
@@ -230,7 +229,7 @@ class Picker:
     def _pick_mesh(self, o: Array, d: Array, angle: float, hidden: Bool | None) -> Pick | None:
         mesh = self._asset.mesh
         assert mesh is not None
-        # Begin near the object, so that a far camera doesn't cost precision.
+        # Start near the object: a far camera costs precision.
         ahead = max(0.0, float((self._shift - o) @ d) - self._diagonal)
         for ring in chain((d[None],), rings_around(d, angle)):
             starts = o + ring * ahead
@@ -271,23 +270,23 @@ class Picker:
             if hidden is not None:
                 found = found[~hidden[found]]
             while (element := self._front(o, d, found, angle)) is not None:
-                # A stray point is meant only where nothing is behind it.
-                if len(passed) == _PASSED or not self._strays.holds(element):
+                # An outlier is picked only where nothing is behind it.
+                if len(passed) == _PASSED or not self._outliers.is_outlier(element):
                     return self._point_pick(element, d)
                 passed.append(element)
                 found = found[found != element]
         return self._point_pick(passed[0], d) if passed else None
 
     def _radius(self, depth: Array, angle: float) -> Array:
-        """The cone's radius: a few pixels, but never so thin that it slips between the points.
+        """The cone's radius: a few pixels, but at least four median distances between neighbours.
 
-        A disc of four median distances to the nearest neighbour holds 11 random points of a surface
-        on average, so it misses the surface about once in 60,000 times.
+        Such a disc has 11 random points of a surface on average: it misses the surface about once
+        in 60,000 times.
         """
         return np.maximum(depth * angle, 4.0 * self._spacing)
 
     def _front(self, o: Array, d: Array, found: Array, angle: float) -> int | None:
-        """The point nearest to the ray among the foremost ones in the cone."""
+        """The point nearest to the ray among the front ones in the cone."""
         away = self._points[found] - o
         depth = away @ d
         across = np.linalg.norm(away - depth[:, None] * d, axis=1)
@@ -326,14 +325,13 @@ class Picker:
         visible_only: bool = True,
         hidden: Bool | None = None,
     ) -> npt.NDArray[np.int64]:
-        """Elements whose middle is inside a rectangle on the screen.
+        """Select elements whose centre is inside a rectangle on the screen.
 
         Args:
-            camera: where it was drawn from.
             lower_left, upper_right: two opposite corners in any order, (0, 0) the screen's top
                 left and (1, 1) its bottom right.
-            visible_only: leave out what lies behind something else.
-            hidden: (E,) elements that are not there.
+            visible_only: whether to leave out occluded elements.
+            hidden: (E,) elements that are ignored.
 
         Returns:
             (K,) elements, ascending.
@@ -352,9 +350,9 @@ class Picker:
         visible_only: bool = True,
         hidden: Bool | None = None,
     ) -> npt.NDArray[np.int64]:
-        """(K,) elements whose middle a stroke covers, ascending; as :meth:`select_box`.
+        """Select (K,) elements whose centre a stroke covers, ascending; as :meth:`select_box`.
 
-        A brush also takes the faces that it passes over, however far their middle is.
+        A brush also selects the faces that it passes over, however far their centre is.
         """
         raster = stroke.raster(camera.aspect)
         screen, depth = camera.project(self.centers)
@@ -378,13 +376,13 @@ class Picker:
         if not visible_only or not len(found):
             return found
         if self._asset.mesh is not None:
-            return found[self._seen_faces(camera, found, hidden)]
-        return found[self._seen_points(camera, screen[found], depth[found])]
+            return found[self._visible_faces(camera, found, hidden)]
+        return found[self._visible_points(camera, screen[found], depth[found])]
 
     def _faces_under(
         self, camera: Camera, raster: Bool, hidden: Bool | None
     ) -> npt.NDArray[np.int64]:
-        """The faces behind a grid of covered places."""
+        """Faces behind a grid of covered pixels."""
         step = max(1, round(np.sqrt(raster.sum() / 2000)))
         y, x = np.nonzero(raster[::step, ::step])
         if not len(x):
@@ -395,7 +393,7 @@ class Picker:
         hit, face = self._cast(origins, directions, hidden)
         return np.unique(face[np.isfinite(hit)])
 
-    def _seen_faces(self, camera: Camera, found: Array, hidden: Bool | None) -> Array:
+    def _visible_faces(self, camera: Camera, found: Array, hidden: Bool | None) -> Array:
         toward = self.centers[found] - camera.position
         distance = np.linalg.norm(toward, axis=1)
         origins = np.broadcast_to(camera.position, toward.shape)
@@ -403,8 +401,8 @@ class Picker:
         slack = 1e-4 * self._diagonal
         return (face == found) | (hit >= distance - slack)
 
-    def _seen_points(self, camera: Camera, screen: Array, depth: Array) -> Array:
-        """The foremost points of each small square of the screen, as a z-buffer has it."""
+    def _visible_points(self, camera: Camera, screen: Array, depth: Array) -> Array:
+        """The front points of each small square of the screen, by a z-buffer."""
         from scipy.ndimage import minimum_filter
 
         view = np.tan(camera.fov / 2) * np.array([camera.aspect, 1.0]) * 2
@@ -417,14 +415,14 @@ class Picker:
         front = np.full(int(shape[0] * shape[1]), np.inf)
         key = index[:, 0] * shape[1] + index[:, 1]
         np.minimum.at(front, key, depth)
-        # A square may hold no point of the front surface by chance, three times three never do.
+        # A square may miss the front surface by chance, nine squares don't.
         front = minimum_filter(front.reshape(shape), size=3, mode="nearest").reshape(-1)
-        # A surface seen at a slant spans some depth within one square.
+        # A slanted surface spans some depth within one square.
         return depth <= front[key] + 3 * np.maximum(pixel * depth, self._spacing)
 
 
 def _clip(o: Array, d: Array, low: Array, high: Array) -> tuple[float, float] | None:
-    """Where the ray is inside a box: (near, far) metres along it, or None."""
+    """(near, far) metres along a ray inside a box, or None."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - o) / d, (high - o) / d
     a, b = np.minimum(a, b), np.maximum(a, b)

@@ -1,4 +1,4 @@
-"""A mesh for a cloud: what a simulator needs and a scan doesn't have."""
+"""Surface reconstruction: a mesh through a cloud, which simulators need."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ Array = npt.NDArray[Any]
 MAX_POINTS = 100_000
 _FEW = 300  # below, Poisson's smoothing eats the shape
 _VERY_FEW = 100  # below, neighbours say little about the surface
-_REACH = 3.0  # spacings that the surface may leave its samples by
+_REACH = 3.0  # largest distance of the surface from the points, in spacings
 
 
 def mesh_from_cloud(
     cloud: PointCloud, *, max_points: int = MAX_POINTS, progress: Progress = no_progress
 ) -> Mesh:
-    """A surface through ``cloud``, with its colours.
+    """Reconstruct a surface with the cloud's colours.
 
-    Screened Poisson reconstruction (Kazhdan and Hoppe, 2013), cut back to where there are points;
-    ball pivoting (Bernardini et al., 1999) below 300 points; the convex hull below 100, as knobs
-    and handles have it; a flat triangulation for flat clouds.
+    Screened Poisson reconstruction (Kazhdan and Hoppe, 2013), trimmed to the points; ball pivoting
+    (Bernardini et al., 1999) below 300 points; the convex hull below 100, which suits knobs and
+    handles; a planar triangulation for flat clouds.
 
     Args:
         cloud: normals are estimated where it has none.
-        max_points: larger clouds are thinned evenly first, which bounds the time.
+        max_points: larger clouds are thinned first, which bounds the time.
         progress: called between the steps.
 
     Raises:
-        GeometryError: where fewer than 4 points, or points on one line, span no surface.
+        GeometryError: for fewer than 4 points, and for points on one line.
     """
     if len(cloud) < 4:
         raise GeometryError(f"a surface needs 4 points or more, this cloud has {len(cloud)}")
@@ -67,7 +67,7 @@ def mesh_from_cloud(
 
 
 def mesh_of_scan(vertices: Array, faces: Array, rgba: Array | None) -> Mesh:
-    """A surface with the scan's colours, (V, 4) uint8; without them where there are none."""
+    """Make a mesh with optional vertex colours (V, 4) uint8."""
     if rgba is None:
         return Mesh(vertices, faces)
     return Mesh(vertices, faces, materials=(Material("scan", WHITE),), vertex_colors=rgba)
@@ -105,7 +105,7 @@ def _poisson(cloud: PointCloud, spacing: float) -> tuple[Array, Array] | None:
 
     low, high = cloud.bounds
     shift, scale = (low + high) / 2, float((high - low).max())
-    # Cells about as large as the points are apart; finer ones only cost time.
+    # Cells about as large as the spacing; finer ones only cost time.
     depth = int(np.clip(np.rint(np.log2(1.1 * scale / (2.0 * spacing))), 5, 9))
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
         _open3d_cloud(cloud, shift, scale), depth=depth, scale=1.1, n_threads=1
@@ -134,7 +134,7 @@ def _ball_pivoting(cloud: PointCloud, spacing: float) -> tuple[Array, Array] | N
 
 
 def _hull(points: Array) -> tuple[Array, Array] | None:
-    """The convex hull, its triangles turned outwards; None where it has no volume."""
+    """The convex hull, wound outwards; None where it has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     p = points.astype(np.float64)
@@ -151,7 +151,7 @@ def _hull(points: Array) -> tuple[Array, Array] | None:
 
 
 def _flat(points: Array) -> tuple[Array, Array]:
-    """Triangles in the plane of most spread."""
+    """Triangulation in the plane of largest variance."""
     from scipy.spatial import Delaunay, QhullError
 
     p = points.astype(np.float64)
@@ -163,7 +163,7 @@ def _flat(points: Array) -> tuple[Array, Array]:
         raise GeometryError("all points are on one line, which spans no surface") from None
     t = p[faces]
     edge = np.linalg.norm(t - np.roll(t, 1, axis=1), axis=2).max(axis=1)
-    short = edge <= 6.0 * np.median(edge)  # bridges over gaps are no surface
+    short = edge <= 6.0 * np.median(edge)  # long edges bridge gaps
     return p, faces[short]
 
 

@@ -14,21 +14,21 @@ from model.geometry.appearance import colors_at
 def sample_surface(
     mesh: Mesh, count: int, rng: np.random.Generator
 ) -> tuple[PointCloud, npt.NDArray[np.int32]]:
-    """``count`` points spread evenly over the area.
+    """Sample ``count`` points evenly over the area.
 
-    The area is cut into ``count`` equal shares in the faces' order and each share gets one point,
-    so that a face holds its share of the points to within one (systematic sampling).
+    Systematic sampling: each of ``count`` equal shares of the area, in the faces' order, gets one
+    point, so that a face has its share of the points to within one.
 
     Args:
-        mesh: needs a face with an area.
+        mesh: with a face of positive area.
         count: at least 1.
-        rng: decides everything that is random.
+        rng: the only source of randomness.
 
     Returns:
         The points in random order with face normals and colours, and (count,) the face of each.
 
     Raises:
-        GeometryError: where there is no area or ``count`` is below 1.
+        GeometryError: without area, and for ``count`` below 1.
     """
     if count < 1:
         raise GeometryError(f"{count} samples: at least one is needed")
@@ -37,7 +37,7 @@ def sample_surface(
         raise GeometryError("a mesh without area can't be sampled")
     share = (np.arange(count) + rng.random(count)) / count
     face = np.searchsorted(cumulative, share * cumulative[-1], side="right")
-    # Faces without area at the end must not catch what rounding pushes over.
+    # Rounding must not select faces without area at the end.
     face = np.minimum(face, np.flatnonzero(mesh.face_areas)[-1])
     face = face[rng.permutation(count)]
     u, v = rng.random((2, count))

@@ -1,4 +1,4 @@
-"""Normals that look right: smooth over gentle bends, sharp at creases."""
+"""Shading normals: smooth across gentle bends, sharp at creases."""
 
 from __future__ import annotations
 
@@ -18,14 +18,10 @@ CREASE = np.radians(35.0)
 def corner_normals(
     mesh: Mesh, crease: float = CREASE
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
-    """Normals shared by the corners of neighbouring faces that bend by less than ``crease``.
-
-    Args:
-        mesh: the mesh.
-        crease: radians.
+    """Share normals between corners of adjacent faces whose angle is below ``crease``, radians.
 
     Returns:
-        ``(F, 3)`` number of each corner's normal, and ``(G, 3)`` the unit normals.
+        (F, 3) index of each corner's normal, and (G, 3) the unit normals.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -36,7 +32,7 @@ def corner_normals(
     adjacency = face_adjacency(mesh, ids)
     a, b = adjacency.pairs.T
     normals = mesh.face_normals
-    # Faces that are turned against each other stay apart, as their normals would cancel.
+    # Faces of opposite winding are not joined: their normals would cancel.
     gentle = np.einsum("ij,ij->i", normals[a], normals[b]) > np.cos(crease)
     a, b, edge = a[gentle], b[gentle], ids[adjacency.edge[gentle]]
     rows, columns = (
@@ -54,5 +50,5 @@ def corner_normals(
 
 
 def _corner_at(corners: Array, place: Array) -> Array:
-    """Which of the three corners is at ``place``."""
+    """Index of the corner at ``place``."""
     return np.argmax(corners == place[:, None], axis=1)

@@ -1,4 +1,4 @@
-"""Splitting triangles along planes, where a border is wanted that no edge of the mesh follows."""
+"""Split triangles along planes, for borders that no edges of the mesh follow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Float = npt.NDArray[np.float64]
 Int = npt.NDArray[np.int64]
 
 ON_THE_PLANE = 1e-5
-"""Of the diagonal: vertices nearer than that lie on the plane, so that no slivers come off."""
+"""Distance in the diagonal up to which vertices are on a plane, so that no slivers are cut off."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,9 @@ class Split:
     """A mesh with some of its faces split.
 
     Attributes:
-        mesh: looks as before; new vertices lie on old edges.
-        parent: (F',) int64 the face that each face was, ascending.
-        inside: (F',) the pieces of the chosen faces that lie on the inner side of all planes, or
-            on one.
+        mesh: of the same shape; new vertices are on old edges.
+        parent: (F',) int64 source face of each face, ascending.
+        inside: (F',) whether a face is of a chosen one and on the inner side of all planes.
     """
 
     mesh: Mesh
@@ -62,7 +61,7 @@ class Split:
 
 @dataclass
 class _Soup:
-    """A mesh while it is being split."""
+    """A mesh being split."""
 
     vertices: Float
     uv: npt.NDArray[np.float32] | None
@@ -74,16 +73,16 @@ class _Soup:
 
 
 def split_faces(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> Split:
-    """Split the chosen faces along planes, one plane after another on what is inside so far.
+    """Split the chosen faces along planes, each plane splitting the inside of the former ones.
 
-    Neighbours of split edges are split as well, so that a closed mesh stays closed. Texture
+    Faces beside split edges are split as well, so that a closed mesh stays closed. Texture
     coordinates and vertex colours are interpolated along the edges.
 
     Args:
         chosen: (F,).
 
     Raises:
-        GeometryError: where ``chosen`` has not one entry a face.
+        GeometryError: where ``chosen`` doesn't have one entry per face.
     """
     if chosen.shape != (len(mesh.faces),):
         raise GeometryError(f"chosen needs {len(mesh.faces)} entries, got {chosen.shape}")
@@ -113,8 +112,8 @@ def split_faces(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> Split:
     )
 
 
-def crossing_share(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> float:
-    """Share of the chosen faces' area that lies in faces which a plane runs through."""
+def share_crossed(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> float:
+    """Return the share of the chosen faces' area in faces that a plane crosses."""
     area = np.asarray(mesh.face_areas)[chosen]
     if not area.sum() > 0:
         return 0.0
@@ -126,7 +125,7 @@ def crossing_share(mesh: Mesh, chosen: Bool, planes: Sequence[Plane]) -> float:
         apart = plane.distance(corners.reshape(-1, 3)).reshape(-1, 3)
         crossed |= (apart.min(1) < -near) & (apart.max(1) > near)
         outside |= apart.max(1) <= near
-    # What lies outside of one plane may well be crossed by another, far from what is cut out.
+    # A face outside of one plane may be crossed by another, far from the cut.
     return float(area[crossed & ~outside].sum() / area.sum())
 
 
@@ -147,7 +146,7 @@ def _split(soup: _Soup, plane: Plane, near: float) -> None:
         _subdivide(soup, index)
         apart = plane.distance(soup.vertices)
         apart[np.abs(apart) <= near] = 0.0
-    soup.inside &= apart[soup.faces].sum(1) >= 0  # a panel's rim lies on the plane: it comes along
+    soup.inside &= apart[soup.faces].sum(1) >= 0  # a rim on the plane is inside
 
 
 def _middles(soup: _Soup, apart: Float, tail: Int, head: Int, key: Int) -> Int:

@@ -1,4 +1,4 @@
-"""What a person drew on the screen: the inside of a lasso, or the trace of a brush."""
+"""Strokes on the screen: the inside of a lasso, or the trace of a brush."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 from model.core.errors import GeometryError
 
 _HEIGHT = 1024
-"""Rows of the raster: finer than most windows."""
+"""Rows of the raster: more than most windows have."""
 _LONGEST = 5000
 
 StrokeKind = Literal["lasso", "brush"]
@@ -23,9 +23,9 @@ class Stroke:
     """A path on the screen.
 
     Attributes:
-        kind: a lasso takes what is inside its closed path, a brush what its disc passes over.
+        kind: a lasso covers the inside of its closed path, a brush the trace of its disc.
         path: (x, y) from (0, 0), the screen's top left, to (1, 1), its bottom right.
-        radius: of the brush, in parts of the screen's height.
+        radius: of the brush, as a share of the screen's height.
     """
 
     kind: StrokeKind
@@ -37,14 +37,14 @@ class Stroke:
             raise GeometryError(f"a stroke is a lasso or a brush, got {self.kind!r}")
         at = np.asarray(self.path, np.float64)
         if at.ndim != 2 or at.shape[1] != 2 or not 1 <= len(at) <= _LONGEST:
-            raise GeometryError(f"a stroke needs 1 to {_LONGEST} places on the screen")
+            raise GeometryError(f"a stroke needs 1 to {_LONGEST} points (x, y)")
         if not (np.isfinite(at).all() and np.abs(at).max() < 10):
-            raise GeometryError("a stroke's places must lie on the screen, from 0 to 1")
+            raise GeometryError("a stroke's points must be on the screen, from 0 to 1")
         if not 0 < self.radius <= 0.5:
             raise GeometryError(f"a brush's radius must be in (0, 0.5], got {self.radius}")
 
     def raster(self, aspect: float) -> npt.NDArray[np.bool_]:
-        """(rows, columns) what the stroke covers of a screen that is ``aspect`` times as wide."""
+        """(rows, columns) covered pixels of a screen ``aspect`` times as wide as high."""
         size = (max(1, round(_HEIGHT * min(aspect, 8.0))), _HEIGHT)
         image = Image.new("1", size)
         draw = ImageDraw.Draw(image)
@@ -64,7 +64,7 @@ class Stroke:
 def covered(
     raster: npt.NDArray[np.bool_], screen: npt.NDArray[np.floating]
 ) -> npt.NDArray[np.bool_]:
-    """Which of (N, 2) places on the screen the raster covers."""
+    """Return (N,) whether the raster covers (N, 2) points on the screen."""
     rows, columns = raster.shape
     on = ((screen >= 0) & (screen < 1)).all(axis=1)
     x = np.clip(np.nan_to_num(screen[:, 0]) * columns, 0, columns - 1).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Neighbourhood of faces: welding, adjacency, connected shells."""
+"""Topology of meshes: welding, face adjacency, connected shells."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Array = npt.NDArray[Any]
 
 
 def same_points(points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Rows of (N, 3) that are exactly equal, bit for bit but for the sign of zero.
+    """Group equal rows of (N, 3): bit for bit, but for the sign of zero.
 
     Returns:
-        ``(first, inverse)``: index of one row for each distinct row, and (N,) which distinct row
-        each one is, as ``np.unique(axis=0)`` but many times faster.
+        ``(first, inverse)`` as ``np.unique(axis=0)``, many times faster: one row for each distinct
+        row, and (N,) the distinct row of each row.
     """
     rows = np.ascontiguousarray(points, np.float64) + 0.0
     key = _mixed(rows.view(np.uint64).reshape(-1, 3))
@@ -30,7 +30,7 @@ def same_points(points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.in
 
 
 def _mixed(words: Array) -> Array:
-    """(N, 3) uint64 hashed to (N,), by the finaliser of splitmix64."""
+    """Hash (N, 3) uint64 to (N,), by the finaliser of splitmix64."""
     out = np.zeros(len(words), np.uint64)
     for i in range(words.shape[1]):
         out = out * np.uint64(0x9E3779B97F4A7C15) + words[:, i]
@@ -41,10 +41,9 @@ def _mixed(words: Array) -> Array:
 
 
 def coincident_faces(mesh: Mesh) -> npt.NDArray[np.int64] | None:
-    """(F,) the first of the faces that have the same three corners as each one, whichever way they
-    are turned; None where no two have.
+    """Return (F,) the first face with the same three corners, of either winding, or None.
 
-    Many modelled meshes hold each of their faces twice, once for either side.
+    None where no two faces coincide. Many modelled meshes have each face twice, once per side.
     """
     if not len(mesh.faces):
         return None
@@ -59,10 +58,10 @@ def coincident_faces(mesh: Mesh) -> npt.NDArray[np.int64] | None:
 
 
 def weld(mesh: Mesh, tolerance: float | None = None) -> npt.NDArray[np.int32]:
-    """(V,) number of the place that each vertex is at.
+    """Return (V,) the welded vertex of each vertex.
 
     Args:
-        tolerance: metres within which vertices are one place; by default 1e-6 of the diagonal.
+        tolerance: metres within which vertices are merged; by default 1e-6 of the diagonal.
     """
     if not len(mesh.vertices):
         return np.zeros(0, np.int32)
@@ -71,7 +70,7 @@ def weld(mesh: Mesh, tolerance: float | None = None) -> npt.NDArray[np.int32]:
     if tolerance <= 0:
         return same_points(mesh.vertices)[1].astype(np.int32)
     first, place = same_points(np.floor(mesh.vertices / tolerance))
-    # Neighbours can fall on two sides of a cell's border: join them.
+    # Neighbours on two sides of a cell's border are joined.
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
@@ -89,9 +88,9 @@ class FaceAdjacency:
 
     Attributes:
         pairs: (A, 2) int32 faces, first < second.
-        angle: (A,) radians between the two normals, 0 where they continue each other.
-        convex: (A,) True where the surface bends outwards (or not at all); on a mesh whose
-            triangles are turned inconsistently this is a guess.
+        angle: (A,) radians between the two normals, 0 for coplanar faces.
+        convex: (A,) whether the surface bends outwards or not at all; unreliable for inconsistent
+            winding.
         edge: (A, 2) int32 vertices of the shared edge, as indexed by the first face.
         length: (A,) metres.
     """
@@ -104,7 +103,7 @@ class FaceAdjacency:
 
 
 def _edge_runs(mesh: Mesh, ids: Array) -> tuple[Array, Array, Array]:
-    """Half-edges sorted so that equal welded edges follow each other: order, run ids, keep."""
+    """Half-edges sorted by welded edge: order, keys, and whether they run forward."""
     tails, heads = ids[mesh.faces].reshape(-1), ids[np.roll(mesh.faces, -1, 1)].reshape(-1)
     low, high = np.minimum(tails, heads).astype(np.int64), np.maximum(tails, heads)
     key = low * (int(ids.max()) + 1) + high
@@ -114,12 +113,12 @@ def _edge_runs(mesh: Mesh, ids: Array) -> tuple[Array, Array, Array]:
 
 
 def face_adjacency(mesh: Mesh, ids: Array | None = None) -> FaceAdjacency:
-    """Which faces meet along which edge, how sharply, and to which side.
+    """Find faces that share an edge, with their angle.
 
-    Where more than two faces meet at an edge, each is paired with the next.
+    Where more than two faces share an edge, each is paired with the next.
 
     Args:
-        ids: from :func:`weld`, where already known.
+        ids: of :func:`weld`, if known.
     """
     if not len(mesh.faces):
         empty = np.zeros((0, 2), np.int32)
@@ -141,7 +140,7 @@ def face_adjacency(mesh: Mesh, ids: Array | None = None) -> FaceAdjacency:
     )
     normals = mesh.face_normals
     na, nb = normals[fa], normals[fb]
-    # Two triangles that run along the edge the same way are turned against each other.
+    # Two triangles that run along the edge in the same direction have opposite winding.
     nb = np.where((forward[a] == forward[b])[:, None], -nb, nb)
     angle = np.arctan2(np.linalg.norm(np.cross(na, nb), axis=1), np.einsum("ij,ij->i", na, nb))
     start = mesh.faces.reshape(-1)[a]
@@ -159,9 +158,9 @@ def face_adjacency(mesh: Mesh, ids: Array | None = None) -> FaceAdjacency:
 
 
 def connected_shells(mesh: Mesh, ids: Array | None = None) -> npt.NDArray[np.int32]:
-    """(F,) number of the connected shell of each face: faces that share a welded vertex.
+    """Return (F,) the connected shell of each face: faces that share a welded vertex.
 
-    Shells are numbered in the order of their first face.
+    Shells are numbered by their first face.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components

@@ -1,4 +1,4 @@
-"""Sizes that tell of a wrong unit."""
+"""Sizes that suggest a wrong unit."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
-"""Metres a unit."""
+"""Metres per unit."""
 LARGEST, SMALLEST = 30.0, 0.005
-"""Metres: an object whose longest side is beyond was hardly meant so."""
+"""Metres: plausible range of an object's longest side, a choice."""
 _GUESSED = ("metres", "centimetres", "millimetres")
 
 
 @dataclass(frozen=True)
 class OddSize:
-    """An object that is far too large or too small.
+    """An implausible size.
 
     Attributes:
         question: for people, such as "1000 m tall: is the file in millimetres?".
-        unit: one of :data:`UNITS` that would make it about a metre, or None where none does.
+        unit: one of :data:`UNITS` that makes it about a metre, or None.
     """
 
     question: str
@@ -29,11 +29,11 @@ class OddSize:
 
 
 def odd_size(bounds: npt.ArrayLike, unit_scale: float) -> OddSize | None:
-    """What is odd about the size of a single object, or None where it is likely.
+    """Check the size of a single object; None if plausible.
 
     Args:
         bounds: (2, 3) lowest and highest corner, metres, +z up.
-        unit_scale: metres per unit of the file with which they were read.
+        unit_scale: metres per unit with which the file was read.
     """
     low, high = np.asarray(bounds, np.float64)
     side = int((high - low).argmax())

@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 
 def box_yaw(flat: npt.NDArray[np.floating[Any]], gain: float = 0.8) -> float:
-    """Angle in (-π/4, π/4] about +z by which the smallest upright box around points is turned.
+    """Return the yaw in (-π/4, π/4] of the smallest upright box around points.
 
     Args:
         flat: (N, 2) x and y, metres.
-        gain: another angle than 0 must bring the box's area below this share.
+        gain: another angle than the best so far must bring the area below this share of it.
     """
     best, least = 0.0, np.inf
     for yaw in np.radians([0, *range(-44, 46, 2)]):

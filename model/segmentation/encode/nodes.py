@@ -18,7 +18,7 @@ from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.geometry.crop import ROOM_METRES
-from model.geometry.outliers import stray_points
+from model.geometry.outliers import outlier_points
 from model.geometry.sampling import sample_surface
 from model.geometry.topology import coincident_faces, connected_shells
 
@@ -156,7 +156,7 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
 
 def _without_outliers(nodes: Nodes) -> Nodes:
     """``nodes`` of a cloud without those on no surface, whose points go to the nearest node."""
-    at = stray_points(nodes.points, nodes.tree)
+    at = outlier_points(nodes.points, nodes.tree)
     if not len(at):
         return nodes
     outlier = np.zeros(len(nodes), bool)

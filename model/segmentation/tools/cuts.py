@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.errors import PromptError
-from model.geometry.splitting import ON_THE_PLANE, Plane, crossing_share
+from model.geometry.splitting import ON_THE_PLANE, Plane, share_crossed
 from model.segmentation.default import DefaultSession
 from model.segmentation.encode.graph import components
 from model.segmentation.tools.element_masks import checked, to_elements, to_nodes
@@ -47,7 +47,7 @@ class Cut:
     def splits_faces(self, asset: Asset) -> bool:
         """Whether it runs through faces so large that they have to be split."""
         mesh = asset.mesh
-        return mesh is not None and crossing_share(mesh, self.chosen, self.planes) > _COARSE
+        return mesh is not None and share_crossed(mesh, self.chosen, self.planes) > _COARSE
 
 
 def line_cut(

@@ -107,7 +107,7 @@ def test_rays_that_are_none(ball: Mesh) -> None:
         ((0, 0, 0), (0, 0, 0)),
         ((0, 0), (0, 1)),
     ):
-        with pytest.raises(GeometryError, match="is no ray"):
+        with pytest.raises(GeometryError, match="is invalid"):
             picker.pick(origin, direction)
 
 
@@ -204,10 +204,10 @@ def test_a_brush_takes_its_trace_and_the_large_faces_under_it() -> None:
     ("arguments", "message"),
     [
         (("pen", ((0, 0),)), "lasso or a brush"),
-        (("lasso", ()), "places"),
+        (("lasso", ()), "points"),
         (("brush", ((float("nan"), 0.0),)), "on the screen"),
         (("brush", ((0.0, 0.0),), 2.0), "radius"),
-        (("lasso", ((0.5, 0.5),) * 6000), "places"),
+        (("lasso", ((0.5, 0.5),) * 6000), "points"),
     ],
 )
 def test_strokes_that_are_none_are_refused(arguments: tuple, message: str) -> None:

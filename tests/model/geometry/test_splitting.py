@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from model.core.errors import GeometryError
 from model.core.mesh import Mesh
-from model.geometry.splitting import Plane, crossing_share, split_faces
+from model.geometry.splitting import Plane, share_crossed, split_faces
 
 
 def _box(scale: float = 1.0) -> Mesh:
@@ -102,11 +102,11 @@ def test_vertices_on_the_plane_make_no_slivers():
 
 def test_coarse_faces_are_told_from_fine_ones():
     plane = [Plane((0.1, 0, 0), (1, 0, 0))]
-    assert crossing_share(_box(), np.ones(12, bool), plane) > 0.5
+    assert share_crossed(_box(), np.ones(12, bool), plane) > 0.5
     sphere = trimesh.creation.icosphere(6)
     fine = Mesh(sphere.vertices, sphere.faces)
-    assert crossing_share(fine, np.ones(len(fine.faces), bool), plane) < 0.02
-    assert crossing_share(_box(), np.zeros(12, bool), plane) == 0.0
+    assert share_crossed(fine, np.ones(len(fine.faces), bool), plane) < 0.02
+    assert share_crossed(_box(), np.zeros(12, bool), plane) == 0.0
 
 
 def test_bad_planes_and_choices_are_told():

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
-from model.geometry.outliers import Strays, stray_points
+from model.geometry.outliers import OutlierTest, outlier_points
 from model.geometry.picking import Picker
 
 WALL = 20_000
@@ -26,11 +26,11 @@ def points() -> np.ndarray:
 
 def test_all_and_one_by_one(points) -> None:
     tree = KDTree(points)
-    found = stray_points(points, tree)
+    found = outlier_points(points, tree)
     assert np.isin(found, np.arange(WALL, len(points))).all() and len(found) >= 55
-    one = Strays(points, tree)
-    assert all(one.holds(int(i)) for i in found)
-    assert not any(one.holds(i) for i in range(0, WALL, 97))
+    one = OutlierTest(points, tree)
+    assert all(one.is_outlier(int(i)) for i in found)
+    assert not any(one.is_outlier(i) for i in range(0, WALL, 97))
 
 
 def test_a_group_is_no_stray(points) -> None:
@@ -38,14 +38,14 @@ def test_a_group_is_no_stray(points) -> None:
     ball = np.random.default_rng(1).normal(size=(40, 3))
     ball *= 0.08 / np.linalg.norm(ball, axis=1, keepdims=True)
     both = np.concatenate([points, ball + (0.5, -0.4, 0.5)]).astype(np.float32)
-    assert stray_points(both, KDTree(both)).max() < len(points)
+    assert outlier_points(both, KDTree(both)).max() < len(points)
 
 
 @pytest.mark.parametrize("same", [np.zeros((50, 3)), np.tile(np.eye(3), (20, 1))])
 def test_points_at_one_place_are_no_strays(same) -> None:
     tree = KDTree(same)
-    assert len(stray_points(same, tree)) == 0
-    assert not Strays(same, tree).holds(0)
+    assert len(outlier_points(same, tree)) == 0
+    assert not OutlierTest(same, tree).is_outlier(0)
 
 
 def test_where_no_distance_is_usual_nothing_is_stray() -> None:
@@ -54,9 +54,9 @@ def test_where_no_distance_is_usual_nothing_is_stray() -> None:
     dense = np.concatenate([rng.random((900, 3)) * 1e-3, rng.random((300, 3))])
     for points in (twice, dense):
         tree = KDTree(points)
-        one = Strays(points, tree)
-        assert len(stray_points(points, tree)) == 0
-        assert not any(one.holds(i) for i in range(0, len(points), 7))
+        one = OutlierTest(points, tree)
+        assert len(outlier_points(points, tree)) == 0
+        assert not any(one.is_outlier(i) for i in range(0, len(points), 7))
 
 
 def test_a_click_passes_strays_to_what_is_behind(points) -> None:
