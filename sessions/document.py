@@ -256,7 +256,7 @@ class Document:
         return None if self.prediction is None else self.prediction.file
 
     @property
-    def unsettled(self) -> dict[str, float]:
+    def predicted_confidence(self) -> dict[str, float]:
         """Child link → confidence, 0..1, of the joints as predicted that nobody settled since."""
         if self.prediction is None:
             return {}

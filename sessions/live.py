@@ -50,7 +50,7 @@ class LiveSession:
         """The present document."""
         return self.state.present
 
-    def given_here(self, seq: int) -> bool:
+    def issued_here(self, seq: int) -> bool:
         """Whether the command with that number was given in this process, since it was opened."""
         with self._lock:
             return seq in self._given_here

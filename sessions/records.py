@@ -69,19 +69,19 @@ class Entry:
 
 @dataclass(frozen=True)
 class PendingAcceptance:
-    """An acceptance that was begun and not ended.
+    """An acceptance that began and has not ended.
 
     Attributes:
         seq: number of the object's last command then.
-        comment, override: what the person had typed for it.
-        held: why the gate held it back once it had answered, where the person had gone on; ""
-            where it is under way, or was cut off.
+        comment, override: as the person typed them.
+        hold_reason: why validation put it on hold after the person had gone on; "" where it is
+            under way, or was cut off.
     """
 
     seq: int
     comment: str = ""
     override: str = ""
-    held: str = ""
+    hold_reason: str = ""
 
 
 def now() -> str:

@@ -202,11 +202,11 @@ class Store:
             self._row(connection, object_id)
             return self._entries(connection, object_id, after)
 
-    def taken_off(self) -> dict[int, str]:
-        """Objects that are left out of the queue, the last one last → :meth:`take_off`'s stamp."""
+    def removed_objects(self) -> dict[int, str]:
+        """Objects that are left out of the queue, the last one last → :meth:`mark_removed`'s stamp."""
         return self._marks(_OFF)
 
-    def take_off(self, object_id: int, stamp: str) -> None:
+    def mark_removed(self, object_id: int, stamp: str) -> None:
         """Leave an object out of the queue from now on; nothing of it is lost.
 
         Args:
@@ -215,7 +215,7 @@ class Store:
         """
         self._mark(_OFF, object_id, stamp)
 
-    def put_back(self, object_ids: Iterable[int]) -> None:
+    def mark_restored(self, object_ids: Iterable[int]) -> None:
         """Have objects in the queue again; those that are there already stay."""
         self._unmark(_OFF, object_ids)
 
@@ -223,18 +223,20 @@ class Store:
         """Objects whose acceptance was begun and not ended, and what was said for it."""
         found = {}
         for object_id, value in self._marks(_ACCEPTING).items():
-            seq, _, said = value.partition(" ")  # before the words were kept it was the number
-            found[object_id] = PendingAcceptance(int(seq), **(json.loads(said) if said else {}))
+            seq, _, text = value.partition(" ")  # early versions stored the number alone
+            fields = json.loads(text) if text else {}
+            fields["hold_reason"] = fields.pop("held", "")
+            found[object_id] = PendingAcceptance(int(seq), **fields)
         return found
 
-    def accepting_begins(self, object_id: int, begun: PendingAcceptance) -> None:
+    def begin_acceptance(self, object_id: int, pending: PendingAcceptance) -> None:
         """Keep that an object is being accepted; a server that dies now leaves that behind."""
-        said = {"comment": begun.comment, "override": begun.override}
-        if begun.held:
-            said["held"] = begun.held
-        self._mark(_ACCEPTING, object_id, f"{begun.seq} {json.dumps(said)}")
+        fields = {"comment": pending.comment, "override": pending.override}
+        if pending.hold_reason:
+            fields["held"] = pending.hold_reason
+        self._mark(_ACCEPTING, object_id, f"{pending.seq} {json.dumps(fields)}")
 
-    def accepting_ends(self, object_id: int) -> None:
+    def end_acceptance(self, object_id: int) -> None:
         """It was accepted, or whoever wanted it was told why not."""
         self._unmark(_ACCEPTING, [object_id])
 

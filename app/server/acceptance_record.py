@@ -18,23 +18,23 @@ def acceptance_record(
     after: SessionState,
     history: list[Entry],
     source: Source,
-    gate: ValidationReport | None,
+    report: ValidationReport | None,
     override: str = "",
     *,
-    looked_at: bool = False,
+    warnings_seen: bool = False,
     scene: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return what ``provenance.json`` of an accepted asset holds, the validation report included.
+    """Return the content of an accepted asset's ``provenance.json``, validation included.
 
     Args:
         override: reason for accepting it despite errors, else "".
-        looked_at: whether the person had been shown the warnings.
+        warnings_seen: whether the person had been shown the warnings.
         scene: source of an object that was annotated in a scene.
     """
     record = provenance(after, history, source)
     record["source"].update(scene or {})
-    said = {"override": override, "looked_at": looked_at}
-    record["gate"] = None if gate is None else {**gate.to_json(), **said}
+    decision = {"override": override, "looked_at": warnings_seen}
+    record["gate"] = None if report is None else {**report.to_json(), **decision}
     return record
 
 

@@ -1,7 +1,7 @@
 """Accepting one open object: its asset is written, read back, and only then the decision counts.
 
-The asset is a draft until nothing can speak against the decision any more; then it takes the place
-of the one that was accepted before.
+The asset stays a draft until nothing can prevent the decision any more; then it replaces the asset
+that was accepted before.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from app.server.acceptance_record import acceptance_record, asset_folder
-from app.server.display_names import in_words
+from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.server.part_tasks import PartSource
-from app.server.validating import Wish
+from app.server.validating import AcceptanceRequest
 from model.core.asset import Source
 from model.core.errors import CommandError
 from model.io.assets.asset_folder import publish
@@ -32,23 +32,23 @@ def accept(
     at: str,
     override: str = "",
     *,
-    looked_at: ValidationReport | None = None,
+    seen: ValidationReport | None = None,
     refused: Callable[[CommandError], None] | None = None,
 ) -> None:
     """Write the asset, read it back, and only then record the decision.
 
     Args:
-        override: why it is right although the gate calls a joint broken.
-        looked_at: the gate's answer whose doubts the person was shown.
-        refused: gets what keeps it from being accepted where that comes out only later; all tabs
-            are told where it is None.
+        override: reason for accepting it despite errors.
+        seen: the report whose warnings the person was shown.
+        refused: gets what prevents the acceptance where that is found only later; where it is
+            None, all tabs show it.
 
     Raises:
-        CommandError: where something is missing, or the gate needs a reason.
-        LookFirstError: where the gate doubts something that the person wasn't shown.
+        CommandError: where something is missing, or there are errors and no reason.
+        UnseenWarningsError: where there are warnings that the person wasn't shown.
     """
     if "save" in obj.jobs:
-        obj.tell("Accepting", "It is being saved already", "gray")
+        obj.notify("Accepting", "It is being saved already", "gray")
         return
     state = obj.state
     doc = state.present
@@ -57,38 +57,37 @@ def accept(
         raise CommandError("; ".join(problems))
     assert doc.tree is not None
     source = obj.source(doc)
-    acceptances = obj.services.acceptances
+    services = obj.services
+    pending = PendingAcceptance(state.seq, comment, override)
 
-    begun = PendingAcceptance(state.seq, comment, override)
-
-    def again() -> None:
+    def retry() -> None:
         try:
             _check_unchanged(obj, doc, source)
         except CommandError as error:
-            acceptances.end(obj.record.id)
+            services.acceptances.end(obj.record.id)
             _refuse(obj, error, refused)
-            obj.services.queue.notify()
+            services.queue.changed()
             return
         try:
-            _check_judged(obj)
-            accept(obj, comment, who, at, override, looked_at=looked_at, refused=refused)
+            _check_validated(obj)
+            accept(obj, comment, who, at, override, seen=seen, refused=refused)
         except CommandError as error:
-            _hold(obj, begun, str(error))
+            _hold(obj, pending, str(error))
             _refuse(obj, error, refused)
 
-    if not _admits(obj, Wish(override, looked_at, again), begun):
+    if not _admits(obj, AcceptanceRequest(override, seen, retry), pending):
         return
-    gate = obj.judging.report
-    command = cmd.Accept(comment, obj.judging.doubts(), override)
+    report = obj.validation.report
+    command = cmd.Accept(comment, obj.validation.known_problems(), override)
     after = apply(state, command, Context(who, at))
     record = acceptance_record(
-        after, obj.services.store.history(obj.record.id), _source_record(obj), gate, override,
-        looked_at=gate is not None and gate is looked_at,
+        after, services.store.history(obj.record.id), _source_record(obj), report, override,
+        warnings_seen=report is not None and report is seen,
         scene=None if obj.in_scene is None else obj.in_scene.source(),
     )  # fmt: skip
-    folder = asset_folder(obj.services.workspace, obj.record)
-    acceptances.begin(obj.record.id, begun)
-    job = obj.services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
+    folder = asset_folder(services.workspace, obj.record)
+    services.acceptances.begin(obj.record.id, pending)
+    job = services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
         try:
@@ -96,80 +95,77 @@ def accept(
         except CommandError as error:
             _refuse(obj, error, refused)
             return
-        # Only now: an asset that was accepted before stays until this one is to take its place.
+        # Only now: until here the asset that was accepted before stays.
         written = str(publish(draft, folder, record).folder)
         obj.do(command, who)
         obj.do(cmd.Saved(written), who)
-        obj.tell("Accepted", f"Saved in {written}", "green")
+        obj.notify("Accepted", f"Saved in {written}", "green")
 
     obj.start("save", job, keep)
     obj.changed()
 
 
-def take_back(obj: OpenObject) -> bool:
-    """Take back the wish to accept it as soon as its joints are judged; all tabs are told.
-
-    Returns:
-        Whether there was one that nothing had come of yet.
-    """
-    if not obj.judging.take_back():
+def withdraw(obj: OpenObject) -> bool:
+    """Withdraw an acceptance that waits for validation; whether there was one."""
+    if not obj.validation.withdraw():
         return False
     obj.services.acceptances.end(obj.record.id)
-    obj.tell("Not accepted", "Taken back before the joints were judged", "gray")
-    obj.services.queue.notify()
+    obj.notify("Not accepted", "Cancelled before the checks were done", "gray")
+    obj.services.queue.changed()
     obj.changed()
     return True
 
 
-def _admits(obj: OpenObject, wish: Wish, begun: PendingAcceptance) -> bool:
-    """Whether it may be accepted now; False where the wish waits for the gate.
+def _admits(obj: OpenObject, request: AcceptanceRequest, pending: PendingAcceptance) -> bool:
+    """Whether it may be accepted now; False where the request waits for validation.
 
     Raises:
         CommandError: where it may not.
     """
-    judging, acceptances = obj.judging, obj.services.acceptances
-    waits = judging.report is None and not judging.problem
-    if waits and judging.waiting and not (begun.comment or begun.override):
-        asked = f"{obj.display_name}: as soon as the joints are judged"
-        obj.tell("Accepting", f"{asked}, as was asked before", "gray")
+    validation, acceptances = obj.validation, obj.services.acceptances
+    waiting_text = f"{obj.display_name}: when the checks pass"
+    waits = validation.report is None and not validation.problem
+    if waits and validation.acceptance_waits and not (pending.comment or pending.override):
+        obj.notify("Accepting", f"{waiting_text}, as requested before", "gray")
         return False
-    if waits:  # first, as the gate may answer any moment: what was typed outlives this server
-        acceptances.begin(obj.record.id, begun)
+    if waits:  # first, as the report may arrive any moment: the comment outlives this server
+        acceptances.begin(obj.record.id, pending)
     try:
-        admitted = judging.admits(wish)
+        admitted = validation.admits(request)
     except CommandError:
         if waits:
             acceptances.end(obj.record.id)
         raise
     if not admitted:
-        obj.tell("Accepting", f"{obj.display_name}: as soon as the joints are judged", "blue")
-        obj.services.queue.notify()
+        obj.notify("Accepting", waiting_text, "blue")
+        obj.services.queue.changed()
         obj.changed()
     return admitted
 
 
-def _check_judged(obj: OpenObject) -> None:
-    """Refuse where there is no verdict: whoever went on meanwhile doesn't know.
+def _check_validated(obj: OpenObject) -> None:
+    """Refuse where there is no report: the person who went on meanwhile doesn't know.
 
     Raises:
-        CommandError: saying why there is none.
+        CommandError: with the reason why there is none.
     """
-    if obj.judging.report is None:
-        why = obj.judging.problem.rstrip(".")
-        raise CommandError(f"The joints couldn't be judged: {why}. Y accepts it unjudged")
+    if obj.validation.report is None:
+        why = obj.validation.problem.rstrip(".")
+        raise CommandError(f"The checks failed: {why}. Press Y to accept it unchecked")
 
 
-def _hold(obj: OpenObject, begun: PendingAcceptance, why: str) -> None:
-    """Keep that the gate held it back, and what was typed for it, until it is decided or changed;
-    whoever asked may have gone on."""
-    why = in_words(obj.document, why)
+def _hold(obj: OpenObject, pending: PendingAcceptance, reason: str) -> None:
+    """Put the acceptance on hold until it is decided or the object changes."""
+    reason = display_text(obj.document, reason)
     if obj.in_scene is not None:
-        obj.in_scene.hold(why, obj.judging.report)
-    obj.services.acceptances.hold(obj.record.id, replace(begun, seq=obj.state.seq, held=why))
+        obj.in_scene.hold(reason, obj.validation.report)
+    obj.services.acceptances.hold(
+        obj.record.id, replace(pending, seq=obj.state.seq, hold_reason=reason)
+    )
 
 
 def _check_unchanged(obj: OpenObject, before: Document, source: PartSource) -> None:
-    """Refuse where the object isn't any more what was to be accepted.
+    """Refuse where the object changed since it was to be accepted.
 
     Raises:
         CommandError: saying what happened meanwhile.
@@ -185,12 +181,11 @@ def _refuse(
     obj: OpenObject, error: CommandError, refused: Callable[[CommandError], None] | None
 ) -> None:
     if refused is None:
-        obj.tell("Not accepted", str(error), "yellow")
+        obj.notify("Not accepted", str(error), "yellow")
     else:
         refused(error)
 
 
 def _source_record(obj: OpenObject) -> Source:
-    asset = obj.asset
-    assert asset is not None
+    asset = obj.need_asset()
     return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale)

@@ -66,7 +66,7 @@ class AppState:
         return self.scene
 
     def _queue_changed(self) -> None:
-        self.queue.notify()
+        self.queue.changed()
 
     def add_upload(self, name: str, content: bytes) -> int:
         """Add an uploaded file, or the content of a zip; returns the first object's id.
@@ -112,7 +112,7 @@ class AppState:
     def is_validating(self, object_id: int) -> bool:
         """Whether an object is to be accepted as soon as its joints are validated here."""
         opened = self._open.get(object_id)
-        return opened is not None and opened.judging.waiting
+        return opened is not None and opened.validation.acceptance_waits
 
     def is_accepting(self, object_id: int) -> bool:
         """Whether an object is being accepted here: nobody need do anything about it."""
@@ -122,13 +122,13 @@ class AppState:
         """Whether an acceptance of the present object was begun before this server started and
         isn't decided: its server ended, or still works on it."""
         pending = self.acceptances.of(record)
-        return pending is not None and not pending.held
+        return pending is not None and not pending.hold_reason
 
     def on_hold(self, record: ObjectRecord) -> str:
         """Why validation put the acceptance of the present object on hold after the person went
         on, or ""."""
         pending = self.acceptances.of(record)
-        return "" if pending is None or self.is_accepting(record.id) else pending.held
+        return "" if pending is None or self.is_accepting(record.id) else pending.hold_reason
 
     def sync_remote(self) -> None:
         """Take in what other servers of the workspace did."""

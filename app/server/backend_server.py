@@ -1,10 +1,9 @@
 """The HTTP side of ``artiworld backend``: one machine predicts for many annotators.
 
-``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes what
-:mod:`model.prediction.remote.wire` describes. Refusals have a status of their own (400 no request,
-401 wrong
-token, 413 too large, 415 another type, 429 too many wrong tokens, 503 too many wait) and a JSON
-body ``{"error": text}``; what goes wrong later is told in the stream.
+``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes the
+format of :mod:`model.prediction.remote.wire`. Refusals have a status (400 malformed, 401 wrong
+token, 408 timeout, 413 too large, 415 wrong type, 429 too many wrong tokens, 503 busy) and a JSON
+body ``{"error": text}``; later errors are lines of the stream.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ from model.prediction.remote.wire import (
 )
 
 HEARTBEAT_SECONDS = 1.0
-"""A waiting client hears something this often, and one that left is noticed."""
+"""Period of lines to a waiting client; also how soon a client that left is noticed."""
 BODY_SECONDS = 60.0
-"""How long a client may send nothing in the middle of its request."""
+"""Longest pause in the middle of a request."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +44,10 @@ class BackendSettings:
     """Settings of a backend.
 
     Attributes:
-        predictor: its name, for people.
-        token: what clients must know; None lets everybody in.
+        predictor: name of the predictor.
+        token: token of the clients; None admits everybody.
         max_bytes: largest request.
-        waiting: requests that may be under way, those being answered included.
+        waiting: most requests under way, those being answered included.
     """
 
     predictor: str
@@ -58,7 +57,7 @@ class BackendSettings:
 
 
 class _Refused(Exception):
-    """A request that gets no stream."""
+    """A request is refused with a status."""
 
     def __init__(self, status: int, message: str) -> None:
         self.status = status
@@ -66,7 +65,7 @@ class _Refused(Exception):
 
 
 class _Stream(StreamingResponse):
-    """A stream that says when it is over, also where its client left before the first line."""
+    """A stream that calls ``over`` at its end, also where the client left before the first line."""
 
     def __init__(self, lines: AsyncIterator[bytes], over: Callable[[], None]) -> None:
         super().__init__(lines, media_type="application/x-ndjson")
@@ -83,8 +82,8 @@ class Backend:
     """The requests under way and the workers that answer them.
 
     Args:
-        settings: of the server.
-        workers: each answers one request at a time; the caller closes them.
+        settings: settings of the server.
+        workers: processes for one request at a time each; the caller closes them.
     """
 
     def __init__(self, settings: BackendSettings, workers: list[WorkerProcess]) -> None:
@@ -99,36 +98,36 @@ class Backend:
         app = FastAPI(title="ArtiWorld backend", docs_url=None, redoc_url=None, openapi_url=None)
         app.add_api_route(HEALTH_PATH, self.health, methods=["GET"], response_model=None)
         app.add_api_route(PREDICT_PATH, self.predict, methods=["POST"], response_model=None)
-        for status, text in ((404, "there is nothing here"), (405, "this method isn't taken")):
+        for status, text in ((404, "not found"), (405, "method not allowed")):
             app.add_exception_handler(status, _plain(status, text))
         return app
 
     async def health(self, request: Request) -> Response:
-        """Who this is; with the right token also how it is doing."""
-        said: dict[str, Any] = {
+        """Describe the service; with the right token also its load."""
+        answer: dict[str, Any] = {
             "service": "artiworld backend",
             "status": "ok",
             "token_needed": self._login.needed,
         }
         if self._login.needed and "authorization" not in request.headers:
-            return JSONResponse(said)
+            return JSONResponse(answer)
         try:
-            self._let_in(request)
+            self._authorize(request)
         except _Refused as refused:
             return _refusal(refused)
-        said |= {
+        answer |= {
             "predictor": self.settings.predictor,
             "version": version("artiworld"),
             "max_bytes": self.settings.max_bytes,
             "workers": len(self._workers),
             "under_way": self._under_way,
         }
-        return JSONResponse(said)
+        return JSONResponse(answer)
 
     async def predict(self, request: Request) -> Response:
-        """Answer one object; see the module's words."""
+        """Predict one object."""
         try:
-            self._let_in(request)
+            self._authorize(request)
             if self._under_way >= self.settings.waiting:
                 raise _Refused(503, f"{self._under_way} requests are under way; try again soon")
             self._under_way += 1
@@ -147,7 +146,7 @@ class Backend:
     def _left(self) -> None:
         self._under_way -= 1
 
-    def _let_in(self, request: Request) -> None:
+    def _authorize(self, request: Request) -> None:
         kind, _, token = request.headers.get("authorization", "").partition(" ")
         address = request.client.host if request.client is not None else ""
         known = self._login.try_token(token if kind.lower() == "bearer" else "", address)
@@ -159,24 +158,24 @@ class Backend:
     async def _body(self, request: Request) -> bytes:
         if request.headers.get("content-type") != CONTENT_TYPE:
             raise _Refused(415, f"send the parts as {CONTENT_TYPE}")
-        most = self.settings.max_bytes
-        told = request.headers.get("content-length", "0")
+        limit = self.settings.max_bytes
+        declared = request.headers.get("content-length", "0")
         out = bytearray()
         stream = request.stream()
         try:
-            while not (told.isdigit() and int(told) > most):
+            while not (declared.isdigit() and int(declared) > limit):
                 async with asyncio.timeout(BODY_SECONDS):
                     out += await anext(stream)
-                if len(out) > most:
+                if len(out) > limit:
                     break
-            raise _Refused(413, f"the request is larger than {most / 1e6:g} MB")
+            raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
         except StopAsyncIteration:
             return bytes(out)
         except TimeoutError as error:
-            raise _Refused(408, "the request doesn't go on") from error
+            raise _Refused(408, "the request timed out") from error
 
     async def _answer(self, request: Request, body: bytes) -> AsyncIterator[bytes]:
-        """Lines of JSON until the job ends; a client that leaves cancels it."""
+        """Yield lines of JSON until the job ends; a client that leaves cancels it."""
         index = min(self._jobs, key=lambda i: len(self._jobs[i]))
         before = self._jobs[index]
         changed = asyncio.Event()
@@ -220,7 +219,7 @@ def _last_line(job: Job[Any]) -> bytes:
         return _line(error="the backend was stopped", kind="cancelled")
     kind = "user" if isinstance(job.error, ArtiworldError) else "failed"
     if isinstance(job.error, JobFailed) and job.error.details:
-        # The traceback belongs to whoever runs the backend, not to its clients.
+        # The traceback is for the operator, not for the clients.
         print(job.error.details, flush=True)
     return _line(error=str(job.error), kind=kind)
 

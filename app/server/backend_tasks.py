@@ -1,4 +1,4 @@
-"""What a backend's worker processes do."""
+"""Jobs of a backend's worker processes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ _loaded: list[Predictor] = []
 
 
 def load(name: str) -> None:
-    """Load the predictor once; the first thing that a worker does."""
+    """Load the predictor: the initializer of a worker."""
     _loaded[:] = [load_predictor(name)]
 
 
 def ready() -> str:
-    """The predictor's name, once it is loaded."""
+    """Return the name of the loaded predictor."""
     return _loaded[0].name
 
 
 def predict(body: npt.NDArray[np.uint8], progress: Progress = no_progress) -> dict[str, Any]:
-    """Answer the bytes of a request.
+    """Predict for the bytes of a request.
 
     Raises:
-        ArtiworldError: where they are none.
+        ArtiworldError: where they are malformed.
     """
     progress(0.0, "Reading the parts")
     segmented, locked, seed = decode_request(body.tobytes())

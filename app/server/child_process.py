@@ -1,4 +1,4 @@
-"""A worker's child process as its parent has it: started, ended, its answers taken apart."""
+"""The parent's side of a worker's child process: start, end, results."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class Child:
     """A started child process with our end of its pipe.
 
     Args:
-        name: of its worker.
+        name: name of its worker.
         threads: numeric threads in it.
-        setup: the call that it begins with.
+        setup: its first call.
 
     Attributes:
-        ready: whether that call is done.
-        cancelled: numbers of the jobs that it was told to stop.
+        ready: whether that call has returned.
+        cancelled: numbers of the jobs that it was asked to stop.
     """
 
     def __init__(self, name: str, threads: int, setup: tuple[Any, ...]) -> None:
@@ -50,18 +50,18 @@ class Child:
         send(self.connection, "setup", 0, pack(setup))
 
     def kill(self) -> None:
-        """End the process now and collect it."""
+        """Kill the process and wait for its end."""
         self.connection.close()
         self.process.kill()
         self.process.wait()
 
 
 def finish(job: Job[Any], chunks: list[Any]) -> None:
-    """End a job with the answer of its child."""
+    """End a job with the result of its child."""
     try:
         kind, value = unpack(chunks)
-    except Exception as error:  # an answer that can't be read back fails its job, nothing else
-        job._end("failed", error=JobFailed(f"{job.name}: the answer can't be read: {error}"))
+    except Exception as error:  # an unreadable result fails its job, nothing else
+        job._end("failed", error=JobFailed(f"{job.name}: unreadable result: {error}"))
         return
     if kind == "done":
         job._end("done", value)
@@ -72,7 +72,7 @@ def finish(job: Job[Any], chunks: list[Any]) -> None:
 
 
 def error_of(name: str, described: dict[str, Any]) -> Exception:
-    """What went wrong, out of what :func:`app.server.worker.describe_error` tells of it."""
+    """Return the exception that :func:`app.server.worker.describe_error` described."""
     if described["kind"] != "user":
         return JobFailed(f"{name}: {described['message']}", described["text"])
     error: ArtiworldError = described["type"].__new__(described["type"], described["message"])
@@ -81,9 +81,9 @@ def error_of(name: str, described: dict[str, Any]) -> Exception:
 
 
 def death(code: int | None) -> str:
-    """How a process ended, in words."""
+    """Return how a process ended, for people."""
     if code is None or code >= 0:
-        return f"ended by itself (exit code {code})"
+        return f"exited (code {code})"
     name = signal.Signals(-code).name
     if -code == signal.SIGKILL:
         return f"was killed ({name}; often because memory ran out)"

@@ -1,4 +1,4 @@
-"""Settings of the commands, as documented dataclasses."""
+"""Settings of the server."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
 if TYPE_CHECKING:
-    from model.core.asset import UpAxis  # which reads numpy, and a help page needs none
+    from model.core.asset import UpAxis  # imports numpy, which a help page doesn't need
 
 TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
-"""Environment variable that may hold the token, so that it stands in no list of processes."""
+"""Environment variable that may hold the token, so that no list of processes shows it."""
 
 
 def _default_user() -> str:
@@ -29,21 +29,20 @@ class ServeConfig:
 
     Attributes:
         paths: files or folders to open; none: the bundled examples.
-        workspace: where sessions, working copies and accepted assets are kept.
+        workspace: folder of sessions, working copies and accepted assets.
         database: SQLAlchemy URL; None is SQLite inside the workspace.
-        host: where to listen; any other than this machine needs a token.
-        port: 0 for any free one.
-        token: what visitors must know.
-        user: name written beside decisions until the browser gives another.
-        up_axis: of the files; None is each format's default.
+        host: address to listen at; any but this machine's own needs a token.
+        port: port to listen at; 0 for any free one.
+        token: token of the visitors.
+        user: author of decisions until the browser gives a name.
+        up_axis: up axis of the files; None is each format's default.
         unit_scale: metres per unit of the files.
-        max_upload_mb: largest file that a browser may send.
-        segmenter: who answers clicks.
-        predictor: who predicts joints.
-        allowed_origins: addresses under which a proxy shows the server, besides its own.
+        max_upload_mb: largest upload from a browser.
+        segmenter, predictor: names of the segmenter and the predictor.
+        allowed_origins: other addresses of the server behind a proxy.
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
-        finder, finder_url: who says what in it can be articulated, and where that is asked.
+        finder, finder_url: name of the finder of articulable objects, and its server.
     """
 
     paths: tuple[Path, ...] = ()

@@ -1,4 +1,4 @@
-"""Where the details of our own faults go."""
+"""Log files of crashes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 _SECRET = ("token", "database", "password", "secret", "api-key")
-"""How options end whose value is nobody else's business."""
+"""Endings of the options whose values are secret."""
 _LOGIN = re.compile(r"://[^/\s?#]*@")
 
 
 def crash_folder() -> Path:
-    """``$XDG_STATE_HOME/artiworld``, by default ``~/.local/state/artiworld``."""
+    """Return ``$XDG_STATE_HOME/artiworld``, by default ``~/.local/state/artiworld``."""
     base = os.environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path.home() / ".local" / "state") / "artiworld"
 
@@ -63,5 +63,5 @@ def _is_secret(option: str) -> bool:
 
 
 def _without_login(text: str) -> str:
-    """Addresses without the name and the password in them."""
+    """Return the text with its URLs stripped of names and passwords."""
     return _LOGIN.sub("://…@", text)

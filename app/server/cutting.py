@@ -1,4 +1,4 @@
-"""What is left out of an open scan, and what is cut out of it to be an object of its own."""
+"""Leaving out parts of an open scan, and cutting objects out of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sessions.document import Document
 
 
 def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
-    """Look no more at floor and walls ("floor and walls"), or at one part ("part")."""
+    """Leave out the floor and the walls ("floor and walls"), or one part ("part")."""
     asset, doc = obj.need_asset(), obj.document
     _need_whole_faces(doc)
     left_out = None if doc.left_out is None else doc.left_out.elements
@@ -32,7 +32,7 @@ def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
         *arguments,
         on_progress=obj.jobs.progress("room"),
         priority=6,
-        gives_way=CLICKS,
+        preempted_by=CLICKS,
     )
 
     def keep(removal: room_tasks.Removal) -> None:
@@ -62,10 +62,10 @@ def cut_out(obj: OpenObject, part: int, who: str, done: Callable[[int], None]) -
 def pick_out(
     obj: OpenObject, copy: Path, part: int, name: str, keep: Callable[[room_tasks.Picked], None]
 ) -> None:
-    """Write one part, and all but it, for the scene around; ``keep`` gets both.
+    """Write one part and the rest for the scene; ``keep`` gets both.
 
     Args:
-        copy: what is open here, in the scene's workspace.
+        copy: folder of the working copy that is open.
     """
     _cut(obj, room_tasks.pick_out, (copy,), part, name, keep)
 
@@ -93,13 +93,15 @@ def _cut(
         name,
         on_progress=obj.jobs.progress("room"),
         priority=6,
-        gives_way=CLICKS,
+        preempted_by=CLICKS,
     )
     obj.start("room", job, keep)
     obj.changed()
 
 
 def _need_whole_faces(doc: Document) -> None:
-    # What is left out or cut out is told by the source's own elements.
+    # Left out and cut out elements are those of the file.
     if doc.face_cuts:
-        raise CommandError("faces were split here by a cut; undo it first, then cut again in there")
+        raise CommandError(
+            "faces were split by a cut: undo it first, then cut again in the new object"
+        )

@@ -1,4 +1,4 @@
-"""What people call the parts and joints of a document, the same on every screen."""
+"""Display names of a document's parts and joints."""
 
 from __future__ import annotations
 
@@ -9,24 +9,23 @@ from model.core.tree import KinematicTree, moving_chain
 from sessions.document import Document
 
 _LINK = re.compile(r"(?<![\w/])(?:link|helper)_\d+(?!\.?\w)")
-"""A link in a sentence; neither a file's name nor a part of a longer one."""
+"""A link in a sentence; neither a file name nor a part of a longer one."""
 
 
 def holds_part(link: str) -> bool:
-    """Whether a link is a part's; the others are helpers between the joints of one."""
+    """Whether a link holds a part; the others are helpers between the joints of a serial chain."""
     return link.startswith("link_")
 
 
 def part_title(doc: Document, link: str) -> str:
-    """What people call a link: "door 2", and a helper of that door "door 2, first joint"."""
+    """Return a link's display name: "door 2", or of a helper of that door "door 2, first joint"."""
     if doc.tree is None or holds_part(link) or link not in doc.tree.joint_of:
         return _part(doc, link)
     return joint_title(doc, link)
 
 
 def joint_title(doc: Document, child: str) -> str:
-    """What people call the joint of ``child``: as the part that it moves, with its place where
-    that has several."""
+    """Return the display name of a joint: the part that it moves, and which joint of a chain."""
     if doc.tree is None or child not in doc.tree.joint_of:
         return _part(doc, child)
     return joint_display_name(doc.tree, child, holds_part, lambda link: _part(doc, link))
@@ -37,11 +36,11 @@ def _part(doc: Document, link: str) -> str:
     return link_display_name(link, name, root=doc.tree is None or link == doc.tree.root)
 
 
-def in_words(doc: Document, text: str) -> str:
-    """A sentence in which links are called what people call them."""
+def display_text(doc: Document, text: str) -> str:
+    """Return the text with its links replaced by display names."""
     return _LINK.sub(lambda found: part_title(doc, found[0]), text)
 
 
 def moved_part(tree: KinematicTree, link: str) -> str:
-    """The link that holds the part which the joint of ``link`` moves."""
+    """Return the link of the part that the joint of ``link`` moves."""
     return moving_chain(tree, link, holds_part)[-1]

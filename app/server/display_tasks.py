@@ -1,4 +1,4 @@
-"""Jobs that prepare what a browser draws: an asset as it is opened, its parts as joints move."""
+"""Jobs that prepare geometry for the browser: an opened asset, its parts while joints move."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from sessions.text import clipped
 
 @dataclass(frozen=True, eq=False)
 class OpenedAsset:
-    """What the server keeps of an open object.
+    """The part of an open asset that the server keeps.
 
     Attributes:
         folder: memory-mapped arrays of the asset, shared by the workers.
-        display_vertices, display_faces: what the browser draws of a mesh, else None.
-        display_points, display_colors: what the browser draws of a cloud, else None.
+        display_vertices, display_faces: the displayed mesh, or None.
+        display_points, display_colors: the displayed cloud, or None.
         element: (D,) source element of each displayed face or point.
         area: (D,) float32, m², of each displayed face; None for a cloud.
         glb: the displayed mesh with its materials, z up, else None.
         glb_order: (D,) displayed face of each triangle of ``glb``; None for a cloud.
-        part_names: names by part id where the source was already cut into parts.
-        source_parts: these parts, part → reference of its stored elements and their number.
-        source_labels: reference of the stored (E,) labels that say the same.
-        source_joints: the joints that the source tells of these parts.
+        part_names: names by part id where the file is in parts.
+        source_parts: part of the file → reference of its stored elements and their number.
+        source_labels: reference of the same as stored (E,) labels.
+        source_joints: the joints of the file.
     """
 
     name: str
@@ -75,7 +75,7 @@ class OpenedAsset:
 
 @dataclass(frozen=True, eq=False)
 class PartPayload:
-    """One part as the browser draws it when joints move."""
+    """One part as the browser draws it while joints move."""
 
     part: int
     glb: bytes | None
@@ -88,13 +88,13 @@ class PartPayload:
 def open_asset(
     path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
 ) -> OpenedAsset:
-    """Read ``path``, lay its arrays down for the other workers, and prepare what is shown."""
+    """Read ``path``, save its arrays for the other workers, and prepare its display."""
     progress(0.02, "Reading")
     asset, folder = working_copy(path, workspace, options, progress)
     progress(0.8, "Preparing the picture")
-    as_it_came = options.left_out is None and not options.face_cuts
+    unchanged = options.left_out is None and not options.face_cuts
     opened = _opened(asset, folder, path)
-    if asset.element_part is None or not as_it_came:
+    if asset.element_part is None or not unchanged:
         return opened
     return replace(
         opened,
@@ -114,7 +114,7 @@ def _source_joints(asset: Asset, path: Path) -> Prediction | None:
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
     shown = display_asset(asset)
     source = asset.source
-    part_names, category, remarks = _short_names(asset)
+    part_names, category, warnings = _short_names(asset)
     mesh, cloud = shown.mesh, shown.cloud
     return OpenedAsset(
         name=asset.name,
@@ -136,24 +136,24 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         glb_order=None if mesh is None else face_order(mesh, matt=True),
         part_names=part_names,
         category=category,
-        warnings=(*asset.warnings, *remarks),
+        warnings=(*asset.warnings, *warnings),
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
     )
 
 
 def _short_names(asset: Asset) -> tuple[tuple[str, ...], str | None, tuple[str, ...]]:
-    """Part names and category as a person could have typed them, and what is to be told of that."""
+    """Return names and category cut to the allowed length, and a warning where they were longer."""
     names = tuple(clipped(n, NAME_LIMIT) for n in asset.part_names)
     category = None if asset.category is None else clipped(asset.category, NAME_LIMIT)
     longest = max(map(len, (*asset.part_names, asset.category or "")), default=0)
     if longest <= NAME_LIMIT:
         return names, category, ()
-    remark = f"a name or the category has {longest:,} characters: cut to {NAME_LIMIT}"
-    return names, category, (remark,)
+    warning = f"a name or the category has {longest:,} characters: cut to {NAME_LIMIT}"
+    return names, category, (warning,)
 
 
 def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float, float]:
-    """The horizontal side to look from first: broad, and with the most detail.
+    """Return the horizontal direction of the front: the broad side with the most detail.
 
     Handles and knobs are small faces, and a one-sided scan has points where the camera stood, so
     the side whose outer layer holds the most elements is the front. Near ties go to -y, glTF's
@@ -174,7 +174,7 @@ def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float
 
 
 def _colors(cloud: PointCloud) -> npt.NDArray[np.uint8]:
-    """The scan's colours; without any, a height ramp so that the shape still reads."""
+    """Return the scan's colours, or a height ramp where it has none."""
     if cloud.colors is not None:
         return np.asarray(cloud.colors)
     z = cloud.points[:, 2]
@@ -186,7 +186,7 @@ def _colors(cloud: PointCloud) -> npt.NDArray[np.uint8]:
 def part_payloads(
     source: PartSource, element: npt.NDArray[np.int32], progress: Progress = no_progress
 ) -> list[PartPayload]:
-    """Each part as the browser draws it, from the displayed elements."""
+    """Return each part's displayed geometry."""
     shown = display_asset(asset_of(source.folder))
     labels = arrays_of(source.workspace).get(source.labels)[element]
     out = []

@@ -31,7 +31,7 @@ class AssetDrafts:
         Saving comes first.
         """
         self._worker.submit(
-            part_tasks.prepare_bodies, source, priority=-1, key="bodies", gives_way=0
+            part_tasks.prepare_bodies, source, priority=-1, key="bodies", preempted_by=0
         )
 
     def stop(self) -> None:

@@ -1,9 +1,9 @@
 """viser's web server, made safe to leave running.
 
-viser 1.1.1 listens on all interfaces, asks nobody who they are, accepts any page's websocket, lets
-any client open a public tunnel and takes uploads of any size. There are no settings for that, so
-this file wraps the call with which viser opens its port. It reaches into viser's internals, which
-is why the version is pinned.
+viser 1.1.1 listens on all interfaces without login, accepts any page's websocket, lets any client
+open a public tunnel and takes uploads of any size. There are no settings for that, so this file
+wraps the call with which viser opens its port. It uses viser's internals, so the version is
+pinned.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from model.core.installing import install_command
 
 VISER_VERSION = "1.1.1"
 MAX_MESSAGE_BYTES = 16 * 2**20
-"""Of one websocket message from a browser; an upload comes in parts of 0.5 MB."""
+"""Largest websocket message from a browser; uploads come in parts of 0.5 MB."""
 MAX_CONNECTIONS = 64
 APP_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
@@ -57,7 +57,7 @@ _log = logging.getLogger("artiworld.http")
 
 @dataclass(frozen=True)
 class RouteRequest:
-    """A GET request of somebody who is logged in.
+    """A GET request of a visitor who is logged in.
 
     Attributes:
         path: decoded, without the query.
@@ -70,12 +70,10 @@ class RouteRequest:
 
 @dataclass(frozen=True)
 class RouteAnswer:
-    """What a route answers.
+    """The answer of a route.
 
     Attributes:
-        body: the bytes.
-        content_type: of the body.
-        status: of the answer.
+        body, content_type, status: of the HTTP response.
         download_name: the browser saves the body under this name instead of showing it.
     """
 
@@ -86,7 +84,7 @@ class RouteAnswer:
 
 
 Route = Callable[[RouteRequest], RouteAnswer]
-"""Answers a request. Called on a thread of its own, so it may read files."""
+"""Answers a request, on a thread of its own, so it may read files."""
 
 
 def guarded_server(
@@ -99,25 +97,24 @@ def guarded_server(
     label: str | None = None,
     allowed_origins: tuple[str, ...] = (),
 ) -> viser.ViserServer:
-    """A running viser server behind the guard.
+    """Start a viser server behind the guard.
 
     Args:
-        host: where to listen. Any other than this machine itself needs a token.
-        port: 0 for any free one (then ``get_port()``).
-        token: what visitors must know; None lets every user of this machine in.
-        max_upload_bytes: of one file.
-        routes: path → answer, beside viser's own page. A path that ends in "/" answers for all
-            that begin with it.
+        host: address to listen at; any but this machine's own needs a token.
+        port: port to listen at; 0 for any free one.
+        token: token of the visitors; None admits every user of this machine.
+        max_upload_bytes: largest file.
+        routes: path → answer, beside viser's page; a path that ends in "/" is a prefix.
         label: title of the panel and of the browser's tab.
-        allowed_origins: addresses like ``https://scans.example.org`` under which a proxy shows this
-            server, besides its own.
+        allowed_origins: other addresses of this server behind a proxy, such as
+            ``https://scans.example.org``.
 
     Raises:
-        ConfigurationError: where the address can't be used, or is open to others without a token.
+        ConfigurationError: where the address can't be used, or is public without a token.
     """
     if viser.__version__ != VISER_VERSION:
         raise ConfigurationError(
-            f"viser {viser.__version__} is installed, but the guard of the web server is made for "
+            f"viser {viser.__version__} is installed, but the web server's guard needs "
             f"{VISER_VERSION}; run: {install_command(f'viser=={VISER_VERSION}')}"
         )
     if token is None and not is_loopback(host):
@@ -151,7 +148,7 @@ def _no_tunnel(*_: object, **__: object) -> None:
 
 @contextlib.contextmanager
 def _wrapped_serve(guard: _Guard) -> Iterator[None]:
-    module = websockets.asyncio.server  # viser looks "serve" up in it
+    module = websockets.asyncio.server  # viser takes "serve" from it
     real = module.serve
 
     def serve(handler: Any, host: str, port: int, *, process_request: Any, **settings: Any) -> Any:
@@ -233,7 +230,7 @@ class _Guard:
         return process_request
 
     def finish(self, _: ServerConnection, request: Request, response: Response) -> None:
-        """Put the security headers on every answer."""
+        """Add the security headers to every response."""
         for name, value in _HEADERS.items():
             response.headers[name] = value
         if "Content-Security-Policy" not in response.headers:
@@ -245,11 +242,10 @@ class _Guard:
             response.headers["Cache-Control"] = "no-store"
 
     def _foreign(self, request: Request) -> str | None:
-        """Why the request comes from another site's page, or None.
+        """Return why the request is from another site's page, or None.
 
-        Browsers tell the truth in these headers. ``Host`` unmasks a foreign name that was made to
-        point at this machine (DNS rebinding); with a token the cookie does that, as it belongs to
-        one name.
+        Browsers send these headers truthfully. ``Host`` reveals DNS rebinding: another name that
+        points at this machine. With a token the cookie does that, as it belongs to one name.
         """
         headers = request.headers
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
@@ -307,20 +303,20 @@ class _Guard:
 
 
 def _is_worth_logging(record: logging.LogRecord) -> bool:
-    """A port scanner's half request is no error of ours."""
+    """Whether to log it: not the incomplete requests of port scanners."""
     return record.getMessage() != "opening handshake failed"
 
 
 def _call_route(route: Route, request: RouteRequest) -> RouteAnswer:
     try:
         return route(request)
-    except Exception:  # one broken route must not take the connection's handler with it
+    except Exception:  # the connection's handler must go on
         _log.exception("route %s failed", request.path)
         return RouteAnswer(b"this went wrong; see the server's log", "text/plain", 500)
 
 
 def _netloc(text: str) -> str:
-    """Host and port in one spelling: lower case, default ports left out."""
+    """Return host and port in lower case, without a default port."""
     return text.lower().removesuffix(":80").removesuffix(":443")
 
 

@@ -1,4 +1,4 @@
-"""One call in another process, seen from this one."""
+"""One call in another process, as this one sees it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 
 class JobFailed(RuntimeError):
-    """A job that failed through our own fault: a bug, or the child process died.
+    """A job failed by a bug, or because its child process died.
 
     Attributes:
         details: the child's traceback, or "".
@@ -32,10 +32,8 @@ class Job(Generic[T]):
     """One call in the worker. Made by :meth:`WorkerProcess.submit`; all methods are thread-safe.
 
     Attributes:
-        name: of the function.
-        state: "queued", "running", "done", "failed" or "cancelled".
-        fraction: progress in [0, 1].
-        message: what is being done now.
+        name: name of the function.
+        fraction, message: progress in [0, 1], and the present step.
         error: why it failed: an :class:`~model.core.errors.ArtiworldError` or a :class:`JobFailed`.
     """
 
@@ -47,7 +45,7 @@ class Job(Generic[T]):
         call: tuple[Callable[..., T], tuple[Any, ...], dict[str, Any]],
         on_progress: Callable[[float, str], object] | None,
         key: Hashable,
-        gives_way: int | None = None,
+        preempted_by: int | None = None,
         works_on: Hashable = None,
     ) -> None:
         self.name = name
@@ -61,7 +59,7 @@ class Job(Generic[T]):
         self._on_progress = on_progress
         self._progress_waiting = False
         self._key = key
-        self._gives_way = gives_way
+        self._preempted_by = preempted_by
         self._works_on = works_on
         self._place: tuple[int, int] = (0, number)  # in the queue
         self._begun = False
@@ -82,8 +80,8 @@ class Job(Generic[T]):
         Raises:
             TimeoutError: after ``timeout`` seconds.
             Cancelled: where it was cancelled, or replaced by a newer job of its key.
-            ArtiworldError: the one that the function raised.
-            JobFailed: where it broke.
+            ArtiworldError: where the function raised it.
+            JobFailed: where it failed otherwise.
         """
         if not self._ended.wait(timeout):
             raise TimeoutError(f"{self.name} is still {self.state} after {timeout} s")
@@ -94,13 +92,14 @@ class Job(Generic[T]):
         return self._value
 
     def cancel(self) -> None:
-        """Ask it to stop. A queued job ends now, a running one at its next progress call;
-        a child that doesn't react within a few seconds is killed. Does nothing where it has ended.
+        """Ask it to stop: a queued job ends now, a running one at its next progress call.
+
+        A child that doesn't react within :data:`app.server.jobs.CANCEL_SECONDS` is killed.
         """
         self._ask_to_stop(self)
 
     def listen(self, on_progress: Callable[[float, str], object]) -> None:
-        """Report to ``on_progress`` instead from now on, first of all how far it is."""
+        """Report to ``on_progress`` from now on, beginning with the present progress."""
         self._on_progress = on_progress
         if self.state == "running":
             self._progressed(self.fraction, self.message)
@@ -132,16 +131,16 @@ class Job(Generic[T]):
             return
         self._progress_waiting = True  # a slow callback sees the newest value, not a backlog
 
-        def tell() -> None:
+        def report() -> None:
             self._progress_waiting = False
             if self._on_progress is not None:
                 self._on_progress(self.fraction, self.message)
 
-        _callbacks.call(tell)
+        _callbacks.call(report)
 
 
 class _CallbackThread:
-    """The one thread on which all callbacks of all workers run, in order."""
+    """The one thread that runs the callbacks of all workers, in order."""
 
     def __init__(self) -> None:
         self._calls: queue.SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]]]
@@ -161,7 +160,7 @@ class _CallbackThread:
             callback, args = self._calls.get()
             try:
                 callback(*args)
-            except Exception:  # one bad callback must not silence the others
+            except Exception:  # the others must still run
                 _log.exception("a job's callback failed")
             del callback, args
 

@@ -2,8 +2,8 @@
 
 A :class:`WorkerProcess` keeps one child process that runs one job at a time. Caches that a job
 leaves in its modules stay for the next one until the child is killed (a cancel that it ignores, out
-of memory): jobs must be able to build them again. A long job may give way: between its steps, which
-are its calls of ``progress``, the child answers what is urgent, with the same caches.
+of memory), so jobs must be able to fill them again. A long job may be preempted: between its steps,
+which are its calls of ``progress``, the child runs urgent jobs, with the same caches.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from app.server.worker import pack, receive, send, unpack
 T = TypeVar("T")
 
 CANCEL_SECONDS = 3.0
-"""How long a running job may take to notice that it was cancelled before the child is killed."""
+"""Seconds that a cancelled job may go on before its child is killed."""
 CLICKS = 9
-"""Priority from which on somebody waits for the answer to a click."""
+"""Least priority of the jobs that answer a click."""
 EDITS = 15
-"""Priority of what an edit of a joint waits for."""
+"""Least priority of the jobs that an edit of a joint waits for."""
 PREVIEWS = -5
-"""Priority of what only shows what a click would do: everything else that waits goes first."""
+"""Priority of previews of a click: everything else comes first."""
 
 __all__ = ["CANCEL_SECONDS", "CLICKS", "EDITS", "PREVIEWS", "Job", "JobFailed", "WorkerProcess"]
 
@@ -43,8 +43,8 @@ class WorkerProcess:
     """One long-lived child process and the queue before it.
 
     Args:
-        name: for people and logs.
-        initializer: importable function that the child calls first (for example to load weights).
+        name: name in messages and logs.
+        initializer: importable function that the child calls first, to load weights for example.
         arguments: of ``initializer``.
         threads: numeric threads in the child (OMP, BLAS); all processors but one by default.
     """
@@ -64,7 +64,7 @@ class WorkerProcess:
         self._lock = threading.Lock()
         self._queue: list[tuple[int, int, Job[Any]]] = []
         self._of_key: dict[Hashable, tuple[int, int, Job[Any]]] = {}
-        self._running: list[Job[Any]] = []  # each but the first between the steps of those before
+        self._running: list[Job[Any]] = []  # each one preempted the one before it
         self._closing = False
         self._wake_reader, self._wake_writer = multiprocessing.Pipe(duplex=False)
         self._child: Child | None = None
@@ -79,7 +79,7 @@ class WorkerProcess:
         on_progress: Callable[[float, str], object] | None = None,
         priority: int = 0,
         key: Hashable = None,
-        gives_way: int | None = None,
+        preempted_by: int | None = None,
         works_on: Hashable = None,
         **kwargs: Any,
     ) -> Job[T]:
@@ -90,17 +90,19 @@ class WorkerProcess:
                 :class:`~model.core.progress.Progress` that reports here and stops a cancelled job.
             on_progress: called with (fraction, message) on the callback thread.
             priority: higher runs earlier; equal ones in the order of submission.
-            key: a queued (not running) job of the same key is cancelled and this one takes its
-                place, so that where clicks come faster than answers only the newest counts.
-            gives_way: queued jobs of at least this priority are run between its steps; None for
-                none. It is begun anew where the child dies of one of them.
-            works_on: what it makes ready, or needs: of two jobs for the same one never runs
-                between the steps of the other.
+            key: replaces a queued (not running) job of the same key, so that only the newest
+                click counts.
+            preempted_by: queued jobs of at least this priority run between its steps; None for
+                none. It starts again where the child dies of one of them.
+            works_on: the data that it makes or needs: a job never runs between the steps of
+                another one that works on the same data.
         """
         name = getattr(function, "__name__", repr(function))
         number = next(self._numbers)
         call = (function, args, kwargs)
-        job: Job[T] = Job(self._cancel, number, name, call, on_progress, key, gives_way, works_on)
+        job: Job[T] = Job(
+            self._cancel, number, name, call, on_progress, key, preempted_by, works_on
+        )
         replaced: Job[Any] | None = None
         with self._lock:
             if self._closing:
@@ -119,7 +121,7 @@ class WorkerProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id of the child, None while there is none."""
+        """Process id of the child; None while there is none."""
         child = self._child
         return None if child is None else child.process.pid
 
@@ -200,27 +202,27 @@ class WorkerProcess:
         if active is None:
             return None
         if active._kill_at is None:
-            return 1.0  # look after a child that died while a grandchild keeps the pipe open
+            return 1.0  # a child may die while a grandchild keeps the pipe open
         return max(0.0, min(1.0, active._kill_at - time.monotonic()))
 
     @property
     def _active(self) -> Job[Any] | None:
-        """The job that the child is at; the others of those that run wait for it."""
+        """The job that the child works on; those that it preempted wait for it."""
         begun = [job for job in self._running if job._begun] or self._running[:1]
         return begun[-1] if begun else None
 
     def _next(self) -> Job[Any] | None:
-        """The queued job that may be run now."""
+        """Return the queued job that may run now."""
         if not self._running:
             return self._queue[0][2] if self._queue else None
-        ways = [
-            job._gives_way for job in self._running
-            if job._gives_way is not None and job._begun and job._kill_at is None
+        levels = [
+            job._preempted_by for job in self._running
+            if job._preempted_by is not None and job._begun and job._kill_at is None
         ]  # fmt: skip
-        if len(ways) < len(self._running):
+        if len(levels) < len(self._running):
             return None
-        held = {job._works_on for job in self._running} - {None}
-        urgent = [e for e in self._queue if -e[0] >= max(ways) and e[2]._works_on not in held]
+        in_use = {job._works_on for job in self._running} - {None}
+        urgent = [e for e in self._queue if -e[0] >= max(levels) and e[2]._works_on not in in_use]
         return min(urgent)[2] if urgent else None
 
     def _send_next(self) -> None:
@@ -238,9 +240,7 @@ class WorkerProcess:
                 self._running.append(job)
             try:
                 chunks = pack(job._call)
-            except (
-                Exception
-            ) as error:  # what can't be pickled is the caller's bug, not ours to die of
+            except Exception as error:  # a call that can't be pickled is the caller's bug
                 self._running.remove(job)
                 job._end("failed", error=JobFailed(f"{job.name} can't be sent: {error}"))
                 continue
@@ -282,7 +282,7 @@ class WorkerProcess:
             finish(job, chunks)
             active = self._active
             if active is not None and active._kill_at is not None:
-                # It could not notice while it waited for this one.
+                # It couldn't notice while it was preempted.
                 active._kill_at = time.monotonic() + CANCEL_SECONDS
 
     def _start_failed(self, child: Child, error: dict[str, Any]) -> None:
@@ -298,7 +298,7 @@ class WorkerProcess:
         self._running = []
         for other in running:
             if other is not job:
-                self._put_back(other)
+                self._requeue(other)
         if job is not None and job._kill_at is not None:
             job._end("cancelled")
         elif job is not None:
@@ -307,11 +307,11 @@ class WorkerProcess:
             job._end("failed", error=JobFailed(text))
         elif not child.ready:
             self._fail_first(JobFailed(f"the worker process {self.name!r} {why} while starting"))
-            return  # the next job tries again; no restart in a circle
+            return  # the next job tries again, which avoids an endless loop
         self._child = self._start()
 
-    def _put_back(self, job: Job[Any]) -> None:
-        """The child died of another job: this one begins anew, where it is still wanted."""
+    def _requeue(self, job: Job[Any]) -> None:
+        """Queue a job again whose child died of another one, where it is still wanted."""
         with self._lock:
             newer = job._key is not None and job._key in self._of_key
             wanted = job._kill_at is None and not newer
@@ -364,4 +364,4 @@ class WorkerProcess:
 
 
 def _nothing() -> None:
-    """The initializer where there is none."""
+    """Do nothing: the default initializer."""

@@ -13,10 +13,11 @@ from model.core.errors import ConfigurationError
 
 MIN_TOKEN_LENGTH = 8
 ATTEMPTS = 5
-"""Wrong tokens after which an address is told to wait."""
+"""Wrong tokens after which an address has to wait."""
 GUESSES = 100
-"""Wrong tokens that are no mistakes any more: not even the right one is heard from there."""
+"""Wrong tokens after which an address is guessing: even the right one is refused then."""
 ATTEMPT_SECONDS = 60.0
+"""Time after which a wrong token no longer counts."""
 _ADDRESSES_KEPT = 10_000
 
 _PAGE = """<!doctype html>
@@ -51,13 +52,13 @@ form.addEventListener("submit", async (event) => {{
 
 
 class Login:
-    """Whether a visitor may come in. Lives on the server's event loop: not thread-safe.
+    """Checks tokens and cookies, on the server's event loop: not thread-safe.
 
     Args:
-        token: the secret; None lets everybody in.
+        token: the secret; None admits everybody.
 
     Raises:
-        ConfigurationError: where the token is too short to be one.
+        ConfigurationError: where the token is too short.
     """
 
     def __init__(self, token: str | None) -> None:
@@ -66,8 +67,8 @@ class Login:
                 f"--token has {len(token)} characters; give at least {MIN_TOKEN_LENGTH}"
             )
         self._token = token
-        # Derived, so that a leaked cookie tells nothing of the token; stable, so that people stay
-        # logged in when the server starts again.
+        # Derived, so that a leaked cookie doesn't reveal the token; stable, so that people stay
+        # logged in when the server restarts.
         self._session = (
             None
             if token is None
@@ -77,14 +78,14 @@ class Login:
 
     @property
     def needed(self) -> bool:
-        """Whether there is a token at all."""
+        """Whether there is a token."""
         return self._token is not None
 
     def knows(self, cookies: list[str], port: int) -> bool:
         """Whether one of the ``Cookie`` headers proves an earlier login."""
         if self._session is None:
             return True
-        # By hand: http.cookies gives up at the first odd cookie of some other local program.
+        # Not http.cookies, which stops at the first malformed cookie of another local program.
         for pair in ";".join(cookies).split(";"):
             name, _, value = pair.strip().partition("=")
             if name == cookie_name(port) and hmac.compare_digest(
@@ -94,10 +95,10 @@ class Login:
         return False
 
     def try_token(self, token: str, address: str) -> bool | None:
-        """True for the right token, False for a wrong one, None after too many wrong ones.
+        """Return True for the right token, False for a wrong one, None after too many wrong ones.
 
-        Behind a proxy all visitors have one address: one's mistakes must not keep the others out,
-        so the right token is still heard. Only where somebody guesses, nothing is.
+        Behind a proxy all visitors have one address: mistakes must not keep the others out, so the
+        right token still counts until :data:`GUESSES`.
         """
         if self._token is None:
             return True
@@ -106,7 +107,7 @@ class Login:
         if len(recent) >= GUESSES:
             return None
         if hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
-            return True  # the wrong ones still count: a visitor who knows it shields no guesser
+            return True  # the wrong ones still count: another visitor may be guessing
         self._failures[address] = [*recent, now]
         self._failures.move_to_end(address)
         while len(self._failures) > _ADDRESSES_KEPT:
@@ -114,23 +115,23 @@ class Login:
         return False if len(recent) < ATTEMPTS else None
 
     def cookie(self, port: int, *, secure: bool) -> str:
-        """The ``Set-Cookie`` header of a visitor who knew the token."""
+        """Return the ``Set-Cookie`` header of a visitor who knew the token."""
         flags = "; Path=/; HttpOnly; SameSite=Strict; Max-Age=2592000"
         return f"{cookie_name(port)}={self._session}{flags}" + ("; Secure" if secure else "")
 
 
 def cookie_name(port: int) -> str:
-    """Browsers share cookies between the ports of a host, so the port is in the name."""
+    """Return the cookie's name, with the port: browsers share cookies between a host's ports."""
     return f"artiworld_{port}"
 
 
 def new_token() -> str:
-    """A token that nobody guesses."""
+    """Return a random token."""
     return secrets.token_urlsafe(24)
 
 
 def login_page(problem: str = "") -> tuple[bytes, str]:
-    """The page, and the content security policy that lets its script run and nothing else."""
+    """Return the page, and the content security policy that allows its script only."""
     nonce = secrets.token_urlsafe(16)
     page = _PAGE.format(nonce=nonce, problem=html.escape(problem))
     policy = (

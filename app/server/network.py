@@ -10,7 +10,7 @@ import socket
 from model.core.errors import ConfigurationError
 
 PORTS = range(8080, 8100)
-"""Tried in order where nobody asks for a port."""
+"""Tried in order where no port is given."""
 
 
 def is_loopback(host: str) -> bool:
@@ -24,7 +24,7 @@ def is_loopback(host: str) -> bool:
 
 
 def url(host: str, port: int) -> str:
-    """Where a browser finds what listens at ``host`` and ``port``."""
+    """Return the URL of a server at ``host`` and ``port``."""
     name = host.strip("[]")
     if name == "127.0.0.1":
         name = "localhost"
@@ -34,13 +34,13 @@ def url(host: str, port: int) -> str:
 
 
 def check_address(host: str, port: int) -> None:
-    """Raise where nothing can listen at ``host`` and ``port``; viser itself would wait for ever.
+    """Check that a server can listen at ``host`` and ``port``; viser itself would wait for ever.
 
     Raises:
-        ConfigurationError: with what to do.
+        ConfigurationError: where it can't.
     """
     if not 0 <= port <= 65535:
-        raise ConfigurationError(f"--port {port} is no port; choose one from 1024 to 65535")
+        raise ConfigurationError(f"--port {port} is out of range; choose one from 1024 to 65535")
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         for family, kind, protocol, _, address in addresses:
@@ -61,7 +61,7 @@ def check_address(host: str, port: int) -> None:
 
 
 def free_port(host: str) -> int:
-    """The first of :data:`PORTS` that is free at ``host``.
+    """Return the first of :data:`PORTS` that is free at ``host``.
 
     Raises:
         ConfigurationError: where none is, or the host can't be used at all.

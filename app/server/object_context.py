@@ -102,9 +102,9 @@ class ObjectContext(Observable):
             stored = self._stored = record.labels, self.services.store.get_array(record.labels)
         return max(int(stored[1][element]), BASE)
 
-    def start(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+    def start(self, kind: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         """Follow a job; ``keep`` gets its result. Failures are shown in all tabs."""
-        self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep))
+        self.jobs.add(kind, job, lambda ended: self._ended(kind, ended, keep))
 
-    def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+    def _ended(self, kind: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         raise NotImplementedError

@@ -50,8 +50,8 @@ class ObjectQueue:
             back = [i for i in self.removed if i in ids]
             self.removed = tuple(i for i in self.removed if i not in ids)
         if back:
-            self._store.put_back(back)
-        self.notify()
+            self._store.mark_restored(back)
+        self.changed()
         return ids
 
     def add_upload(self, folder: Path, name: str, content: bytes, max_bytes: int) -> int:
@@ -78,7 +78,7 @@ class ObjectQueue:
         Where that is all there is, it stays: an empty queue would explain nothing.
         """
         removed = tuple(
-            i for i, stamp in self._store.taken_off().items()
+            i for i, stamp in self._store.removed_objects().items()
             if i in self._ids and stamp == _stamp(self._records[i].path)
         )  # fmt: skip
         if len(removed) < len(self._ids):
@@ -98,8 +98,8 @@ class ObjectQueue:
                 raise CommandError("only unreadable objects can be removed from the queue")
             self._ids = [i for i in self._ids if i != object_id]
             self.removed = (*(i for i in self.removed if i != object_id), object_id)
-        self._store.take_off(object_id, _stamp(self._records[object_id].path))
-        self.notify()
+        self._store.mark_removed(object_id, _stamp(self._records[object_id].path))
+        self.changed()
 
     def restore(self) -> int:
         """Put the object that was removed last at the end of the queue; returns its id.
@@ -113,8 +113,8 @@ class ObjectQueue:
             *left, object_id = self.removed
             self.removed = tuple(left)
             self._ids = [*self._ids, object_id]
-        self._store.put_back([object_id])
-        self.notify()
+        self._store.mark_restored([object_id])
+        self.changed()
         return object_id
 
     def set_unreadable(self, object_id: int, unreadable: bool) -> None:
@@ -123,7 +123,7 @@ class ObjectQueue:
             before = self.unreadable
             self.unreadable = before | {object_id} if unreadable else before - {object_id}
         if self.unreadable != before:
-            self.notify()
+            self.changed()
 
     def refresh(self, object_id: int) -> None:
         """Read an object's record again, and notify the tabs where its state changed."""
@@ -131,7 +131,7 @@ class ObjectQueue:
         with self._lock:
             before, self._records[object_id] = self._records.get(object_id), record
         if before is None or before.state != record.state or self._pending(object_id):
-            self.notify()
+            self.changed()
 
     def sync(self, last: dict[int, int]) -> None:
         """Take in what other servers did.
@@ -154,7 +154,7 @@ class ObjectQueue:
 
         return stop
 
-    def notify(self) -> None:
+    def changed(self) -> None:
         """Tell all tabs that the queue changed."""
         for listener in list(self._listeners):
             listener()

@@ -1,4 +1,4 @@
-"""Something that several tabs show: who looks, and what they are told."""
+"""Something that several tabs show: it tells them when to redraw, and what to announce."""
 
 from __future__ import annotations
 
@@ -9,20 +9,24 @@ Notice = Callable[[str, str, str], None]
 
 
 class Observable:
-    """Tabs that redraw on a change and show notes."""
+    """Keeps the tabs that show it."""
 
     def __init__(self) -> None:
         self._listeners: list[Listener] = []
         self._notices: list[Notice] = []
-        self._told_of_others = False
+        self._announced_remote = False
 
     @property
-    def watched(self) -> bool:
+    def is_shown(self) -> bool:
         """Whether any tab shows it."""
         return bool(self._listeners)
 
     def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
-        """Call ``listener`` on every change, ``notice(title, body, colour)`` with news."""
+        """Call ``listener`` on every change and ``notice(title, body, color)`` with news.
+
+        Returns:
+            The function that ends it.
+        """
         self._listeners.append(listener)
         self._notices.append(notice)
 
@@ -34,17 +38,17 @@ class Observable:
         return stop
 
     def changed(self) -> None:
-        """Redraw in all the tabs."""
+        """Have all tabs redraw."""
         for listener in list(self._listeners):
             listener()
 
-    def tell(self, title: str, body: str, color: str = "blue") -> None:
-        """Show a note in all the tabs."""
+    def notify(self, title: str, body: str, color: str = "blue") -> None:
+        """Show a note in all tabs."""
         for notice in list(self._notices):
             notice(title, body, color)
 
-    def tell_of_others(self) -> None:
-        """Say once that what changes here by itself is decided in another server."""
-        if self._listeners and not self._told_of_others:
-            self._told_of_others = True
-            self.tell("Changed elsewhere", "Another server is at work on this, too", "yellow")
+    def notify_remote_change(self) -> None:
+        """Say once that another server changes this, too."""
+        if self._listeners and not self._announced_remote:
+            self._announced_remote = True
+            self.notify("Changed elsewhere", "Another server works on this, too", "yellow")

@@ -1,7 +1,6 @@
-"""One open object: what is decided about it, what was read, and the jobs that this asks for.
+"""One open object: its session, its asset, and the jobs that its state asks for.
 
-Decisions live in the session's commands; this module runs the jobs that the state asks for and
-feeds their answers back as commands.
+Decisions live in the session's commands; the results of jobs become commands, too.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from app.server.scene_member import SceneMember
 from app.server.segmenting import SOURCE, Segmenting
 from app.server.services import Services
 from app.server.tasks import ReadOptions, Stamp, stamp_if_there
-from app.server.validating import JointCheck, Judging
+from app.server.validating import JointCollision, Validation
 from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote.http_predictor import BackendError
@@ -30,7 +29,7 @@ from sessions import commands as cmd
 from sessions.state import SessionState
 from sessions.store import ObjectRecord, PendingAcceptance
 
-INTERRUPTED = "Its server ended on the way, or another one is still at it: Y accepts it"
+INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"
 
 
 class OpenObject(ObjectContext):
@@ -56,7 +55,7 @@ class OpenObject(ObjectContext):
         self._anew = False
         self._failed_on: Stamp | None = None
         self.segmenting = Segmenting(self)
-        self.judging = Judging(self)
+        self.validation = Validation(self)
         self._unsubscribe = self.live.subscribe(lambda state, command: self._decided(state))
 
     # --- state
@@ -74,12 +73,12 @@ class OpenObject(ObjectContext):
 
     @property
     def being_accepted(self) -> bool:
-        """Whether it is being accepted: nobody need do anything about it."""
-        return self.judging.waiting or "save" in self.jobs
+        """Whether an acceptance is under way."""
+        return self.validation.acceptance_waits or "save" in self.jobs
 
     @property
     def busy(self) -> dict[str, tuple[float, str]]:
-        """The jobs under way: how far each one is, 0..1, and what it says."""
+        """Progress (0..1) and message of each running job."""
         return self.jobs.busy
 
     @property
@@ -88,36 +87,36 @@ class OpenObject(ObjectContext):
         return self.segmenting.labels
 
     @property
-    def checks(self) -> list[JointCheck]:
-        """The collisions that the gate found on the present joints."""
-        return self.judging.checks
+    def checks(self) -> list[JointCollision]:
+        """The collisions that validation found on the present joints."""
+        return self.validation.collisions
 
     @property
     def interrupted(self) -> bool:
-        """Whether it was being accepted when this server started, and isn't decided since."""
-        begun = self.begun
-        return begun is not None and not begun.held
+        """Whether an acceptance was under way when this server started, and isn't decided since."""
+        pending = self.pending_acceptance
+        return pending is not None and not pending.hold_reason
 
     @property
-    def held(self) -> str:
+    def hold_reason(self) -> str:
         """Why validation put its acceptance on hold after the person went on, or ""."""
-        begun = self.begun
-        return "" if begun is None or self.being_accepted else begun.held
+        pending = self.pending_acceptance
+        return "" if pending is None or self.being_accepted else pending.hold_reason
 
     @property
-    def begun(self) -> PendingAcceptance | None:
+    def pending_acceptance(self) -> PendingAcceptance | None:
         """The acceptance that was cut off or put on hold, with its comment."""
         return self.services.acceptances.of(replace(self.record, seq=self.state.seq))
 
     @property
     def in_use(self) -> bool:
         """Whether a tab shows it, a job works on it, or it waits to be accepted."""
-        return self.watched or bool(self.jobs) or self.judging.waiting
+        return self.is_shown or bool(self.jobs) or self.validation.acceptance_waits
 
     def release(self) -> None:
-        """Hear of nothing any more: what is decided is on disk, all else can be made again."""
+        """Drop what can be computed again; the decisions are on disk."""
         self._unsubscribe()
-        self.asset = None  # at once: objects like this one wait long for the garbage collector
+        self.asset = None  # now: the garbage collector may take long
         self.payloads.clear()
         self.segmenting.forget()
 
@@ -126,7 +125,7 @@ class OpenObject(ObjectContext):
     def ensure_open(self, *, again: bool = False) -> None:
         """Read the asset in the background unless it is read or being read.
 
-        What failed is tried again once the file changed.
+        After a failure it is read again once the file changed.
 
         Args:
             again: also where it failed and nothing changed.
@@ -139,7 +138,7 @@ class OpenObject(ObjectContext):
             now = (frame, None if self.problem is None else stamp_if_there(self.record.path))
             if self.problem is not None and not again and now == (self._frame, self._failed_on):
                 return
-            # Whoever has it read in another frame begins afresh, with what the source says.
+            # In another frame the object starts afresh, with the parts and joints of the file.
             self._anew = self._frame is not None and self._frame[:2] != frame[:2]
             self._frame, self.problem = frame, None
             self._failed_on = stamp_if_there(self.record.path)
@@ -160,16 +159,16 @@ class OpenObject(ObjectContext):
                 options,
                 on_progress=self.jobs.progress("open"),
                 priority=5,
-                gives_way=CLICKS,
+                preempted_by=CLICKS,
             )
             self.start("open", job, self._opened)
 
     def reopen(self) -> None:
-        """Somebody wants to see it: read it, also where its worker died when it was read last."""
+        """Read it for a tab that opens it, also where the worker died when it was read last."""
         self.ensure_open(again=self._worker_died)
 
     def try_again(self) -> None:
-        """Read what could not be read."""
+        """Read it again after a failure."""
         if self.problem is not None:
             self.ensure_open(again=True)
             self.changed()
@@ -184,9 +183,9 @@ class OpenObject(ObjectContext):
         if first or (self._anew and not doc.prompts and doc.tree is None):
             self.segmenting.take_source_parts(asset)
         if self.interrupted:
-            self.tell("Not accepted yet", INTERRUPTED, "yellow")
+            self.notify("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:
-            self.tell("Opened with a remark", warning, "yellow")
+            self.notify("Opened with a warning", warning, "yellow")
         self.services.workers.geometry.submit(picking_tasks.prepare_picking, asset.folder)
         self.segmenting.prepare()
         self._state_changed()
@@ -194,20 +193,20 @@ class OpenObject(ObjectContext):
     # --- jobs that the state asks for
 
     def _decided(self, state: SessionState) -> None:
-        if not self.live.given_here(state.seq):
-            self.tell_of_others()
+        if not self.live.issued_here(state.seq):
+            self.notify_remote_change()
         self._state_changed()
 
     def _state_changed(self) -> None:
         self.ensure_open()
         if self.asset is not None:
-            self.segmenting.ask()
-            self.judging.ask()
+            self.segmenting.update()
+            self.validation.update()
         self.services.queue.refresh(self.record.id)
         self.changed()
 
     def part_payloads(self) -> list[PartPayload] | None:
-        """The parts as drawn while joints move; None until they are cut (asks for it)."""
+        """Return the parts as drawn while joints move; None until they are cut (starts it)."""
         doc = self.document
         if self.asset is None or doc.segmentation is None:
             return None
@@ -218,7 +217,7 @@ class OpenObject(ObjectContext):
                 self.source(doc),
                 self.asset.element,
                 priority=3,
-                gives_way=CLICKS,
+                preempted_by=CLICKS,
             )
 
             def keep(payloads: list[PartPayload]) -> None:
@@ -230,19 +229,19 @@ class OpenObject(ObjectContext):
     # --- jobs that a person asks for
 
     def predict(self, who: str, *, here: bool = False) -> None:
-        """Predict joints from the parts; the answer becomes a command.
+        """Predict joints from the parts; the result becomes a command.
 
         Args:
-            who: decides it.
-            here: with the predictor of this machine, whatever backend is set.
+            who: the person who asks for it.
+            here: with this machine's own predictor, whatever backend is set.
         """
         if self.predicting:
             return
         source, doc = self.source(), self.document
         if not doc.segmentation_current:
-            raise CommandError("the parts are still being computed; predict in a moment")
+            raise CommandError("the parts are still being computed; try again in a moment")
         self.jobs.cancel("check")
-        self.judging.forget_request()
+        self.validation.forget_request()
         job = self.services.workers.prediction.submit(
             part_tasks.predict,
             source,
@@ -251,7 +250,7 @@ class OpenObject(ObjectContext):
             0,
             on_progress=self.jobs.progress("predict"),
             priority=10,
-            gives_way=EDITS,
+            preempted_by=EDITS,
         )
 
         self.services.drafts.prepare_bodies(source)
@@ -260,11 +259,11 @@ class OpenObject(ObjectContext):
             self.backend_away = self.backend_away and here
             if prediction.tree is None:
                 problems = "; ".join(prediction.problems) or "the predictor gave no reason"
-                self.tell("No prediction", problems, "red")
+                self.notify("No prediction", problems, "red")
                 return
             self.do(cmd.RecordPrediction(prediction, source.labels), who)
             count = sum(j.moves for j in prediction.tree.joints)
-            self.tell(
+            self.notify(
                 "Predicted", f"{count} joint{'s'[: count != 1]} in {prediction.seconds:.1f} s"
             )
 
@@ -277,17 +276,17 @@ class OpenObject(ObjectContext):
         newest = self.jobs.drop(what, job)
         if what == "open":
             self._worker_died = isinstance(job.error, JobFailed)
-        error = self.jobs.hand_over(what, job, keep)
+        error = self.jobs.deliver(what, job, keep)
         if what == "save" and not self.services.workers.closing:
             self.services.acceptances.end(self.record.id)
         if isinstance(error, BackendError):
             self.backend_away = True
-            self._failed(what, f"{error}: press “Predict on this machine”")
+            self._failed(what, f"{error}. Press “Predict on this machine”")
         elif isinstance(error, ArtiworldError):
             self._failed(what, str(error))
         elif error is not None and what in ("predict", "save"):
-            self.tell("Cancelled", "Nothing was changed", "gray")
-        asked = what in ("segment", "labels") and error is None  # what failed would fail again
+            self.notify("Cancelled", "Nothing was changed", "gray")
+        asked = what in ("segment", "labels") and error is None  # it would only fail again
         if newest and (asked or what == "predict"):
             self._state_changed()
         else:
@@ -295,10 +294,10 @@ class OpenObject(ObjectContext):
 
     def _failed(self, what: str, message: str) -> None:
         if what == "check":
-            self.judging.failed(message)
+            self.validation.failed(message)
         if what == "open":
-            # Where uploads are kept says nothing to the one who sent the file.
+            # The folder of uploads means nothing to the person who sent the file.
             message = message.replace(f"{Path(self.record.path).parent}/", "")
             self.problem = message
             self.services.queue.set_unreadable(self.record.id, True)
-        self.tell({"open": "Can't open this file"}.get(what, "That didn't work"), message, "red")
+        self.notify({"open": "Can't open this file"}.get(what, "Failed"), message, "red")

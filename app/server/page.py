@@ -18,10 +18,10 @@ def _script(max_upload_bytes: int) -> str:
 
 
 class Page:
-    """Turns viser's answer for its page into ours, once for each encoding.
+    """Adds our title and scripts to viser's page, once for each encoding.
 
     Args:
-        title: of the browser's tab.
+        title: title of the browser's tab.
         max_upload_bytes: larger files are refused by the page itself.
     """
 
@@ -31,7 +31,7 @@ class Page:
         self._bodies: dict[str, bytes] = {}
 
     def prepare(self, response: Response) -> Response:
-        """``response`` with the title and the script; unchanged where it is no page."""
+        """Return ``response`` with the title and the scripts; unchanged where it isn't the page."""
         headers = response.headers
         if response.status_code != 200 or "text/html" not in headers.get("Content-Type", ""):
             return response

@@ -1,4 +1,4 @@
-"""Parts cut out of a segmented asset, as the jobs that judge and save take them, and prediction."""
+"""Parts of a segmented asset for validation, saving and prediction."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _cut: LruCache[Any, tuple[Part, ...]] = LruCache(2)
 
 
 def parts_of(source: PartSource) -> tuple[Part, ...]:
-    """The parts; the last ones are kept, with what others computed for them."""
+    """Return the parts; the last ones are cached, with all that is cached on them."""
 
     def cut() -> tuple[Part, ...]:
         labels = arrays_of(source.workspace).get(source.labels)
@@ -50,30 +50,31 @@ def parts_of(source: PartSource) -> tuple[Part, ...]:
 
 
 def named(part: Part) -> Part:
-    """In the app part 0 is the base by definition: the predictor need not guess it."""
+    """Name part 0 "base": in the app it is by definition, so the predictor need not guess it."""
     if part.link == "link_0" and part.name is None:
         return replace(part, name="base")
     return part
 
 
 def segmented_object(source: PartSource) -> SegmentedObject:
-    """The parts of an asset as a predictor reads them."""
+    """Return the parts as a predictor takes them."""
     return SegmentedObject(source.title, tuple(map(named, parts_of(source))), source.category)
 
 
 def articulated_object(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
-    """The parts of an asset with the joints that were decided, and the masses and collision shapes
-    that its source tells of parts that are as they were there."""
-    inertials, shapes = _told(source)
+    """Return the parts with joints, and the declared masses and shapes of unchanged parts."""
+    inertials, shapes = _declared_physics(source)
     return ArticulatedObject(
         source.title, parts_of(source), tree, source.category,
         {k: i for k, i in inertials.items() if k in tree.links},
-        {k: held for k, held in shapes.items() if k in tree.links},
+        {k: s for k, s in shapes.items() if k in tree.links},
     )  # fmt: skip
 
 
-def _told(source: PartSource) -> tuple[dict[str, Inertial], dict[str, tuple[Shape, ...]]]:
-    """Masses and collision shapes by link of those parts that are the source's own."""
+def _declared_physics(
+    source: PartSource,
+) -> tuple[dict[str, Inertial], dict[str, tuple[Shape, ...]]]:
+    """Return declared masses and collision shapes by link, of the parts that are as in the file."""
     asset = asset_of(source.folder)
     if not (asset.inertials or asset.shapes) or asset.element_part is None:
         return {}, {}
@@ -85,13 +86,15 @@ def _told(source: PartSource) -> tuple[dict[str, Inertial], dict[str, tuple[Shap
     changed = {f"link_{part}" for part in cut}
     return (
         {link: i for link, i in asset.inertials.items() if link not in changed},
-        {link: held for link, held in asset.shapes.items() if link not in changed},
+        {link: s for link, s in asset.shapes.items() if link not in changed},
     )
 
 
 def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
-    """Make what judging and saving need of the parts whatever the joints will be."""
-    prepare(parts_of(source), source.workspace / "collision", progress, _told(source)[1])
+    """Compute and cache the parts' collision shapes, which don't depend on the joints."""
+    prepare(
+        parts_of(source), source.workspace / "collision", progress, _declared_physics(source)[1]
+    )
 
 
 def predict(

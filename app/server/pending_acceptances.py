@@ -40,11 +40,11 @@ class PendingAcceptances:
 
     def begin(self, object_id: int, pending: PendingAcceptance) -> None:
         """Store that an acceptance begins, for the case that this server dies."""
-        self._store.accepting_begins(object_id, pending)
+        self._store.begin_acceptance(object_id, pending)
 
     def end(self, object_id: int) -> None:
         """Store that the acceptance ended, decided or not."""
-        self._store.accepting_ends(object_id)
+        self._store.end_acceptance(object_id)
 
     def hold(self, object_id: int, pending: PendingAcceptance) -> None:
         """Put an acceptance on hold, also for later runs."""
@@ -78,7 +78,7 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
         recover(folder)
         if record.seq == pending.seq:
             waiting[object_id] = pending
-            if not pending.held:
+            if not pending.hold_reason:
                 log.warning(
                     "%s: its acceptance was begun and not finished; accept it again, unless "
                     "another server is at it", record.name,
@@ -88,5 +88,5 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
         doc = live.document
         if doc.review.state == "accepted" and doc.saved is None and folder.is_dir():
             live.do(cmd.Saved(str(folder)), doc.review.by)
-        store.accepting_ends(object_id)
+        store.end_acceptance(object_id)
     return waiting

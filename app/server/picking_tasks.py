@@ -1,4 +1,4 @@
-"""Jobs that find what a pointer means: the surface under a ray, what a box or a stroke covers."""
+"""Jobs that pick: the surface under a ray, the elements in a box or under a stroke."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from model.geometry.strokes import Stroke
 
 @dataclass(frozen=True)
 class Hidden:
-    """Parts that a person has hidden: a pointer meets what lies behind them.
+    """Parts that a person has hidden: picking goes through them.
 
     Attributes:
-        workspace: where the labels are stored.
+        workspace: folder of the stored labels.
         labels: reference of the stored (E,) labels.
         parts: ids of the hidden parts.
     """
@@ -36,7 +36,7 @@ _hidden: LruCache[Hidden, npt.NDArray[np.bool_]] = LruCache(4)
 
 
 def picker_of(folder: Path) -> Any:
-    """Its picker, kept in this process."""
+    """Return the picker of an asset, cached in this process."""
     return _pickers.get(folder, lambda: Picker(asset_of(folder)))
 
 
@@ -46,7 +46,7 @@ def prepare_picking(folder: Path) -> None:
 
 
 def _elements_of(hidden: Hidden | None) -> npt.NDArray[np.bool_] | None:
-    """(E,) the hidden elements."""
+    """Return the (E,) mask of hidden elements."""
     if hidden is None:
         return None
     return _hidden.get(
@@ -60,7 +60,7 @@ def pick(
     direction: tuple[float, float, float],
     hidden: Hidden | None = None,
 ) -> Any:
-    """The surface under a ray: ``Pick(position, element, normal)``, or None for the background."""
+    """Return ``Pick(position, element, normal)`` of a ray, or None for the background."""
     picker = picker_of(folder)
     return picker.pick(np.asarray(origin), np.asarray(direction), hidden=_elements_of(hidden))
 
@@ -75,10 +75,10 @@ def select_box(
     one_piece: bool = False,
     hidden: Hidden | None = None,
 ) -> tuple[str, int]:
-    """Visible elements inside a rectangle of the screen: their stored array and their number.
+    """Store the visible elements inside a rectangle of the screen; returns reference and number.
 
     Args:
-        one_piece: of a scan only what hangs together, not what stands before and behind it.
+        one_piece: of a scan only the largest connected component.
     """
     chosen = picker_of(folder).select_box(
         camera, corner_min, corner_max, visible_only=True, hidden=_elements_of(hidden)
@@ -92,6 +92,6 @@ def select_box(
 def select_stroke(
     folder: Path, workspace: Path, camera: Any, stroke: Stroke, hidden: Hidden | None = None
 ) -> tuple[str, int]:
-    """Visible elements that a stroke covers: their stored array and their number."""
+    """Store the visible elements under a stroke; returns reference and number."""
     chosen = picker_of(folder).select_stroke(camera, stroke, hidden=_elements_of(hidden))
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)

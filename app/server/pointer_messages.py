@@ -1,4 +1,4 @@
-"""What the page's own script sends beside viser's messages; see ``scripts/pointer.js``."""
+"""Messages between the page's own scripts and the server; see ``scripts/pointer.js``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from viser import _messages
 
 @dataclass
 class ArtiworldHoverMessage(_messages.Message, include_in_scene_serialization=False):
-    """The pointer rests at (x, y), from (0, 0), top left, to (1, 1); or it has left the picture."""
+    """The pointer rests at (x, y), (0, 0) top left to (1, 1), or has left the picture."""
 
     x: float
     y: float
@@ -24,7 +24,7 @@ class ArtiworldHoverMessage(_messages.Message, include_in_scene_serialization=Fa
 
 @dataclass
 class ArtiworldStrokeMessage(_messages.Message, include_in_scene_serialization=False):
-    """A lasso or a brush was drawn; ``radius`` in parts of the picture's height."""
+    """A lasso or a brush stroke was drawn; ``radius`` as a share of the picture's height."""
 
     tool: str
     path: tuple[tuple[float, float], ...]
@@ -34,7 +34,7 @@ class ArtiworldStrokeMessage(_messages.Message, include_in_scene_serialization=F
 
 @dataclass
 class ArtiworldToolMessage(_messages.Message, include_in_scene_serialization=False):
-    """A key of the page's own was pressed: "lasso", "brush", "click" (Escape) or "help"."""
+    """A key of the page's scripts was pressed: "lasso", "brush", "click" (Escape) or "help"."""
 
     tool: str
 
@@ -48,26 +48,25 @@ class ArtiworldAnswerMessage(_messages.Message, include_in_scene_serialization=F
 
 @dataclass
 class ArtiworldShownMessage(_messages.Message, include_in_scene_serialization=False):
-    """Everything that was sent before ``tell_page(shown=number)`` is on the screen."""
+    """Everything sent before ``set_page_state(shown=number)`` is on the screen."""
 
     number: int
 
 
-# viser looks its message classes up once: where it did before these were known, a page that moves
-# its pointer would lose its connection.
+# viser caches its message classes; it may have done so before these were defined.
 _messages.Message._subclass_from_type_string.cache_clear()  # type: ignore[attr-defined]
 
 
-def tell_page(client: viser.ClientHandle, **state: Any) -> None:
-    """Set fields of the script's state."""
+def set_page_state(client: viser.ClientHandle, **state: Any) -> None:
+    """Set fields of the page script's state."""
     _run(client, f"window.__artiworld?.set({json.dumps(state)})")
 
 
 def title_buttons(client: viser.ClientHandle, titles: dict[str, str]) -> None:
-    """Say what stands beside a button while the pointer rests on it.
+    """Set the tooltips of all buttons that have one.
 
     Args:
-        titles: by the button's uuid; of all buttons that have one.
+        titles: by the button's uuid.
     """
     _run(client, f"window.__artiworldPanels?.titles({json.dumps(titles)})")
 
@@ -76,7 +75,7 @@ def hide_on_page(client: viser.ClientHandle, out: npt.NDArray[np.bool_] | None) 
     """Leave elements out of the drawn scan.
 
     Args:
-        out: (D,) for each triangle of its GLB, or each of its points; None leaves out none.
+        out: (D,) for each triangle of its GLB, or each of its points; None leaves out nothing.
     """
     if out is None:
         _run(client, "window.__artiworld?.hide()")

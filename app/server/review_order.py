@@ -1,4 +1,4 @@
-"""Which object a reviewer sees next: the least confident prediction, what was skipped last."""
+"""The order of review: the least confident prediction first, skipped objects last."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from sessions.document import Document
 from sessions.records import ObjectRecord
 
 UNKNOWN = 0.5
-"""Confidence of a prediction that tells none."""
+"""Confidence of a prediction without one."""
 
 
 def confidence(document: Document) -> float:
-    """The least confidence of a moving joint, 0..1; what a person edited counts as sure."""
+    """Return the least confidence of the moving joints, 0..1; edited joints count as 1."""
     tree, prediction = document.tree, document.prediction
     if tree is None or prediction is None:
         return UNKNOWN
     edited = set(document.edited_joints)
-    told = [
+    values = [
         1.0 if j.child in edited else prediction.confidence.get(j.child, UNKNOWN)
         for j in tree.joints
         if j.moves
     ]
-    return min(told, default=UNKNOWN)
+    return min(values, default=UNKNOWN)
 
 
 class ReviewOrder:
-    """Finds the next object; what it read of one is kept until the object changes.
+    """Finds the next object to review; caches the confidences.
 
     Args:
-        document: what is decided about an object, by its id.
+        document: returns the document of an object, by its id.
     """
 
     def __init__(self, document: Callable[[int], Document]) -> None:
@@ -43,17 +43,16 @@ class ReviewOrder:
         skipped: Collection[int] = (),
         again: Collection[int] = (),
     ) -> int | None:
-        """What is to be looked at again, else the predicted object that is least sure, else the
-        next unfinished one after ``current``.
+        """Return the id of the next object, or None where all others are decided.
+
+        First those on hold, then the least confident predicted one, then the next unfinished one
+        after ``current``.
 
         Args:
             records: the queue.
             current: id of the object that was decided.
-            skipped: ids that a person went past; they come when nothing else is left.
-            again: ids that were to be accepted and are not; they come first.
-
-        Returns:
-            An object's id; None where everything else is decided.
+            skipped: ids that a person skipped; they come last.
+            again: ids whose acceptance is on hold or was interrupted; they come first.
         """
         ids = [r.id for r in records]
         at = ids.index(current) + 1 if current in ids else 0

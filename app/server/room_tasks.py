@@ -1,4 +1,4 @@
-"""Rooms: floor and walls go, and an object is cut out to be worked on alone."""
+"""Scanned rooms: leaving out floor and walls, cutting out objects."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from model.geometry.crop import floor_and_walls as room_surfaces
 from model.io.write.meshes import write_cloud, write_mesh
 
 GRID = 128.0
-"""Origins lie on multiples of 1/128 m: taking one off a float32 loses next to nothing."""
+"""Origins lie on multiples of 1/128 m: subtracting one from a float32 is almost exact."""
 Elements = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Removal:
-    """Elements of the whole source that are not looked at any more."""
+    """Elements of the whole source to leave out."""
 
     elements: str
     count: int
@@ -32,7 +32,7 @@ class Removal:
 
 @dataclass(frozen=True)
 class Crop:
-    """An object cut out of a scan: see :class:`sessions.commands.CropOut`."""
+    """An object cut out of a scan; see :class:`sessions.tool_commands.CropOut`."""
 
     name: str
     path: Path
@@ -43,7 +43,7 @@ class Crop:
 
 @dataclass(frozen=True)
 class Picked:
-    """A part as an object of its own, and the file of all the others, whose frame stayed."""
+    """A part as an object of its own, and the file of the rest, in its former frame."""
 
     crop: Crop
     rest: Path
@@ -52,15 +52,15 @@ class Picked:
 def floor_and_walls(
     folder: Path, workspace: Path, left_out: str | None, progress: Progress = no_progress
 ) -> Removal:
-    """What stands for floor, ceiling, walls and stray points, with what was left out before.
+    """Find floor, ceiling, walls and outliers, and add what was left out before.
 
     Raises:
-        CommandError: where there is none, or nothing would stay.
+        CommandError: where there are none, or nothing would be left.
     """
     asset = tasks.asset_of(folder)
-    progress(0.05, "Looking for stray points")
+    progress(0.05, "Finding outliers")
     gone = outliers(asset)
-    progress(0.4, "Looking for floor and walls")
+    progress(0.4, "Finding floor and walls")
     inside = np.flatnonzero(~gone)
     border = room_surfaces(crop(asset, ~gone))
     if not border.any():
@@ -72,7 +72,7 @@ def floor_and_walls(
 def leave_out_part(
     folder: Path, workspace: Path, labels: str, part: int, left_out: str | None
 ) -> Removal:
-    """The elements of one part, with what was left out before."""
+    """Return the elements of one part, and what was left out before."""
     mine = np.flatnonzero(tasks.arrays_of(workspace).get(labels) == part)
     return _removal(workspace, tasks.asset_of(folder), mine, left_out)
 
@@ -89,11 +89,11 @@ def _removal(workspace: Path, asset: Asset, gone: Elements, left_out: str | None
 
 
 def in_source(workspace: Path, elements: Elements, left_out: str | None) -> Elements:
-    """(K,) elements of the whole source, where some of it is left out."""
+    """Return the (K,) elements as elements of the whole source, some of which is left out."""
     if left_out is None:
         return elements
     out = tasks.arrays_of(workspace).get(left_out)
-    # The k-th element that stays is k plus the number of those left out before it.
+    # The k-th remaining element is k plus the number of those left out before it.
     before = out - np.arange(len(out))
     return elements + np.searchsorted(before, elements, side="right")
 
@@ -107,17 +107,17 @@ def cut_out(
     name: str,
     progress: Progress = no_progress,
 ) -> Crop:
-    """Write one part as an object of its own, standing on its own origin.
+    """Write one part as an object of its own, on its own origin.
 
     Raises:
-        CommandError: where the part is empty, or is all there is.
+        CommandError: where the part is empty, or the whole scan.
     """
     asset = tasks.asset_of(folder)
     mine = tasks.arrays_of(workspace).get(labels) == part
     if not mine.any():
-        raise CommandError("this part has nothing yet: click on the object, or draw a box round it")
+        raise CommandError("this part is empty: click on the object, or draw a box around it")
     if mine.all():
-        raise CommandError("this part is the whole scan; there is nothing to cut it out of")
+        raise CommandError("this part is the whole scan")
     progress(0.1, "Cutting it out")
     cut = crop(asset, mine)
     low, high = cut.bounds
@@ -143,13 +143,13 @@ def pick_out(
     name: str,
     progress: Progress = no_progress,
 ) -> Picked:
-    """As :func:`cut_out`; all of the working copy that isn't the part is written too.
+    """Like :func:`cut_out`, and write the rest of the working copy, too.
 
     Raises:
-        CommandError: where the part is empty, or is all there is.
+        CommandError: where the part is empty, or the whole scan.
     """
     cut = cut_out(folder, workspace, labels, part, left_out, name, progress)
-    progress(0.7, "Writing what is left")
+    progress(0.7, "Writing the rest")
     whole, _ = tasks.working_copy(copy, workspace, tasks.ReadOptions())
     kept = np.ones(whole.element_count, bool)
     kept[tasks.arrays_of(workspace).get(cut.elements)] = False
@@ -158,7 +158,7 @@ def pick_out(
 
 
 def _write(asset: Asset, stem: Path, origin: npt.NDArray[np.float64]) -> Path:
-    """The asset about ``origin``; a cloud that stays where it is keeps its very numbers."""
+    """Write the asset about ``origin``; at the origin a cloud keeps its exact coordinates."""
     if asset.mesh is not None:
         path = stem.with_name(f"{stem.name}.glb")
         write_mesh(replace(asset.mesh, vertices=asset.mesh.vertices - origin), path)

@@ -1,4 +1,4 @@
-"""The jobs that an open object or a scene waits for: what they report, and how they end."""
+"""The running jobs of an open object or a scene."""
 
 from __future__ import annotations
 
@@ -14,77 +14,73 @@ log = logging.getLogger(__name__)
 
 
 class RunningJobs:
-    """Jobs by what they are for; of two for the same the newest counts.
+    """Running jobs by kind; of two of a kind the newest counts.
 
     Args:
-        whose: the log calls them so.
-        changed: called on every report of a job.
+        owner: name in the log.
+        changed: called whenever a job reports progress.
 
     Attributes:
-        busy: how far each job is, 0..1, and what it says.
+        busy: progress (0..1) and message of each job.
     """
 
-    def __init__(self, whose: str, changed: Callable[[], None]) -> None:
+    def __init__(self, owner: str, changed: Callable[[], None]) -> None:
         self.busy: dict[str, tuple[float, str]] = {}
-        self._whose = whose
+        self._owner = owner
         self._changed = changed
         self._jobs: dict[str, Job[Any]] = {}
 
     def __bool__(self) -> bool:
         return bool(self._jobs)
 
-    def __contains__(self, what: str) -> bool:
-        return what in self._jobs
+    def __contains__(self, kind: str) -> bool:
+        return kind in self._jobs
 
-    def follow(
+    def add(
         self,
-        what: str,
+        kind: str,
         job: Job[Any],
         ended: Callable[[Job[Any]], None],
-        told: tuple[float, str] = (0.0, ""),
+        progress: tuple[float, str] = (0.0, ""),
     ) -> None:
         """Count a job as running until it is dropped; ``ended`` gets it when it is over."""
-        self._jobs[what] = job
-        self.busy[what] = told
+        self._jobs[kind] = job
+        self.busy[kind] = progress
         job.add_done_callback(ended)
 
-    def progress(self, what: str) -> Callable[[float, str], None]:
-        """Takes in what the job for that reports."""
+    def progress(self, kind: str) -> Callable[[float, str], None]:
+        """Return the progress callback of the job of this kind."""
 
-        def tell(fraction: float, message: str) -> None:
-            if what in self._jobs:
-                self.busy[what] = (fraction, message)
+        def report(fraction: float, message: str) -> None:
+            if kind in self._jobs:
+                self.busy[kind] = (fraction, message)
                 self._changed()
 
-        return tell
+        return report
 
-    def cancel(self, what: str) -> None:
-        """Stop the job for that, where one is running."""
-        job = self._jobs.get(what)
+    def cancel(self, kind: str) -> None:
+        """Stop the job of this kind, if one is running."""
+        job = self._jobs.get(kind)
         if job is not None:
             job.cancel()
 
-    def drop(self, what: str, job: Job[Any]) -> bool:
-        """Count a job as over; False where a newer one for the same goes on."""
-        newest = self._jobs.get(what) is job
+    def drop(self, kind: str, job: Job[Any]) -> bool:
+        """Count a job as over; False where a newer one of its kind goes on."""
+        newest = self._jobs.get(kind) is job
         if newest:
-            del self._jobs[what]
-            self.busy.pop(what, None)
+            del self._jobs[kind]
+            self.busy.pop(kind, None)
         return newest
 
-    def hand_over(
-        self, what: str, job: Job[Any], keep: Callable[[Any], None]
+    def deliver(
+        self, kind: str, job: Job[Any], keep: Callable[[Any], None]
     ) -> ArtiworldError | Cancelled | None:
-        """Give the answer of a job that ended to ``keep``.
-
-        Returns:
-            What went wrong, in words for people; None where nothing did.
-        """
+        """Give the result of a job that ended to ``keep``; return the error, if there was one."""
         try:
             keep(job.result(0))
         except (ArtiworldError, Cancelled) as error:
             return error
-        except Exception as error:  # a job's boundary: say it and go on
-            log.exception("job %s of %s failed", what, self._whose)
-            return ArtiworldError(f"{error} (our fault; the details are in the server's log)")
+        except Exception as error:  # a job's boundary
+            log.exception("job %s of %s failed", kind, self._owner)
+            return ArtiworldError(f"{error} (a bug; the server's log has the details)")
         return None

@@ -29,17 +29,17 @@ DRAFTS_KEPT = 4
 def prepare_asset(
     source: PartSource, tree: KinematicTree, progress: Progress = no_progress
 ) -> Path:
-    """Write all of an asset but its record and read it back, so that accepting only moves it.
+    """Write an asset without its record and read it back, so that accepting only moves it.
 
     Returns:
-        The draft, the same one for the same parts and joints; it is there once it was read back.
+        The draft's folder, the same for the same parts and joints.
 
     Raises:
-        ArtiworldError: where what was written doesn't load as it should.
+        ArtiworldError: where the written asset doesn't load correctly.
     """
     target = _draft_name(source, tree)
     try:
-        os.utime(target)  # it is the newest again: the next ones don't push it out
+        os.utime(target)  # now the newest, it is kept longest
         return target
     except FileNotFoundError:
         pass
@@ -59,10 +59,10 @@ def prepare_asset(
             physics=physics,
             progress=scaled_progress(progress, 0.7, 0.85),
         )
-        progress(0.85, "Reading it back")
+        progress(0.85, "Checking the files")
         problems = reload_check(fresh)
         if problems:
-            raise ArtiworldError(f"{obj.name} doesn't load as it should: {problems[0]}")
+            raise ArtiworldError(f"{obj.name} doesn't load correctly: {problems[0]}")
         fresh.rename(target)
     except OSError as error:
         raise InputFileError(
@@ -83,10 +83,10 @@ def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
 
 
 def _drop_drafts(folder: Path) -> None:
-    """The oldest, and what a killed process left."""
+    """Remove the oldest drafts, and those of killed processes."""
     found: list[tuple[float, Path]] = []
     for path in folder.iterdir():
-        with suppress(FileNotFoundError):  # one that was accepted just now has moved
+        with suppress(FileNotFoundError):  # it was accepted just now
             found.append((path.stat().st_mtime, path))
     for _, old in sorted(found)[:-DRAFTS_KEPT]:
         shutil.rmtree(old, ignore_errors=True)

@@ -1,8 +1,8 @@
-"""Picking objects out of others: a refrigerator out of a room that nobody has labelled.
+"""Picking objects out of others, such as a refrigerator out of an unlabelled room.
 
-The object is worked on in place as any other; the part that was clicked becomes an object of the
-scene, and what is left takes the old one's place. Both are files in the workspace, in their own
-frames, and stand exactly where they stood. The scene's session keeps it as one step.
+The object is annotated in place as any other; the clicked part becomes an object of the scene, and
+the rest replaces the old one. Both are files in the workspace, in their own frames, at their old
+places. The scene's session records it as one step.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from sessions.text import clean_text
 
 
 class Picking:
-    """What was picked out of the objects of a scene."""
+    """Picks objects out of the objects of a scene."""
 
     def __init__(self, scene: SceneState) -> None:
         self._scene = scene
         self._finder = LexiconFinder()
 
     def open(self, id: str, done: Callable[[int], None]) -> None:
-        """Call ``done`` with the session of an object as a whole, once it can be clicked on.
+        """Call ``done`` with the session of an object as a whole, once it can be clicked.
 
-        Floor and walls of a room are left out, which can be undone there.
+        Floor and walls of a room are left out; undo brings them back.
 
         Raises:
             CommandError: where it has no geometry.
@@ -63,8 +63,8 @@ class Picking:
             done(record.id)
 
         job = scene.services.workers.geometry.submit(
-            scene_tasks.for_picking, item, scene.services.workspace,
-            on_progress=scene.jobs.progress("copy"), priority=8, gives_way=CLICKS,
+            scene_tasks.prepare_for_picking, item, scene.services.workspace,
+            on_progress=scene.jobs.progress("copy"), priority=8, preempted_by=CLICKS,
         )  # fmt: skip
         scene.start("copy", job, keep)
         scene.changed()
@@ -72,21 +72,21 @@ class Picking:
     def take_out(
         self, obj: OpenObject, id: str, part: int, name: str, who: str, done: Callable[[str], None]
     ) -> None:
-        """Make a part of the object ``id``, which is open as ``obj``, an object of its own.
+        """Make a part of the object ``id``, open as ``obj``, an object of its own.
 
         ``done`` gets its id.
 
         Raises:
-            CommandError: where the part isn't there yet, or the object was read in another frame.
+            CommandError: where the part is empty, or the object was read in another frame.
         """
         scene, item, doc = self._scene, self._scene.items[id], obj.document
         world = scene.world_from_copy(item)
         if item.copy is None or world is None:
             raise CommandError(f"{id} isn't in the scene any more")
         if not part:
-            raise CommandError("part 0 is the rest of it: choose the part that you clicked")
+            raise CommandError("part 0 is the rest: select the part that you clicked")
         if doc.up_axis is not None or doc.unit_scale != 1.0:
-            raise CommandError("it was read with other axes or units than the scene has: undo that")
+            raise CommandError("it was read with other axes or units than the scene: undo that")
         words = clean_text(name, 60, "what it is") or "object"
 
         def keep(found: room_tasks.Picked) -> None:
@@ -94,7 +94,7 @@ class Picking:
             fresh = self._free(words)
             command = PickOut(
                 id, fresh, words, str(found.crop.path), str(found.rest), found.crop.count,
-                *_told(stands), *_told(world),
+                *_position_and_rotation(stands), *_position_and_rotation(world),
             )  # fmt: skip
             scene.live.do(command, who)
             done(fresh)
@@ -106,12 +106,12 @@ class Picking:
         return next(i for n in range(1, len(taken) + 2) if (i := f"{name} {n}") not in taken)
 
     def arranged(self, items: Iterable[SceneItem]) -> dict[str, SceneItem]:
-        """The objects of the scene by id, with those that were picked out of them."""
+        """Return the objects of the scene by id, with those that were picked out of them."""
         out = {item.obj.id: item for item in items}
         for pick in self._scene.document.picked:
             old = out.get(pick.object)
             if old is None or pick.id in out:
-                continue  # the scene's file isn't the one that it was picked out of
+                continue  # the scene's file changed since
             rest = replace(
                 old.obj, world_from_object=_pose(pick.rest_position, pick.rest_wxyz),
                 scale=np.ones(3), fit=None, anchor="origin",
@@ -137,7 +137,7 @@ class Picking:
         return self._scene.services.workspace / "scenes" / f"{Path(path).stem}-{key}"
 
 
-def _told(world: FloatArray) -> tuple[Position, Quaternion]:
+def _position_and_rotation(world: FloatArray) -> tuple[Position, Quaternion]:
     x, y, z = world[:3, 3].tolist()
     a, b, c, d = quaternion_wxyz(world)
     return (x, y, z), (a, b, c, d)

@@ -1,4 +1,4 @@
-"""What the browser draws of a scene's assets from afar; made in a worker process and kept."""
+"""Simplified geometry of a scene's assets for the browser, made in a worker process and cached."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from model.geometry.parts import split
 from model.scenes.asset_parts import bounds_of, whole
 
 BATCH_SECONDS = 0.4
-"""Work on pictures after which a job hands over what it has, so that the scene fills up."""
+"""Time after which a job returns the shapes it has, so that the scene fills up."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What the browser draws of something rigid, in its own frame, metres.
+    """The drawn geometry of a rigid object, in its own frame, metres.
 
     Attributes:
-        bounds: (2, 3) of the whole, not of the drawn copy; of a scanned asset without stray points.
-        vertices: (V, 3), of a cloud its points.
-        faces: (F, 3); None of a cloud.
+        bounds: (2, 3) of the whole geometry, not of the drawn one; of a scan without outliers.
+        vertices: (V, 3), or the points of a cloud.
+        faces: (F, 3); None for a cloud.
         colors: (F, 3) of a mesh, (V, 3) of a cloud; None where the source has none.
-        spacing: metres between a cloud's points, about.
+        spacing: approximate distance between a cloud's points, metres.
     """
 
     bounds: FloatArray
@@ -52,9 +52,9 @@ class DrawnParts:
     """The parts of a working copy as the browser draws them.
 
     Attributes:
-        labels: reference of the labels they were cut by.
+        labels: reference of their labels.
         folder: the arrays of the working copy.
-        source: of the working copy.
+        source: the working copy's source.
         shapes: link → shape.
     """
 
@@ -67,7 +67,7 @@ class DrawnParts:
 def shapes(
     paths: Sequence[Path], workspace: Path, max_faces: int, progress: Progress = no_progress
 ) -> dict[Path, Shape | str]:
-    """Pictures of as many assets as there is time for; of one that can't be read, why."""
+    """Return the shapes of as many assets as there is time for; the error of unreadable ones."""
     end = time.perf_counter() + BATCH_SECONDS
     out: dict[Path, Shape | str] = {}
     for path in paths:
@@ -82,8 +82,8 @@ def shapes(
 
 
 def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
-    told = ("without strays", str(path.resolve()), stamp(path), max_faces)
-    key = hashlib.sha256(repr(told).encode()).hexdigest()[:24]
+    identity = ("without strays", str(path.resolve()), stamp(path), max_faces)
+    key = hashlib.sha256(repr(identity).encode()).hexdigest()[:24]
     kept = workspace / "cache" / "shapes" / f"{key}.npz"
     try:
         with np.load(kept, allow_pickle=False) as data:
@@ -104,7 +104,7 @@ def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
 
 
 def shape_of_part(part: Part, max_faces: int) -> Shape:
-    """A part as the browser draws it from afar: a colour a face, at most ``max_faces``."""
+    """Return a part with at most ``max_faces`` faces, each of one colour."""
     bounds = np.asarray(part.bounds, np.float64)
     if part.mesh is None:
         assert part.cloud is not None
@@ -122,7 +122,7 @@ def shape_of_part(part: Part, max_faces: int) -> Shape:
 def drawn_parts(
     copy: Path, workspace: Path, labels: str, max_faces: int, options: ReadOptions
 ) -> DrawnParts:
-    """The parts of a working copy, read as its document says, by stored labels."""
+    """Return the drawn parts of a working copy, cut by stored labels."""
     asset, folder = working_copy(copy, workspace, options)
     assert asset.source is not None
     cut = split(asset, arrays_of(workspace).get(labels))

@@ -92,14 +92,14 @@ class SceneState(Observable):
 
     def start(
         self,
-        what: str,
+        kind: str,
         job: Any,
         keep: Callable[[Any], None],
-        told: tuple[float, str] = (0.0, ""),
+        progress: tuple[float, str] = (0.0, ""),
         work: Work | None = None,
     ) -> None:
         """Follow a job; ``keep`` gets its result. Failures are shown, and written into ``work``."""
-        self.jobs.follow(what, job, lambda ended: self._ended(what, ended, keep, work), told)
+        self.jobs.add(kind, job, lambda ended: self._ended(kind, ended, keep, work), progress)
 
-    def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
+    def _ended(self, kind: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
         raise NotImplementedError

@@ -24,7 +24,7 @@ from app.server.prompt_file import beside, read_prompts
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.asset import MAX_PARTS, Asset
 from model.core.errors import CommandError
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.crop import ROOM_METRES
 from model.geometry.parts import split
 from model.io.declared_physics_file import save_declared
@@ -58,15 +58,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SceneItem:
-    """One object of a scene and what is known of it beforehand.
+    """One object of a scene, before anybody works on it.
 
     Attributes:
-        obj: as the scene has it.
-        decision: of the finder.
+        obj: the object in the scene.
+        decision: the finder's decision.
         path: its asset, or None.
-        copy: where its working copy is or will be, or None.
-        truth: whether the asset is known to move; None where nobody knows.
-        problem: why the geometry that the scene's file holds for it can't be used, else "".
+        copy: folder of its working copy, made or not; None without an asset.
+        truth: whether the asset is known to move; None where that is unknown.
+        problem: why its geometry inside the scene's file can't be used, else "".
     """
 
     obj: SceneObject
@@ -78,13 +78,13 @@ class SceneItem:
 
     @property
     def category(self) -> str | None:
-        """What it is taken for."""
+        """Its category, or None."""
         return self.decision.kind or self.obj.category
 
 
 @dataclass(frozen=True, eq=False)
 class OpenedScene:
-    """A scene as the server keeps it."""
+    """A scene that was read."""
 
     name: str
     reader: str
@@ -95,15 +95,15 @@ class OpenedScene:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What was found out about a working copy before a person looks at it.
+    """A working copy's parts and joints before a person looks at it.
 
     Attributes:
         reason: why it is left for the annotator, else "".
         names: part → name.
         clicks, regions: prompts; a region is (part, stored elements, their number).
-        labels, counts: what these prompts give; None and empty where there are none.
-        segmenter: who gave them.
-        prediction: or None.
+        labels, counts: result of these prompts; None and empty without prompts.
+        segmenter: name of the segmenter.
+        prediction: the predicted joints, or None.
     """
 
     reason: str = ""
@@ -129,24 +129,24 @@ def read(
     workspace: Path,
     progress: Progress = no_progress,
 ) -> OpenedScene:
-    """Read a scene, find its assets, and ask which of its objects can be articulated."""
+    """Read a scene, find its assets, and decide which of its objects are articulable."""
     progress(0.1, "reading")
     if format is None and path.suffix.lower() == ".ply":
-        format = "scan"  # also one that nobody has labelled
+        format = "scan"  # labelled or not
     scene = read_scene(path, format)
     index = index_assets(folders)
-    asked = load_finder(finder, FinderOptions(finder_url, cache=default_cache()), progress)
+    chosen = load_finder(finder, FinderOptions(finder_url, cache=default_cache()), progress)
     stamps: dict[Path, Any] = {}
     items: list[SceneItem] = []
     home = workspace / "scenes" / f"inside-{_name_of(path)}"
     inside = unpack(scene, home)
-    for o in decide(scene, index, asked, inside):
+    for o in decide(scene, index, chosen, inside):
         copy = None
         if o.path is not None:
             if o.path not in stamps:
                 stamps[o.path] = _identity(o.path, home)
-            told = (stamps[o.path], o.obj.scale.tolist(), o.obj.fit)
-            key = hashlib.sha256(repr(told).encode()).hexdigest()[:12]
+            identity = (stamps[o.path], o.obj.scale.tolist(), o.obj.fit)
+            key = hashlib.sha256(repr(identity).encode()).hexdigest()[:12]
             copy = workspace / "scenes" / f"{_plain(o.path.stem)}-{key}"
         problem = o.reason if o.state == FAILED else ""
         items.append(SceneItem(o.obj, o.decision, o.path, copy, o.truth, problem))
@@ -154,7 +154,7 @@ def read(
 
 
 def _identity(path: Path, home: Path) -> tuple[Any, ...]:
-    """Names an asset's files; those inside a scene's file are written anew at each opening."""
+    """Return a key of an asset's files; those inside a scene are rewritten at each opening."""
     if path.is_relative_to(home):
         return str(path.relative_to(home)), asset_digest(path)
     return str(path.resolve()), tasks.stamp(path)
@@ -173,7 +173,7 @@ def _plain(stem: str) -> str:
 
 
 def make_working_copy(item: SceneItem) -> str:
-    """Make the item's working copy; why its asset doesn't tell its parts, else "".
+    """Make the item's working copy; returns why its parts are unknown, or "".
 
     Raises:
         InputFileError: where the asset can't be read.
@@ -197,10 +197,10 @@ def make_working_copy(item: SceneItem) -> str:
     try:
         _write_copy(scaled(parts, factors), item.category, draft, unnamed=whole_one)
         if known is not None and not whole_one:
-            _write_told(known, factors, draft)
+            _write_declared_physics(known, factors, draft)
         draft.rename(item.copy)
     except OSError:
-        if not (item.copy / "object.json").is_file():  # another process may have been first
+        if not (item.copy / "object.json").is_file():  # another process was first
             raise
     finally:
         shutil.rmtree(draft, ignore_errors=True)
@@ -219,27 +219,29 @@ def _write_copy(
             file = write_cloud(part.cloud, folder / f"link_{i}.ply")[0].name
         name = "base" if unnamed else part.name
         entries.append({"file": file} if name is None else {"file": file, "name": name})
-    said: dict[str, Any] = {"format": 1, "parts": entries}
+    description: dict[str, Any] = {"format": 1, "parts": entries}
     if category:
-        said["category"] = category
-    (folder / "object.json").write_text(json.dumps(said), encoding="utf-8")
+        description["category"] = category
+    (folder / "object.json").write_text(json.dumps(description), encoding="utf-8")
 
 
-def _write_told(known: AssetParts, factors: npt.NDArray[np.float64], folder: Path) -> None:
-    """What the asset tells of its parts beside their geometry, under the copy's link names."""
+def _write_declared_physics(
+    known: AssetParts, factors: npt.NDArray[np.float64], folder: Path
+) -> None:
+    """Write the masses and collision shapes that the asset declares, by the copy's links."""
     link = {part.link: f"link_{i}" for i, part in enumerate(known.parts)}
     masses, shapes = masses_at(known, factors), scaled_shapes(known.shapes, factors)
     save_declared(
         folder,
         {link[k]: i for k, i in masses.items() if k in link},
-        {link[k]: held for k, held in shapes.items() if k in link},
+        {link[k]: s for k, s in shapes.items() if k in link},
     )
 
 
 def prepare_for_picking(
     item: SceneItem, workspace: Path, progress: Progress = no_progress
 ) -> room_tasks.Removal | None:
-    """Lay down a working copy to pick objects out of; floor and walls where it is a room."""
+    """Make a working copy to pick objects out of; returns floor and walls where it is a room."""
     assert item.copy is not None
     make_working_copy(item)
     asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions(), progress)
@@ -248,7 +250,7 @@ def prepare_for_picking(
     try:
         return room_tasks.floor_and_walls(folder, workspace, None, progress)
     except CommandError:
-        return None  # there are none
+        return None  # it has none
 
 
 def prepare(
@@ -258,17 +260,17 @@ def prepare(
     predictor: str,
     progress: Progress = no_progress,
 ) -> Prepared:
-    """Lay down the working copy, cut it where its parts are known, and predict its joints.
+    """Make the working copy, segment it where its parts are known, and predict its joints.
 
-    Parts are known where clicks lie beside the asset (``NAME.prompts.json``), where the asset is in
-    parts, or where its connected pieces are few.
+    Parts are known from a prompt file beside the asset (``NAME.prompts.json``), from the asset
+    itself, or where its connected components are few.
     """
     assert item.path is not None and item.copy is not None
     progress(0.02, "reading")
     reason = make_working_copy(item)
     asset, folder = tasks.working_copy(item.copy, workspace, tasks.ReadOptions())
     if asset.source is not None and any(asset.source.shift):
-        raise CommandError("its asset lies too far from its own origin to be worked on")
+        raise CommandError("its asset lies too far from its own origin")
     prompts = beside(item.path)
     if prompts is not None:
         cut = _cut_by_prompts(prompts, item, asset, folder, workspace, segmenter)
@@ -280,30 +282,26 @@ def prepare(
     prediction = _predicted(item, asset, cut, workspace, predictor, progress)
     if prediction.tree is None or not any(j.moves for j in prediction.tree.joints):
         why = "; ".join(prediction.problems) or "no reason was given"
-        return _with(cut, reason=f"no joint was predicted: {why}")
-    return _with(cut, prediction=prediction)
-
-
-def _with(prepared: Prepared, **changes: Any) -> Prepared:
-    return replace(prepared, **changes)
+        return replace(cut, reason=f"no joint was predicted: {why}")
+    return replace(cut, prediction=prediction)
 
 
 def _cut_by_prompts(
     file: Path, item: SceneItem, asset: Asset, folder: Path, workspace: Path, segmenter: str
 ) -> Prepared:
     assert item.path is not None
-    told = read_prompts(file)
+    prompts = read_prompts(file)
     factors = size_factors(item.obj, (whole(item.path),))
     clicks: list[Click] = []
-    for prompt in told.prompts.items:
+    for prompt in prompts.prompts.items:
         if not isinstance(prompt, Click):
-            raise CommandError(f"{file}: regions count elements of the file; give clicks instead")
+            raise CommandError(f"{file}: regions refer to elements of another file; use clicks")
         x, y, z = (float(v) for v in np.asarray(prompt.position) * factors)
         clicks.append(Click((x, y, z), prompt.part, prompt.positive))
     answer = segmenting_tasks.segment(
         folder, workspace, segmenter, tuple(clicks), "", None, keep=False
     )
-    names = tuple((p, told.names.get(p)) for p in sorted({c.part for c in clicks} - {BASE}))
+    names = tuple((p, prompts.names.get(p)) for p in sorted({c.part for c in clicks} - {BASE}))
     return Prepared(
         names=names, clicks=tuple(clicks), labels=answer.labels,
         counts=tuple(answer.counts.items()), segmenter=answer.segmenter, seconds=answer.seconds,
@@ -311,8 +309,7 @@ def _cut_by_prompts(
 
 
 def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace: Path) -> Prepared:
-    """The parts that the asset is in. Every element is claimed, the base's too, so that the
-    segmenter has nothing to guess when a person goes on from here."""
+    """Take the asset's own parts; the base is a region, too, so the segmenter guesses nothing."""
     labels = element_part.astype(np.int16)
     regions = segmenting_tasks.source_regions(asset, workspace)
     names = tuple(
@@ -339,8 +336,5 @@ def _predicted(
     labels = tasks.arrays_of(workspace).get(cut.labels)
     parts = split(asset, labels, {p: n for p, n in cut.names if n})
     segmented = SegmentedObject(asset.name, tuple(map(part_tasks.named, parts)), item.category)
-
-    def tell(fraction: float, message: str) -> None:
-        progress(0.4 + 0.6 * fraction, message)
-
-    return load_predictor(predictor).predict(segmented, seed=0, progress=tell)
+    span = scaled_progress(progress, 0.4, 1.0)
+    return load_predictor(predictor).predict(segmented, seed=0, progress=span)

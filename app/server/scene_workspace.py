@@ -1,4 +1,4 @@
-"""A whole scene that is open: what its objects are, where each one stands, the jobs they need.
+"""An open scene: the state of its objects and the jobs they need.
 
 One :class:`SceneWorkspace` a server. Decisions live in sessions: the scene's own (what is
 articulated, decisions for several objects) and one for each working copy
@@ -22,7 +22,7 @@ from app.server.review_order import confidence
 from app.server.scene_accepting import Accepting
 from app.server.scene_member import SceneMember
 from app.server.scene_picking import Picking
-from app.server.scene_rows import SHOWN, Row, Status, Work, drawn_by, names_for
+from app.server.scene_rows import SHOWN, Row, Status, Work, drawn_labels, names_for
 from app.server.scene_saving import Saving
 from app.server.scene_shapes import DrawnParts, Shape
 from app.server.scene_state import SceneState
@@ -35,12 +35,14 @@ from sessions.document import Document
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.state import SessionState
 
-WHO = "scene"
-"""Who is written beside what was found out without a person."""
-FACES = 900_000
+AUTHOR = "scene"
+"""Recorded as the author of what was found without a person."""
+MAX_SCENE_FACES = 900_000
 """Triangles of a whole scene that a browser draws smoothly."""
-MOST_FACES = 60_000
-"""Of one asset."""
+MAX_ASSET_FACES = 60_000
+"""Triangles of one asset in it."""
+MIN_ASSET_FACES = 1500
+"""Triangles of one asset in a scene of very many."""
 
 
 class SceneWorkspace(SceneState):
@@ -63,7 +65,7 @@ class SceneWorkspace(SceneState):
         self.paused = False
         self._preferred: int | None = None
         self._closed = False
-        self._max_faces = FACES
+        self._max_faces = MAX_SCENE_FACES
         self._lock = threading.RLock()
         self.accepting = Accepting(self, is_accepting)
         self.saving = Saving(self, self.row, self.accepting.why_refused)
@@ -73,19 +75,19 @@ class SceneWorkspace(SceneState):
         job = services.workers.geometry.submit(
             scene_tasks.read, path, folders, format, config.finder, config.finder_url,
             services.workspace, on_progress=self.jobs.progress("read"), priority=8,
-            gives_way=CLICKS,
+            preempted_by=CLICKS,
         )  # fmt: skip
         self.start("read", job, self._opened)
 
-    # --- where each object stands
+    # --- the state of each object
 
     @property
     def busy(self) -> dict[str, tuple[float, str]]:
-        """The jobs under way: how far each one is, 0..1, and what it says."""
+        """Progress (0..1) and message of each running job."""
         return self.jobs.busy
 
     def status(self, item: SceneItem) -> Status:
-        """Where an object stands."""
+        """Return the state of an object."""
         if item.obj.box is None and self.missing_reason(item):
             return "missing" if item.path is None and not item.problem else "failed"
         work = self.work(item.obj.id)
@@ -95,15 +97,15 @@ class SceneWorkspace(SceneState):
         return "todo" if state in ("todo", "in_progress") else state
 
     def row(self, item: SceneItem) -> Row:
-        """One object as lists show it."""
+        """Return one object as lists show it."""
         status, work = self.status(item), self.work(item.obj.id)
         known = work is not None and work.document.tree is not None
-        sure = confidence(work.document) if work and known else item.decision.confidence
+        certainty = confidence(work.document) if work and known else item.decision.confidence
         mark = "" if work is None else self.accepting.mark(work)
-        return Row(item.obj.id, status, sure, None if work is None else work.id, mark)
+        return Row(item.obj.id, status, certainty, None if work is None else work.id, mark)
 
     def rows(self) -> list[Row]:
-        """All objects: those that want a decision first, the least sure of them before others."""
+        """Return all objects: those to decide first, the least confident of them before others."""
         rows = [self.row(item) for item in self.items.values()]
         return sorted(rows, key=lambda r: (SHOWN.index(r.shown), r.confidence))
 
@@ -124,17 +126,16 @@ class SceneWorkspace(SceneState):
         """Carry out one decision about the scene; it is on disk when this returns.
 
         Args:
-            notice: told what becomes of objects that were decided on; all tabs where it is None.
+            notice: gets the outcome of a decision about objects; all tabs where it is None.
         """
         if isinstance(command, DecideObjects) and notice is not None:
             self.accepting.expect(command.objects, notice)
         self.live.do(command, who)
 
     def undo(self, who: str) -> str:
-        """Take back the last decision about the scene that did something.
+        """Undo the last decision about the scene that had an effect.
 
-        An acceptance that was refused did nothing. Returns what was taken back, in a few words, or
-        "" where there is nothing.
+        A refused acceptance had none. Returns what was undone, in a few words, or "".
         """
         while self.live.state.can_undo:
             now, before = self.document, self.live.state.past[-1]
@@ -142,32 +143,34 @@ class SceneWorkspace(SceneState):
             self.do(cmd.Undo(), who)
             if not gone:
                 return now.label
-            if not self.accepting.in_vain(gone[-1]):
-                return self.accepting.told(gone[-1])
+            if not self.accepting.had_no_effect(gone[-1]):
+                return self.accepting.describe(gone[-1])
         return ""
 
     def set_articulable(self, id: str, articulable: bool, who: str) -> None:
-        """Say whether an object is articulated, whatever the finder says."""
+        """Decide whether an object is articulable, whatever the finder decided."""
         item = self.items[id]
         if item.path is None:
-            raise CommandError(self.missing_reason(item) or "a plain box has no asset to work on")
+            raise CommandError(self.missing_reason(item) or "a plain box has no asset")
         same = articulable == item.decision.articulable
         self.do(SetArticulable(id, None if same else articulable), who)
 
     def prefer(self, id: str | None) -> None:
-        """Look at this object next: somebody has chosen it."""
+        """Predict this object next: somebody selected it."""
         work = None if id is None else self.work(id)
         self._preferred = None if work is None else work.id
 
     def open_work(self, id: str, done: Callable[[Work], None]) -> None:
-        """Call ``done`` once the working copy of an object is there to be opened."""
+        """Call ``done`` as soon as the working copy of an object can be opened."""
         work = self.work(id)
         if work is None:
-            raise CommandError("it counts as static: say first that it is articulable")
+            raise CommandError("it is static: mark it as articulable first")
         if work.item.copy is not None and (work.item.copy / "object.json").is_file():
             done(work)
             return
-        job = self.services.workers.geometry.submit(scene_tasks.lay_down, work.item, priority=8)
+        job = self.services.workers.geometry.submit(
+            scene_tasks.make_working_copy, work.item, priority=8
+        )
         self.start("copy", job, lambda _: done(work))
         self.changed()
 
@@ -176,19 +179,21 @@ class SceneWorkspace(SceneState):
     def _opened(self, scene: OpenedScene) -> None:
         self.read = scene.items
         paths = {item.path for item in scene.items if item.path is not None}
-        self._max_faces = int(np.clip(FACES / max(1, len(paths)), 1500, MOST_FACES))
+        self._max_faces = int(
+            np.clip(MAX_SCENE_FACES / max(1, len(paths)), MIN_ASSET_FACES, MAX_ASSET_FACES)
+        )
         self._arrange()
-        self.scene = scene  # last: from here on its objects are told
+        self.scene = scene  # last: tabs show its objects from here on
         with self._lock:
-            self.accepting.take_up()
+            self.accepting.resume()
         self.go_on()
 
     def close(self) -> None:
-        """Start nothing more: the workers end."""
+        """Start no more jobs: the workers end."""
         self._closed = True
 
     def _arrange(self) -> None:
-        """The objects as the scene's session has them now."""
+        """Bring the objects up to date with the scene's session."""
         with self._lock:
             self.items = self.picking.arranged(self.read)
             for work in self.works.values():
@@ -196,7 +201,7 @@ class SceneWorkspace(SceneState):
         self._find_works()
 
     def _find_works(self) -> None:
-        """A session for each working copy that is wanted and has none yet."""
+        """Open a session for each wanted working copy that has none yet."""
         with self._lock:
             wanted: dict[Path, SceneItem] = {}
             for item in self.items.values():
@@ -217,21 +222,21 @@ class SceneWorkspace(SceneState):
                 live.subscribe(lambda state, command: self.go_on())
 
     def _decided(self, state: SessionState, command: cmd.Command) -> None:
-        here = self.live.given_here(state.seq)
+        here = self.live.issued_here(state.seq)
         if not here:
-            self.tell_of_others()
+            self.notify_remote_change()
         if self.scene is None:
             return
         if isinstance(command, (SetArticulable, PickOut, cmd.Undo, cmd.Redo)):
             self._arrange()
         with self._lock:
-            self.accepting.follow(state.present.decided, here=here)
+            self.accepting.update(state.present.decided, here=here)
         self.go_on()
 
     # --- jobs
 
     def go_on(self) -> None:
-        """Start what is to be done next, one job of a kind at a time, and redraw."""
+        """Start the next jobs, one of a kind at a time, and redraw."""
         if self.scene is not None and not self._closed:
             with self._lock:
                 self._draw_shapes()
@@ -253,7 +258,7 @@ class SceneWorkspace(SceneState):
             self.services.workspace,
             self._max_faces,
             priority=7,
-            gives_way=CLICKS,
+            preempted_by=CLICKS,
         )
 
         def keep(made: Mapping[Path, Shape | str]) -> None:
@@ -268,7 +273,7 @@ class SceneWorkspace(SceneState):
         for work in self.wanted():
             doc = work.document
             ref = None if doc.segmentation is None else doc.segmentation.labels
-            if doc.tree is None or ref in (None, work.undrawn, drawn_by(work)):
+            if doc.tree is None or ref in (None, work.undrawable, drawn_labels(work)):
                 continue
             assert work.item.copy is not None
             job = self.services.workers.geometry.submit(
@@ -292,7 +297,7 @@ class SceneWorkspace(SceneState):
         work = next((w for w in waiting if w.id == self._preferred), waiting[0])
         job = self.services.workers.prediction.submit(
             scene_tasks.prepare, work.item, self.services.workspace, self.services.config.segmenter,
-            self.services.config.predictor, priority=-5, gives_way=0,
+            self.services.config.predictor, priority=-5, preempted_by=0,
         )  # fmt: skip
 
         def keep(prepared: Prepared) -> None:
@@ -300,70 +305,70 @@ class SceneWorkspace(SceneState):
             self._record(work, prepared)
 
         done = len(works) - len(waiting)
-        told = f"{work.item.obj.id} ({done + 1} of {len(works)})"
-        self.start("prepare", job, keep, (done / len(works), told), work)
+        message = f"{work.item.obj.id} ({done + 1} of {len(works)})"
+        self.start("prepare", job, keep, (done / len(works), message), work)
 
     def _record(self, work: Work, prepared: Prepared) -> None:
-        """What was found out becomes commands, unless a person was first."""
+        """Record what was found as commands, unless a person was first."""
         if prepared.labels is None or work.live.refresh().seq:
             return
         do = work.live.do
         for part, name in prepared.names:
-            do(cmd.AddPart(part, name) if part else cmd.NamePart(0, name), WHO)
+            do(cmd.AddPart(part, name) if part else cmd.NamePart(0, name), AUTHOR)
         for click in prepared.clicks:
-            do(cmd.AddClick(click), WHO)
+            do(cmd.AddClick(click), AUTHOR)
         for part, ref, count in prepared.regions:
-            do(cmd.AddRegion(part, ref, True, count, "source"), WHO)
+            do(cmd.AddRegion(part, ref, True, count, "source"), AUTHOR)
         if work.item.category:
-            do(cmd.SetCategory(work.item.category[:80]), WHO)
+            do(cmd.SetCategory(work.item.category[:80]), AUTHOR)
         do(
             cmd.RecordSegmentation(
                 work.document.key, prepared.labels, prepared.segmenter, prepared.seconds,
                 dict(prepared.counts),
             ),
-            WHO,
+            AUTHOR,
         )  # fmt: skip
         if prepared.prediction is not None:
-            do(cmd.RecordPrediction(prepared.prediction, prepared.labels), WHO)
+            do(cmd.RecordPrediction(prepared.prediction, prepared.labels), AUTHOR)
 
-    def to_come(self, row: Row) -> bool:
-        """Whether an object to do waits for its prediction rather than for a person."""
+    def awaits_prediction(self, row: Row) -> bool:
+        """Whether an object waits for its prediction rather than for a person."""
         work = None if row.work is None else self.works.get(row.work)
         return row.shown == "todo" and work is not None and not work.prepared
 
     def pause(self, paused: bool) -> None:
-        """Stop looking at more objects, or go on."""
+        """Stop predicting more objects, or go on."""
         self.paused = paused
         if paused:
             self.jobs.cancel("prepare")
         self.go_on()
 
-    def _ended(self, what: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
-        with self._lock:  # nothing is taken back while an answer is taken in
-            error = self.jobs.hand_over(what, job, keep)
+    def _ended(self, kind: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
+        with self._lock:  # no undo while a result is recorded
+            error = self.jobs.deliver(kind, job, keep)
         if isinstance(error, ArtiworldError):
-            self._failed(what, str(error), work)
-        # Only now: what is kept above asks for the next job, and this one isn't to be asked again.
-        self.jobs.drop(what, job)
+            self._failed(kind, str(error), work)
+        # Only now: recording the result must not start the same job again.
+        self.jobs.drop(kind, job)
         self.go_on()
 
-    def _failed(self, what: str, message: str, work: Work | None) -> None:
-        if what == "read":
+    def _failed(self, kind: str, message: str, work: Work | None) -> None:
+        if kind == "read":
             self.problem = message
-        elif what == "prepare" and work is not None:
+        elif kind == "prepare" and work is not None:
             work.prepared, work.reason = True, message
-        elif what == "accept" and work is not None:
+        elif kind == "accept" and work is not None:
             self.accepting.failed(work, message)
         else:
-            if what == "parts" and work is not None and work.document.segmentation is not None:
-                work.undrawn = work.document.segmentation.labels
-            if what == "shapes":
+            if kind == "parts" and work is not None and work.document.segmentation is not None:
+                work.undrawable = work.document.segmentation.labels
+            if kind == "shapes":
                 left = {i.path for i in self.items.values() if i.path} - set(self.shapes)
                 self.shapes = {**self.shapes, **dict.fromkeys(left, message)}
-            self.tell("That didn't work", message, "red")
+            self.notify("Failed", message, "red")
 
 
 def _options(doc: Document) -> ReadOptions:
-    """What the person left out and cut; the frame is the scene's own."""
+    """Return what a person left out and cut; the frame is the scene's own."""
     left_out = None if doc.left_out is None else doc.left_out.elements
     return ReadOptions(left_out=left_out, face_cuts=doc.face_cuts)

@@ -1,4 +1,4 @@
-"""The segmenter at work on one open object: its answer to the prompts, and its tools."""
+"""Segmentation of one open object: labels for its prompts, and the segmentation tools."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ from sessions.tool_commands import ToolRegion
 T = TypeVar("T")
 
 TOOL_SECONDS = 120.0
+"""Longest wait for a tool."""
 SOURCE = "source file"
-"""Who is told to have decided what an opened file says."""
-_LITTLE = 0.03
-"""Of the part: a click that changes less was in vain."""
+"""Recorded as the author of the parts and joints that a file holds."""
+_INEFFECTIVE_SHARE = 0.03
+"""A click that changes less of its part than this share is ineffective."""
 _MASKS_KEPT = 50
-"""Masks that were shown, of which it is known which they are."""
+"""Masks shown whose numbers are remembered, for undo."""
 
 
 @dataclass(frozen=True)
 class MaskShown:
-    """Which of the masks for a click is shown.
+    """The mask shown of those that a click allows.
 
     Attributes:
-        prompts: with which it is.
-        part: whose it is.
-        number: 0 is the answer to the clicks.
-        total: masks that there are.
+        prompts: the prompts including the mask.
+        part: the part that it belongs to.
+        number: 0 is the segmenter's first choice.
+        total: number of masks.
     """
 
     prompts: tuple[Click | RegionRef, ...]
@@ -52,33 +53,32 @@ class MaskShown:
     total: int
 
     def fits(self, doc: Document, part: int) -> bool:
-        """Whether this still stands: nothing else has been said since."""
+        """Whether ``part`` still shows it: there are no other prompts since."""
         return part == self.part and doc.prompts == self.prompts
 
 
 class Segmenting:
-    """Asks the segmenter whenever an object's prompts change, and keeps what is shown of it.
+    """Runs the segmenter whenever an object's prompts change, and keeps the labels shown.
 
     Attributes:
         labels: (D,) part of each displayed element; None where nothing is segmented.
         shares: part → its share of the displayed surface, 0..1: area, or points of a cloud.
-        in_vain: how many clicks in a row have hardly changed the part that they were for.
+        ineffective_clicks: number of the last clicks in a row that hardly changed their part.
     """
 
     def __init__(self, obj: ObjectContext) -> None:
         self.labels: npt.NDArray[np.int16] | None = None
         self.shares: dict[int, float] = {}
-        self.in_vain = 0
+        self.ineffective_clicks = 0
         self._answered: tuple[Click | RegionRef, ...] = ()
-        # Undo comes back to those before, and Tab goes on from there.
         self._masks_shown: deque[MaskShown] = deque(maxlen=_MASKS_KEPT)
         self._obj = obj
         self._labels_ref: str | None = None
-        self._told = False
+        self._applying_source = False
         self._lock = threading.Lock()
 
     def forget(self) -> None:
-        """The object is read anew: what was shown is of other elements."""
+        """Drop the labels: the object is read again, with other elements."""
         with self._lock:
             self.labels, self._labels_ref, self.shares = None, None, {}
 
@@ -95,15 +95,14 @@ class Segmenting:
             asset.folder,
             self._obj.services.config.segmenter,
             on_progress=self._obj.jobs.progress("encode"),
-            gives_way=CLICKS,
+            preempted_by=CLICKS,
             works_on=asset.folder,
         )
 
     def take_source_parts(self, asset: OpenedAsset) -> None:
-        """Parts that the source file was cut into become regions, which the person can edit, and
-        the joints that it tells become the tree to begin with.
+        """Turn the source file's parts into regions and its joints into the first prediction.
 
-        The base's elements are claimed as well: the segmenter has nothing to guess.
+        The base's elements are regions as well, so that the segmenter has nothing to guess.
         """
         obj = self._obj
         names = dict(enumerate(asset.part_names))
@@ -117,28 +116,28 @@ class Segmenting:
         )
         counts = {part: count for part, (_, count) in asset.source_parts.items()}
         labels = asset.source_labels
-        self._told = True  # the segmenter isn't asked in between
+        self._applying_source = True  # the segmenter must not run in between
         try:
             obj.do(cmd.ApplyTool("source", regions), SOURCE)
             key = obj.document.key
             obj.do(cmd.RecordSegmentation(key, labels, "source", 0.0, counts), SOURCE)
         finally:
-            self._told = False
+            self._applying_source = False
         joints = asset.source_joints
         if joints is not None:
             obj.do(cmd.RecordPrediction(joints, labels), SOURCE)
             moving = sum(j.moves for j in joints.tree.joints) if joints.tree else 0
-            what = f"{moving} joint{'s'[: moving != 1]} of {joints.file}; P predicts anew"
-            obj.tell("Opened with its joints", what)
+            body = f"{moving} joint{'s'[: moving != 1]} from {joints.file}. P predicts again"
+            obj.notify("Opened with its joints", body)
 
-    def ask(self) -> None:
-        """Answer the prompts where they changed, and show the labels that belong to them."""
+    def update(self) -> None:
+        """Segment where the prompts changed, and show the labels that belong to them."""
         obj = self._obj
         doc, asset = obj.document, obj.asset
         assert asset is not None
         key = doc.key
         record = doc.segmentation
-        if self._told:
+        if self._applying_source:
             return
         if needed_jobs(obj.state):
             job = obj.services.workers.segmentation.submit(
@@ -152,10 +151,10 @@ class Segmenting:
                 on_progress=obj.jobs.progress("segment"),
                 priority=10,
                 key=("segment", obj.record.id),
-                gives_way=CLICKS,
+                preempted_by=CLICKS,
                 works_on=asset.folder,
             )
-            obj.start("segment", job, self._of(asset, self._keep))
+            obj.start("segment", job, self._if_current(asset, self._keep))
             return
         ref = record.labels if record is not None and doc.prompts else None
         with self._lock:
@@ -167,16 +166,15 @@ class Segmenting:
         job = obj.services.workers.segmentation.submit(
             segmenting_tasks.display_labels, obj.services.workspace, ref, asset.element, priority=9
         )
-        obj.start("labels", job, self._of(asset, lambda labels: self._show(ref, labels)))
+        obj.start("labels", job, self._if_current(asset, lambda labels: self._show(ref, labels)))
 
-    def _of(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
-        """``keep``, but for an answer about elements that were read anew meanwhile."""
+    def _if_current(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
+        """Return ``keep``, which then ignores results for an asset that was replaced meanwhile."""
         return lambda answer: keep(answer) if self._obj.asset is asset else None
 
     def _keep(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
-        self._count_vain(answer)
-        # What was undone meanwhile isn't shown; while there is more to answer, it is better than
-        # nothing.
+        self._count_ineffective(answer)
+        # Labels of undone prompts aren't shown; those of earlier prompts are better than none.
         if answer.prompts_key == self._obj.document.key or needed_jobs(self._obj.state):
             self._show(answer.labels, answer.display_labels)
         self._obj.do(
@@ -186,41 +184,42 @@ class Segmenting:
             "segmenter",
         )
 
-    def _count_vain(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
-        """Notice whether the last click brought anything."""
-        doc, before, said = self._obj.document, self.labels, self._answered
+    def _count_ineffective(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
+        """Note whether the last click had an effect."""
+        doc, before, answered = self._obj.document, self.labels, self._answered
         if answer.prompts_key != doc.key:
-            return  # there is more to answer
+            return  # newer prompts are being segmented
         self._answered = doc.prompts
         last = doc.prompts[-1] if doc.prompts else None
         now = answer.display_labels
-        if not isinstance(last, Click) or doc.prompts[:-1] != said or before is None:
-            self.in_vain = 0
+        if not isinstance(last, Click) or doc.prompts[:-1] != answered or before is None:
+            self.ineffective_clicks = 0
             return
         part = max(int((before == last.part).sum()), int((now == last.part).sum()))
-        little = len(before) == len(now) and (before != now).sum() < _LITTLE * part
-        # Asked last: the stored labels of all elements are read for it.
-        self.in_vain = self.in_vain + 1 if little and not self._agreed(last) else 0
+        little = len(before) == len(now) and (before != now).sum() < _INEFFECTIVE_SHARE * part
+        # Checked last, as it reads the stored labels of all elements.
+        ineffective = little and not self._agreed(last)
+        self.ineffective_clicks = self.ineffective_clicks + 1 if ineffective else 0
 
     def _agreed(self, click: Click) -> bool:
-        """Whether a click said what the answer before it said already."""
+        """Whether the labels agreed with a click already before it."""
         if click.element is None:
             return False
         part = self._obj.part_of(click.element)
         return part is not None and (part == click.part) == click.positive
 
     def _show(self, ref: str, labels: npt.NDArray[np.int16]) -> None:
-        asset = self._obj.asset  # None where the object is read anew meanwhile
+        asset = self._obj.asset  # None where the object is being read again
         shares = _shares(labels, None if asset is None else asset.area)
         with self._lock:
             self._labels_ref, self.labels, self.shares = ref, labels, shares
 
     def use_tool(self, request: tool_tasks.ToolRequest, who: str) -> int:
-        """Let a segmentation tool work; the number of regions that came of it.
+        """Run a segmentation tool; returns the number of regions that it found.
 
         Raises:
-            CommandError: where the tool can't work on what there is, that changed meanwhile, or
-                the server has too much to do.
+            CommandError: where the tool can't work on the present parts, the object changed
+                meanwhile, or the server is too busy.
             Cancelled: where somebody stopped it.
         """
         obj = self._obj
@@ -229,11 +228,10 @@ class Segmenting:
         kept = stored_prompts(doc)[: len(doc.prompts) - replaces]
         if request.tool == tool_tasks.NEXT_MASK:
             request = replace(request, turn=self._turn(doc, request, replaces))
-        empty = _never_used(doc)
-        used = {p.id for p in doc.parts} - empty
+        used = {p.id for p in doc.parts} - _never_used(doc)
         request = replace(request, free_part=_free(used))
         long = request.tool == tool_tasks.PROPOSE
-        if long:  # clicks come between its steps, also those on what it works on: encode that first
+        if long:  # clicks on the same asset come between its steps, so encode it first
             self._encode(asset)
         job = obj.services.workers.segmentation.submit(
             tool_tasks.use_tool,
@@ -244,28 +242,38 @@ class Segmenting:
             request,
             on_progress=obj.jobs.progress("tool"),
             priority=PREVIEWS - 1 if long else 12,
-            gives_way=PREVIEWS if long else CLICKS,
+            preempted_by=PREVIEWS if long else CLICKS,
             works_on=None if long else asset.folder,
         )
-        obj.jobs.follow("tool", job, self._tool_ended)
+        obj.jobs.add("tool", job, self._tool_ended)
         obj.changed()
         try:
             offers = job.result(TOOL_SECONDS)
         except TimeoutError as error:
             job.cancel()
             raise CommandError(
-                f"the server has too much to do: after {TOOL_SECONDS:.0f} s this was given up"
+                f"the server is too busy: the tool got no result within {TOOL_SECONDS:.0f} s"
             ) from error
-        if _worked_on(obj.document) != _worked_on(doc):
-            # By another tab: prompts at the end, elements and free numbers are others now.
-            raise CommandError("something else was changed meanwhile: use the tool again")
+        if _tool_input(obj.document) != _tool_input(doc):
+            raise CommandError("the object was changed meanwhile: use the tool again")
         if isinstance(offers, tool_tasks.FaceCutOffer):
             self._cut_faces(offers, request.tool, who)
             return 1
         if isinstance(offers, tool_tasks.MaskOffer):
             return self._show_mask(offers, replaces, request.part, who)
-        if not offers:
-            return 0
+        if offers:
+            self._apply(doc, request, offers, who)
+        return len(offers)
+
+    def _apply(
+        self,
+        doc: Document,
+        request: tool_tasks.ToolRequest,
+        offers: list[tool_tasks.RegionOffer],
+        who: str,
+    ) -> None:
+        empty = _never_used(doc)
+        used = {p.id for p in doc.parts} - empty
         named = request.tool in ("same shape", "mirror")
         name = doc.part_names.get(request.part) if named else None
         source = doc.part(request.part) if named else None
@@ -279,27 +287,26 @@ class Segmenting:
             regions.append(
                 ToolRegion(part, offer.elements, offer.positive, offer.count, name, like)
             )
-        # An empty part gives its number to a new one, which has a name of its own.
+        # A new part takes the number of an empty one, but not its name.
         gone = {r.part for r in regions} & empty - {request.part}
         if request.tool == "merge" and request.other:
             gone.add(request.other)
-        obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, tuple(sorted(gone))), who)
-        return len(offers)
+        self._obj.do(cmd.ApplyTool(request.tool, tuple(regions), 0, tuple(sorted(gone))), who)
 
     def _tool_ended(self, job: Job[tool_tasks.Offer]) -> None:
         self._obj.jobs.drop("tool", job)
         self._obj.changed()
 
     def _turn(self, doc: Document, request: tool_tasks.ToolRequest, replaces: int) -> int:
-        """The number of the mask that is ``turn`` on from the one shown."""
+        """Return the number of the mask ``turn`` steps after the one shown."""
         shown = self.mask_shown(doc, request.part)
         if shown is not None:
             return shown.number + request.turn
-        # Another mask that was chosen before the server began anew: most likely the first.
+        # A mask that was chosen before this server started: most likely the first one.
         return (1 if replaces else 0) + request.turn
 
     def mask_shown(self, doc: Document, part: int) -> MaskShown | None:
-        """Which of the masks for the last click ``part`` shows; None where nobody asked for one."""
+        """Return the mask that ``part`` shows; None where nobody asked for another one."""
         return next((m for m in reversed(self._masks_shown) if m.fits(doc, part)), None)
 
     def _show_mask(self, offer: tool_tasks.MaskOffer, replaces: int, part: int, who: str) -> int:
@@ -315,7 +322,7 @@ class Segmenting:
         return offer.total - 1
 
     def _cut_faces(self, offer: tool_tasks.FaceCutOffer, tool: str, who: str) -> None:
-        """Split faces; the parts are known already, so the segmenter is not asked."""
+        """Split faces; their parts are known, so the segmenter doesn't run."""
         obj = self._obj
         regions = tuple(ToolRegion(r.part, r.elements, True, r.count) for r in offer.regions)
         obj.do(cmd.CutFaces(tool, offer.cut, regions), who)
@@ -328,22 +335,22 @@ class Segmenting:
 def _shares(
     labels: npt.NDArray[np.int16], area: npt.NDArray[np.float32] | None
 ) -> dict[int, float]:
-    """Each part's share of the surface; what is unassigned (-1) has one, too."""
-    # An answer that was under way while faces were cut is of other ones.
+    """Return each part's share of the surface; -1 stands for unassigned elements."""
+    # Faces may have been cut since the labels were computed.
     weight = area if area is not None and len(area) == len(labels) else None
-    held = np.bincount(labels.astype(np.int64) + 1, weight)
-    total = max(float(held.sum()), 1e-12)
-    return {int(i) - 1: float(held[i] / total) for i in np.flatnonzero(held)}
+    sums = np.bincount(labels.astype(np.int64) + 1, weight)
+    total = max(float(sums.sum()), 1e-12)
+    return {int(i) - 1: float(sums[i] / total) for i in np.flatnonzero(sums)}
 
 
-def _worked_on(doc: Document) -> tuple[object, ...]:
-    """What a tool's answer refers to."""
+def _tool_input(doc: Document) -> tuple[object, ...]:
+    """Return the decisions that a tool's result refers to."""
     frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
     return doc.prompts, {p.id for p in doc.parts}, frame
 
 
 def _never_used(doc: Document) -> set[int]:
-    """Parts that somebody declared and left at that: no prompt, no name, no joint."""
+    """Return the declared parts without prompt, name or joint."""
     used = {0, *(p.part for p in doc.prompts), *(p.like for p in doc.parts)}
     links = () if doc.tree is None else doc.tree.links
     return {
@@ -356,12 +363,12 @@ def _never_used(doc: Document) -> set[int]:
 def _free(used: set[int]) -> int:
     found = next((i for i in range(1, MAX_PARTS) if i not in used), None)
     if found is None:
-        raise CommandError(f"there are {MAX_PARTS - 1} parts already, and no more are possible")
+        raise CommandError(f"an object has at most {MAX_PARTS - 1} parts beside the base")
     return found
 
 
 def _last_of(doc: Document, part: int) -> int:
-    """How many prompts at the end are another mask of ``part``, so that it can be one more."""
+    """Return how many prompts at the end are another mask of ``part``."""
     count = 0
     for prompt in reversed(doc.prompts):
         if isinstance(prompt, Click) or (prompt.tool, prompt.part) != (tool_tasks.NEXT_MASK, part):
@@ -371,7 +378,7 @@ def _last_of(doc: Document, part: int) -> int:
 
 
 def stored_prompts(doc: Document) -> tuple[Click | StoredRegion, ...]:
-    """The prompts as workers take them."""
+    """Return the prompts as workers take them."""
     return tuple(
         p if isinstance(p, Click) else StoredRegion(p.part, p.elements, p.positive)
         for p in doc.prompts

@@ -1,4 +1,4 @@
-"""Jobs of the segmenter: an asset is encoded once, then every change of the prompts is answered."""
+"""Jobs of the segmenter: an asset is encoded once, then segmented after each change of prompts."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter
 
 ENCODINGS_KEPT = 8
-"""So that several people, each at an object, don't drive out each other's."""
-MOST_KEPT = 400_000
-"""Elements of all encodings that are kept, or nodes of those that have more; one takes one to three
-kilobytes. The last one is kept whatever its size."""
+"""Encodings kept, so that several people can each work on an object of their own."""
+MAX_ELEMENTS_KEPT = 400_000
+"""Elements (or nodes, where there are more) of all encodings kept; one takes 1 to 3 kB. The last
+encoding is kept whatever its size."""
 
 
 @dataclass(frozen=True)
 class StoredRegion:
-    """A :class:`Region` whose elements lie in the workspace."""
+    """A :class:`Region` whose elements are stored in the workspace."""
 
     part: int
     elements: str
@@ -35,7 +35,7 @@ class StoredRegion:
 
 @dataclass(frozen=True, eq=False)
 class SegmentationAnswer:
-    """Labels as the server needs them: the stored array's name, and what is shown."""
+    """Labels as the server needs them: the reference of the stored array, and those displayed."""
 
     prompts_key: str
     labels: str
@@ -45,19 +45,19 @@ class SegmentationAnswer:
     seconds: float
 
 
-_encodings: LruCache[tuple[Path, str], Any] = LruCache(ENCODINGS_KEPT, MOST_KEPT)
+_encodings: LruCache[tuple[Path, str], Any] = LruCache(ENCODINGS_KEPT, MAX_ELEMENTS_KEPT)
 _regions: LruCache[tuple[Path, str], npt.NDArray[np.int64]] = LruCache(100)
 
 
 def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> float:
-    """Encode an asset once; the later clicks find it here. Returns the seconds it took."""
+    """Encode an asset and keep the encoding; returns the seconds that it took."""
     start = time.perf_counter()
     session_of(folder, segmenter, progress)
     return time.perf_counter() - start
 
 
 def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -> Any:
-    """The asset as the segmenter has encoded it, kept in this process."""
+    """Return the encoded asset, from this process's cache where it is there."""
     asset = asset_of(folder)
     return _encodings.get(
         (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset, progress),
@@ -66,7 +66,7 @@ def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -
 
 
 def _nodes(session: Any) -> int:
-    """How many nodes an encoding has; a mesh of few faces has many."""
+    """Return the number of an encoding's nodes; a mesh of few faces has many."""
     encoding = getattr(session, "encoding", None)
     return 0 if encoding is None else len(encoding.nodes)
 
@@ -82,10 +82,10 @@ def segment(
     *,
     keep: bool = True,
 ) -> SegmentationAnswer:
-    """Answer the prompts; labels for all elements go to the workspace, for the shown ones back.
+    """Segment by prompts; stores the labels of all elements and returns those displayed.
 
     Args:
-        keep: whether more clicks are to come, so that the encoding is kept for them.
+        keep: whether to keep the encoding for more clicks.
     """
     if keep:
         session = session_of(folder, segmenter, progress)
@@ -96,7 +96,7 @@ def segment(
 
 
 def source_regions(asset: Asset, workspace: Path) -> dict[int, tuple[str, int]]:
-    """The parts that the source was already cut into: part → stored elements and their number."""
+    """Return the parts of the source file: part → stored elements and their number."""
     part = asset.element_part
     if part is None:
         return {}
@@ -109,7 +109,7 @@ def source_regions(asset: Asset, workspace: Path) -> dict[int, tuple[str, int]]:
 
 
 def prompts_of(workspace: Path, items: tuple[Click | StoredRegion, ...]) -> Prompts:
-    """Prompts with the elements of their regions."""
+    """Return prompts with the elements of their regions."""
     return Prompts(
         tuple(
             p
@@ -142,5 +142,5 @@ def _answer(
 def display_labels(
     workspace: Path, labels: str, element: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.int16]:
-    """Stored labels for the displayed elements."""
+    """Return the stored labels of the displayed elements."""
     return arrays_of(workspace).get(labels)[element].astype(np.int16)

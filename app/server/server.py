@@ -71,12 +71,12 @@ class Server:
 
     @property
     def url(self) -> str:
-        """Where a browser finds it."""
+        """The server's URL."""
         return url(self.config.host, self.viser.get_port())
 
     @property
     def login_url(self) -> str:
-        """Where a browser finds it and is logged in."""
+        """The URL that logs a browser in."""
         token = self.config.token
         return self.url if token is None else f"{self.url}/login?token={quote(token)}"
 
@@ -89,10 +89,10 @@ class Server:
 
 
 def paths_to_open(config: ServeConfig) -> list[Path]:
-    """The objects of this run: what was named, else the bundled examples.
+    """Return the objects of this run: the named ones, else the bundled examples.
 
     Raises:
-        InputFileError: where none of them can be opened whatever is in it.
+        InputFileError: where none of them can be opened.
     """
     if config.scene is not None:
         return []

@@ -1,5 +1,4 @@
-"""A joint brought to what its part shows: box axes and edges, a contact, the free range, another
-type."""
+"""Snapping a joint to its part's box, a contact or the free range, and changing its type."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ SWEEP_POINTS = 3000
 
 
 def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> Joint:
-    """The joint of ``child`` snapped to a feature of its part.
+    """Return the joint of ``child`` snapped to a feature of its part.
 
     Args:
         to: "axis Long", "axis Middle", "axis Short", "Box edge", "Contact", "Centre" or
@@ -32,11 +31,11 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
     """
     parts = {p.link: p for p in parts_of(source)}
     joint = tree.joint_of[child]
-    # Of a part's several joints each snaps to that part, and to the next one above it.
+    # Each joint of a serial chain snaps to the part at its end, and to the next part above.
     chain = moving_chain(tree, child, parts.__contains__)
     moved, above = chain[-1], tree.joint_of[chain[0]].parent
     if moved not in parts:
-        raise CommandError(f"{child} carries several parts: there is none to snap to")
+        raise CommandError(f"{child} carries several parts: it can't be snapped to one")
     points = _surface_points(parts[moved])
     if to == "free range":
         along = points @ np.asarray(joint.axis)
@@ -49,21 +48,20 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
     if to == "Centre":
         return replace(joint, origin=tuple(float(v) for v in box_of(points).center))
     if above not in parts:
-        raise CommandError(f"{above} has no part to touch")
+        raise CommandError(f"{above} has no geometry to touch")
     both = (parts[moved], parts[above])
     found = on_barrels(joint, *both)
     if found is not None:
         return found
     reach = 0.01 * float(np.linalg.norm(np.ptp(points, axis=0)))
-    touching = origin_on_contact(joint, points, _surface_points(parts[above]), reach)
-    # A contact tells the axis less exactly than barrels that the joint's own is parallel to.
-    found = on_barrels(replace(touching, axis=joint.axis), *both) or on_barrels(touching, *both)
-    return found or touching
+    at_contact = origin_on_contact(joint, points, _surface_points(parts[above]), reach)
+    # Barrels parallel to the present axis give it more exactly than a contact does.
+    found = on_barrels(replace(at_contact, axis=joint.axis), *both) or on_barrels(at_contact, *both)
+    return found or at_contact
 
 
-def retype_joint(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:
-    """The joint of ``child`` as one of another type:
-    :func:`model.prediction.geometric.type_change.change_joint_type`."""
+def change_type(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:
+    """Return the joint of ``child`` as one of another type."""
     return change_joint_type(segmented_object(source), tree, child, kind)
 
 

@@ -1,8 +1,8 @@
-"""What all jobs of the worker processes begin with: an asset's working copy, and stored arrays.
+"""The input of all jobs of the worker processes: an asset's working copy, and stored arrays.
 
 Jobs are top-level functions of the modules ``*_tasks``, called by name in another process. Each
-worker keeps what it computed in small caches of its own; the server only ever holds what a browser
-shows. Geometry passes between processes as a folder of memory-mapped arrays.
+worker keeps results in small caches of its own; the server only holds what a browser shows.
+Geometry passes between processes as a folder of memory-mapped arrays.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class ReadOptions:
     Attributes:
         up_axis: None is the format's default.
         unit_scale: metres per unit.
-        left_out: reference of the stored elements that are not looked at, or None.
-        face_cuts: cuts that split faces of what is left, in order.
+        left_out: reference of the stored elements to leave out, or None.
+        face_cuts: cuts that split the remaining faces, in order.
     """
 
     up_axis: UpAxis | None = None
@@ -50,7 +50,7 @@ class ReadOptions:
 def working_copy(
     path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
 ) -> tuple[Asset, Path]:
-    """The asset of ``path`` and the folder of its arrays, which is made where it isn't there."""
+    """Return the asset of ``path`` and the folder of its arrays, writing the folder if needed."""
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
         identity = (*identity, options.left_out)
@@ -75,7 +75,7 @@ def working_copy(
             )
             if options.left_out is not None:
                 asset = _without(asset, arrays_of(workspace).get(options.left_out))
-        progress(0.6, "Keeping a working copy")
+        progress(0.6, "Saving a working copy")
         save_asset(asset, folder)
     return asset, folder
 
@@ -83,7 +83,7 @@ def working_copy(
 def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
     keep = np.ones(asset.element_count, bool)
     if len(elements) and elements[-1] >= len(keep):
-        raise CommandError("the source has fewer elements than when some were left out; undo that")
+        raise CommandError("the file has fewer elements than when some were left out: undo that")
     keep[elements] = False
     return crop(asset, keep)
 
@@ -91,7 +91,7 @@ def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:
 def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
     elements = arrays_of(workspace).get(cut.elements)
     if asset.mesh is None or (len(elements) and elements[-1] >= asset.element_count):
-        raise CommandError("the source has fewer faces than when some were cut; undo that")
+        raise CommandError("the file has fewer faces than when some were cut: undo that")
     chosen = np.zeros(asset.element_count, bool)
     chosen[elements] = True
     split = split_faces(asset.mesh, chosen, cut.planes)
@@ -100,7 +100,7 @@ def _split(asset: Asset, cut: FaceCut, workspace: Path) -> Asset:
 
 
 def stamp(path: Path) -> Stamp:
-    """Names, sizes and times of what a path holds: tells whether a working copy is still true."""
+    """Return names, sizes and times of a path's files: a working copy is valid while they stay."""
     if is_model(path):
         files = [path, *(m for m in files_named_by(path) if m.is_file())]
         return tuple((f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files)
@@ -109,7 +109,7 @@ def stamp(path: Path) -> Stamp:
 
 
 def stamp_if_there(path: Path) -> Stamp:
-    """As :func:`stamp`; () where there is nothing."""
+    """Like :func:`stamp`; () where there is no file."""
     try:
         return stamp(path)
     except OSError:
@@ -118,10 +118,10 @@ def stamp_if_there(path: Path) -> Stamp:
 
 @lru_cache(maxsize=8)
 def asset_of(folder: Path) -> Asset:
-    """The asset laid down in a folder."""
+    """Return the asset saved in a folder."""
     return load_asset(folder)
 
 
 def arrays_of(workspace: Path) -> Any:
-    """The workspace's arrays."""
+    """Return the workspace's arrays."""
     return ArrayFiles(workspace / "arrays")

@@ -1,4 +1,4 @@
-"""Tools and the preview under the pointer, as the worker processes run them."""
+"""Jobs of the segmentation tools, and of the preview under the pointer."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ Point = tuple[float, float, float]
 
 NEW_PART = -1
 SAMPLE_POINTS = 150_000
+"""Surface points from which previews are drawn."""
 HOVER_POINTS = 8_000
+"""Most points of one preview."""
 NEXT_MASK = "next mask"
 PROPOSE = "propose"
-_LEAST_PIECE = 0.01
-"""Share of a part that a piece needs to become a part of its own."""
-
-
+_MIN_PIECE = 0.01
+"""Least share of a part that becomes a part of its own when it is split."""
 _SWALLOWED = 0.25
-"""Of a part: what looks like another part and is less of it has been taken along by mistake."""
+"""A match that is a smaller share of a part was included in it by mistake."""
 
 
 @dataclass(frozen=True)
 class RegionOffer:
-    """Elements that a tool gives to a part, or takes from it. ``NEW_PART`` asks for a new part."""
+    """Elements that a tool adds to a part or removes from it; ``NEW_PART`` is a new one."""
 
     part: int
     elements: str
@@ -56,10 +56,10 @@ class RegionOffer:
 
 @dataclass(frozen=True)
 class FaceCutOffer:
-    """A cut that splits faces, with what the parts hold afterwards.
+    """A cut that splits faces, with the parts afterwards.
 
     Attributes:
-        cut: what is split.
+        cut: the faces to split and where.
         regions: of all parts but the base.
         labels: reference of the stored labels of all faces.
         counts: label → number of faces.
@@ -76,9 +76,9 @@ class MaskOffer:
     """Another mask for the last click.
 
     Attributes:
-        regions: what it adds to the answer and takes from it; none for the answer itself.
-        number: which one it is, 0 for the answer.
-        total: masks that there are, with the answer.
+        regions: its difference from the segmenter's first choice; none for that itself.
+        number: its number; 0 is the first choice.
+        total: number of masks, the first choice included.
     """
 
     regions: list[RegionOffer]
@@ -87,24 +87,23 @@ class MaskOffer:
 
 
 Offer = list[RegionOffer] | FaceCutOffer | MaskOffer
-"""What came of a tool."""
+"""The result of a tool."""
 
 
 @dataclass(frozen=True)
 class ToolRequest:
-    """What a person asks of a tool.
+    """A person's request to a tool.
 
     Attributes:
         tool: a key of :data:`TOOLS`.
-        part: the chosen part.
-        turn: which mask "next mask" shows, round and round; 0 is the answer to the clicks. As a
-            person asks: how many on from the one that is shown.
-        other: the part to merge into the chosen one.
-        places: clicked places for a cut, metres, with the element of the first one.
-        element: see ``places``.
-        view: (3,) the direction that the person looks in.
-        exact: a rectangle lies where it was clicked, whatever is close by.
-        free_part: the lowest id that no part has.
+        part: the selected part.
+        turn: steps from the mask shown to the one to show; in the worker its number (modulo the
+            number of masks, 0 is the segmenter's first choice).
+        other: the part to merge into the selected one.
+        places: clicked places of a cut, metres. element: the element of the first one.
+        view: (3,) viewing direction.
+        exact: whether a rectangle stays where it was clicked instead of snapping to edges.
+        free_part: the lowest unused part id.
     """
 
     tool: str
@@ -119,8 +118,8 @@ class ToolRequest:
 
 
 @dataclass(frozen=True)
-class _Work:
-    """What a tool works on."""
+class _Input:
+    """The input of a tool."""
 
     request: ToolRequest
     folder: Path
@@ -135,25 +134,25 @@ class _Work:
 
     @cached_property
     def mask(self) -> Bool:
-        """The chosen part.
+        """The selected part.
 
         Raises:
-            CommandError: where it has no element yet.
+            CommandError: where it is empty.
         """
         mask = self.labels == self.request.part
         if not mask.any():
-            raise CommandError("this part has nothing yet: click on it first")
+            raise CommandError("this part is empty: click on it first")
         return mask
 
     @cached_property
     def encoded(self) -> Any:
-        """The default segmenter's encoding, which the tools work on whoever answers the clicks."""
+        """The default segmenter's encoding, which the tools need whatever segmenter is chosen."""
         if hasattr(self.session, "encoding"):
             return self.session
         return session_of(self.folder, DEFAULT)
 
     def offer(self, mask: Bool, part: int, positive: bool = True) -> list[RegionOffer]:
-        """One offer; none where the mask is empty."""
+        """Return the offer of a mask's elements; none where it is empty."""
         elements = np.flatnonzero(mask).astype(np.int64)
         if not len(elements):
             return []
@@ -169,154 +168,154 @@ def use_tool(
     request: ToolRequest,
     progress: Progress = no_progress,
 ) -> Offer:
-    """What a segmentation tool makes of the parts.
+    """Run a segmentation tool.
 
     Raises:
-        CommandError: for an unknown tool, or where it can't work on what there is.
+        CommandError: for an unknown tool, or where it can't work on the present parts.
     """
     tool = TOOLS.get(request.tool)
     if tool is None:
-        raise CommandError(f"no tool is called {request.tool!r}; there are {', '.join(TOOLS)}")
+        raise CommandError(f"unknown tool {request.tool!r}; the tools are {', '.join(TOOLS)}")
     session = session_of(folder, segmenter, progress)
     prompts = prompts_of(workspace, items)
-    return tool(_Work(request, folder, workspace, session, prompts, progress))
+    return tool(_Input(request, folder, workspace, session, prompts, progress))
 
 
-def _propose(work: _Work) -> list[RegionOffer]:
-    labels = propose(work.encoded, progress=work.progress).labels
-    # What is a part already stays as it is; most of what is new lies beside it.
-    taken = work.labels > BASE
+def _propose(given: _Input) -> list[RegionOffer]:
+    labels = propose(given.encoded, progress=given.progress).labels
+    # Existing parts stay; a proposal counts where most of it is unassigned.
+    taken = given.labels > BASE
     out: list[RegionOffer] = []
     for part in np.unique(labels[labels > BASE]):
         mask = labels == part
         if 2 * np.count_nonzero(mask & ~taken) > np.count_nonzero(mask):
-            out += work.offer(mask & ~taken, NEW_PART)
+            out += given.offer(mask & ~taken, NEW_PART)
     return out
 
 
-def _next_mask(work: _Work) -> MaskOffer:
-    part = work.request.part
-    others = work.session.candidates(work.prompts, part)
+def _next_mask(given: _Input) -> MaskOffer:
+    part = given.request.part
+    others = given.session.candidates(given.prompts, part)
     total = len(others) + 1
-    number = work.request.turn % total
+    number = given.request.turn % total
     if not number:
         return MaskOffer([], 0, total)
-    mask, chosen = work.labels == part, others[number - 1]
-    regions = work.offer(mask & ~chosen, part, False) + work.offer(chosen & ~mask, part)
+    mask, chosen = given.labels == part, others[number - 1]
+    regions = given.offer(mask & ~chosen, part, False) + given.offer(chosen & ~mask, part)
     return MaskOffer(regions, number, total)
 
 
-def _connected(work: _Work) -> list[RegionOffer]:
-    part = work.request.part
-    clicks = [c for c in work.prompts.clicks if c.part == part and c.positive]
+def _connected(given: _Input) -> list[RegionOffer]:
+    part = given.request.part
+    clicks = [c for c in given.prompts.clicks if c.part == part and c.positive]
     if not clicks:
-        raise CommandError("click on the part first; what is connected with it joins it")
-    others = (work.labels > BASE) & (work.labels != part)
-    found = connected(work.encoded, clicks[-1].position, clicks[-1].element, others)
-    more = found.mask & (work.labels != part)
+        raise CommandError("click on the part first; connected elements are added to it")
+    others = (given.labels > BASE) & (given.labels != part)
+    found = connected(given.encoded, clicks[-1].position, clicks[-1].element, others)
+    more = found.mask & (given.labels != part)
     if found.nearly_all and more.any():
-        what = "no other part has" if others.any() else "there is"
+        scope = "that no other part has " if others.any() else ""
         raise CommandError(
-            f"nearly all that {what} hangs together here, and nothing was taken: clicks, a lasso "
-            "(L) or a cut (K) tell apart what no gap does"
+            f"nearly everything {scope}is connected here, so nothing was added: use clicks, a "
+            "lasso (L) or a cut (K)"
         )
-    return work.offer(more, part)
+    return given.offer(more, part)
 
 
-def _same_shape(work: _Work) -> list[RegionOffer]:
-    return _beside_parts(work, same_shape(work.encoded, work.mask))
+def _same_shape(given: _Input) -> list[RegionOffer]:
+    return _beside_parts(given, same_shape(given.encoded, given.mask))
 
 
-def _mirror(work: _Work) -> list[RegionOffer]:
-    return _beside_parts(work, [mirrored(work.encoded, work.mask)])
+def _mirror(given: _Input) -> list[RegionOffer]:
+    return _beside_parts(given, [mirrored(given.encoded, given.mask)])
 
 
-def _beside_parts(work: _Work, masks: list[Bool]) -> list[RegionOffer]:
-    """New parts out of masks that look like the chosen one."""
+def _beside_parts(given: _Input, masks: list[Bool]) -> list[RegionOffer]:
+    """Offer new parts of masks that are similar to the selected one."""
     out: list[RegionOffer] = []
-    labels, part = work.labels, work.request.part
+    labels, part = given.labels, given.request.part
     ids = labels - labels.min()
-    held = np.bincount(ids)
+    sizes = np.bincount(ids)
     for mask in masks:
-        # What other parts have already stays theirs, so that asking twice finds nothing twice; but
-        # a small piece of a large part, a knob that a panel took along, is found.
-        swallowed = np.bincount(ids[mask], minlength=len(held)) < _SWALLOWED * held
+        # Existing parts keep their elements, so that a second run finds nothing twice; but a small
+        # piece of a large part, like a knob that a panel includes, is found.
+        swallowed = np.bincount(ids[mask], minlength=len(sizes)) < _SWALLOWED * sizes
         free = mask & ((labels == BASE) | (swallowed[ids] & (labels != part)))
         if free.sum() > 0.5 * mask.sum():
-            out += work.offer(free, NEW_PART)
+            out += given.offer(free, NEW_PART)
     return out
 
 
-def _grow(work: _Work) -> list[RegionOffer]:
-    return work.offer(grow(work.encoded, work.mask, 1) & ~work.mask, work.request.part)
+def _grow(given: _Input) -> list[RegionOffer]:
+    return given.offer(grow(given.encoded, given.mask, 1) & ~given.mask, given.request.part)
 
 
-def _shrink(work: _Work) -> list[RegionOffer]:
-    kept = grow(work.encoded, work.mask, -1)
-    return work.offer(work.mask & ~kept, work.request.part, False) if kept.any() else []
+def _shrink(given: _Input) -> list[RegionOffer]:
+    kept = grow(given.encoded, given.mask, -1)
+    return given.offer(given.mask & ~kept, given.request.part, False) if kept.any() else []
 
 
-def _split(work: _Work) -> list[RegionOffer]:
-    least = _LEAST_PIECE * work.mask.sum()
+def _split(given: _Input) -> list[RegionOffer]:
+    least = _MIN_PIECE * given.mask.sum()
     out: list[RegionOffer] = []
-    for piece in pieces(work.encoded, work.mask)[1:]:
+    for piece in pieces(given.encoded, given.mask)[1:]:
         if piece.sum() >= least:
-            out += work.offer(piece, NEW_PART)
+            out += given.offer(piece, NEW_PART)
     return out
 
 
-def _cut(work: _Work) -> list[RegionOffer] | FaceCutOffer:
-    request, labels = work.request, work.labels
+def _cut(given: _Input) -> list[RegionOffer] | FaceCutOffer:
+    request, labels = given.request, given.labels
     if request.element is None:
-        raise CommandError("a cut needs the places that were clicked")
-    # What is cut is what was clicked; what comes off goes to the chosen part while that has
-    # nothing yet, else to a new one.
+        raise CommandError("a cut needs clicked places")
+    # The clicked part is cut; the piece goes to the selected part while that is empty, else to a
+    # new one.
     part = int(labels[request.element])
     mask = labels == part
     if request.tool == "rectangle":
         cut = rectangle_cut(
-            work.encoded, mask, request.places, request.view, snap=not request.exact
+            given.encoded, mask, request.places, request.view, snap=not request.exact
         )
     else:
-        cut = line_cut(work.encoded, mask, request.places, request.view)
+        cut = line_cut(given.encoded, mask, request.places, request.view)
     empty = request.part not in (part, BASE) and not (labels == request.part).any()
     target = request.part if empty else request.free_part
-    asset = asset_of(work.folder)
+    asset = asset_of(given.folder)
     if cut.splits_faces(asset):
-        return _face_cut(work, asset, cut, target)
+        return _face_cut(given, asset, cut, target)
     off = cut.inside(asset)
     rest = mask & ~off
     if request.tool == "cut" and off.sum() > rest.sum():
         off = rest
     if not off.any():
-        raise CommandError("nothing of the part lies there: click on the part that is to be cut")
-    return work.offer(off, target)
+        raise CommandError("nothing of the part lies there: click on the part to cut")
+    return given.offer(off, target)
 
 
 def frame_at(folder: Path, place: Point, view: Point) -> tuple[Point, Point]:
-    """Out of the surface at a place, and level along it: how a rectangle begun there will lie."""
+    """Return the surface's normal at a place and the horizontal direction along it."""
     out, across = surface_frame(session_of(folder, DEFAULT), np.array([place]), view)
     return tuple(out.tolist()), tuple(across.tolist())
 
 
-def _face_cut(work: _Work, asset: Asset, cut: Cut, target: int) -> FaceCutOffer:
-    """The parts after a cut that splits faces, by the numbers that those have then."""
+def _face_cut(given: _Input, asset: Asset, cut: Cut, target: int) -> FaceCutOffer:
+    """Return the parts after a cut that splits faces, by the new face numbers."""
     assert asset.mesh is not None
     split = split_faces(asset.mesh, cut.chosen, cut.planes)
-    off, labels = split.inside, work.labels[split.parent]
+    off, labels = split.inside, given.labels[split.parent]
     if cut.whole is not None:
         off = off | cut.whole[split.parent]
-    if work.request.tool == "cut":
+    if given.request.tool == "cut":
         area = split.mesh.face_areas
         rest = cut.chosen[split.parent] & ~off
         off = off if area[off].sum() <= area[rest].sum() else rest
     labels[off] = target
-    arrays = arrays_of(work.workspace)
+    arrays = arrays_of(given.workspace)
     chosen = arrays.put(np.flatnonzero(cut.chosen).astype(np.int64))
     parts, counts = np.unique(labels, return_counts=True)
     regions: list[RegionOffer] = []
     for part in parts[parts > BASE].tolist():
-        regions += work.offer(labels == part, part)
+        regions += given.offer(labels == part, part)
     return FaceCutOffer(
         FaceCut(chosen, cut.planes),
         tuple(regions),
@@ -325,23 +324,23 @@ def _face_cut(work: _Work, asset: Asset, cut: Cut, target: int) -> FaceCutOffer:
     )
 
 
-def _merge(work: _Work) -> list[RegionOffer]:
-    other, part = work.request.other, work.request.part
+def _merge(given: _Input) -> list[RegionOffer]:
+    other, part = given.request.other, given.request.part
     if other is None or other == part:
-        raise CommandError("choose another part to merge with this one")
-    return work.offer(work.labels == other, part)
+        raise CommandError("select another part to merge with this one")
+    return given.offer(given.labels == other, part)
 
 
-def _leftovers(work: _Work) -> list[RegionOffer]:
-    clean = without_leftovers(work.encoded, work.labels)
-    moved = clean != work.labels
+def _leftovers(given: _Input) -> list[RegionOffer]:
+    clean = without_leftovers(given.encoded, given.labels)
+    moved = clean != given.labels
     out: list[RegionOffer] = []
     for part in np.unique(clean[moved]):
-        out += work.offer(moved & (clean == part), int(part))
+        out += given.offer(moved & (clean == part), int(part))
     return out
 
 
-TOOLS: dict[str, Callable[[_Work], Offer]] = {
+TOOLS: dict[str, Callable[[_Input], Offer]] = {
     PROPOSE: _propose,
     NEXT_MASK: _next_mask,
     "connected": _connected,
@@ -355,7 +354,7 @@ TOOLS: dict[str, Callable[[_Work], Offer]] = {
     "merge": _merge,
     "leftovers": _leftovers,
 }
-"""The one table of tools."""
+"""All tools by name."""
 
 
 # --- the preview under the pointer ---------------------------------------------------------------
@@ -363,10 +362,10 @@ TOOLS: dict[str, Callable[[_Work], Offer]] = {
 
 @dataclass(frozen=True, eq=False)
 class HoverAnswer:
-    """What a click would give to the part and take from it, as points on the surface.
+    """The change that a click would make, as points on the surface.
 
     Attributes:
-        gained, lost: (K, 3) metres; at most ``HOVER_POINTS`` of them.
+        gained, lost: (K, 3) metres, K at most ``HOVER_POINTS``.
         count: elements that would change.
     """
 
@@ -377,26 +376,26 @@ class HoverAnswer:
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """Points spread over an asset's surface in random order, and the element of each."""
+    """Points on an asset's surface in random order, and the element of each."""
 
     points: npt.NDArray[np.float32]
     element: npt.NDArray[np.int64]
 
     def inside(self, mask: Bool) -> npt.NDArray[np.float32]:
-        """(K, 3) the first points on the elements of a mask."""
+        """Return the first points (K, 3) on the elements of a mask."""
         return self.points[np.flatnonzero(mask[self.element])[:HOVER_POINTS]]
 
 
 @dataclass
-class _Now:
-    """The labels before the hovered click; of one process."""
+class _Current:
+    """This process's labels before the hovered click."""
 
     key: Any = None
     labels: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))
 
 
 _samples: LruCache[Path, _Sample] = LruCache(8)
-_now = _Now()
+_current = _Current()
 
 
 def hover(
@@ -406,14 +405,14 @@ def hover(
     items: tuple[Click | StoredRegion, ...],
     click: Click,
 ) -> HoverAnswer:
-    """What would change if ``click`` were said now: the segmenter's own answer, kept by nobody."""
+    """Return what ``click`` would change; the segmenter's result isn't stored."""
     session = session_of(folder, segmenter)
     prompts = prompts_of(workspace, items)
     key = (folder, segmenter, prompts.key())
-    if _now.key != key:
-        _now.key, _now.labels = key, session.segment(prompts).labels
+    if _current.key != key:
+        _current.key, _current.labels = key, session.segment(prompts).labels
     after = session.segment(Prompts((*prompts.items, click))).labels
-    before = _now.labels
+    before = _current.labels
     gained = (after == click.part) & (before != click.part)
     lost = (before == click.part) & (after != click.part)
     sample = _samples.get(folder, lambda: _sample(folder))

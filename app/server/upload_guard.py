@@ -1,7 +1,7 @@
-"""A limit on uploads, which viser takes in whole and without one.
+"""A limit on uploads, which viser itself lacks.
 
-A browser announces a file (``FileTransferStartUpload``) and sends its parts; viser keeps them in
-memory. Here the announced size is checked, and then every byte that comes.
+A browser announces a file (``FileTransferStartUpload``) and sends its parts, which viser keeps in
+memory. The guard checks the announced size and then the bytes received.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from viser import _messages, infra
 from app.server.uploads import plain_name
 
 UPDATE_DELAY = 0.4
-"""Seconds until the browser has drawn its own "uploaded" note, which ours then replaces."""
+"""Seconds until the browser has drawn its "uploaded" note, which ours replaces."""
 
 _Handler = Callable[[Any, Any], Any]
 
@@ -31,10 +31,10 @@ class _Transfer:
 
 @dataclass
 class UploadGuard:
-    """Lets uploads through while they are within the limit. Runs on the server's event loop.
+    """Refuses uploads beyond the limit, on the server's event loop.
 
     Attributes:
-        limit: bytes of one file, and of all the unfinished files of one browser together.
+        limit: bytes of one file, and of all unfinished files of one browser together.
     """
 
     limit: int
@@ -62,12 +62,12 @@ class UploadGuard:
             handlers[kind] = [guarded]
 
     def attach_client(self, connection: infra.WebsockClientConnection) -> None:
-        """The same for one browser, before its first message."""
+        """Put the guard before one browser's handlers, before its first message."""
         self._clients[connection.client_id] = connection
         self.attach(connection)
 
     def forget(self, connection: infra.WebsockClientConnection) -> None:
-        """Drop what a browser that left has begun."""
+        """Drop the unfinished uploads of a browser that left."""
         client = connection.client_id
         self._clients.pop(client, None)
         for key in [k for k, t in self._transfers.items() if t.client == client]:
@@ -82,11 +82,11 @@ class UploadGuard:
         size = message.size_bytes
         total = size + sum(t.declared for t in self._transfers.values() if t.client == client)
         if size < 0 or not 0 <= message.part_count <= size:
-            reason = "its announcement makes no sense"
+            reason = "its announcement is malformed"
         elif size > self.limit:
             reason = f"it has {_readable(size)}"
         elif total > self.limit:
-            reason = f"with the uploads still running it makes {_readable(total)}"
+            reason = f"with the unfinished uploads it makes {_readable(total)}"
         else:
             if message.part_count:
                 transfer = _Transfer(client, gui, message.filename, size)
@@ -106,7 +106,7 @@ class UploadGuard:
         if transfer.received == transfer.declared:
             return True
         gui._current_file_upload_states.pop(message.transfer_uuid, None)
-        reason = f"more came than the {_readable(transfer.declared)} that were announced"
+        reason = f"it is larger than the announced {_readable(transfer.declared)}"
         self._refuse(client, message, transfer.name, reason)
         return False
 
@@ -121,7 +121,7 @@ class UploadGuard:
         if connection is None:
             return
         size = max(0, getattr(message, "size_bytes", 0))
-        # Ends the browser's progress bar; without it the button would stay locked for ever.
+        # Ends the browser's progress bar, which would lock the button for ever.
         connection.queue_message(
             _messages.FileTransferPartAck(
                 source_component_uuid=message.source_component_uuid,
@@ -130,7 +130,7 @@ class UploadGuard:
                 total_bytes=size,
             )
         )
-        # The browser shows its own note under this id, and "uploaded" in it at the ack.
+        # The browser's own note has this id; at the ack it says "uploaded".
         note = "upload-" + message.transfer_uuid
         props = _messages.NotificationProps(
             title="Upload refused",

@@ -1,4 +1,4 @@
-"""Files that a browser sent: kept under their content's digest, zips unpacked with care."""
+"""Uploaded files, stored under their content's digest; zips are checked and unpacked."""
 
 from __future__ import annotations
 
@@ -16,34 +16,35 @@ from model.io.geometry_files import SUFFIXES
 from model.io.model_files import MODEL_SUFFIXES
 from model.io.urdf.files import URDF_SUFFIX
 
-MOST_FILES = 5000
-MOST_RATIO = 200
-"""A zip that unpacks to more than this many times its size is no zip of meshes."""
+MAX_FILES = 5000
+MAX_RATIO = 200
+"""Largest compression ratio of a zip; meshes compress less."""
 _RATIO_FROM = 50_000_000
+"""Unpacked bytes up to which any ratio is allowed."""
 _BLOCK = 1 << 20
 _BESIDE = (".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".bin", ".urdf",
            ".mjcf", ".msh", ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
 
 
 def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path:
-    """What can be opened of an uploaded file: itself, or the folder that a zip was unpacked to.
+    """Store an uploaded file; returns its path, or the folder that a zip was unpacked to.
 
     Args:
-        folder: where uploads are kept.
-        max_bytes: that a zip may unpack to.
+        folder: folder of all uploads.
+        max_bytes: largest unpacked size of a zip.
 
     Raises:
-        InputFileError: where no reader knows it, nothing is in it, or a zip is damaged or hostile.
+        InputFileError: where no reader knows it, it is empty, or a zip is damaged or hostile.
     """
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
-    # An MJCF may be made of boxes alone.
+    # An MJCF may consist of boxes alone.
     if suffix in MODEL_SUFFIXES and (suffix == URDF_SUFFIX or b"file=" in content):
-        raise InputFileError(safe, "its meshes didn't come along", "zip it with their folder")
+        raise InputFileError(safe, "its meshes are missing", "zip it with their folder")
     if suffix not in (".zip", *SUFFIXES, *MODEL_SUFFIXES):
         known = ", ".join(sorted(SUFFIXES))
         raise InputFileError(
-            safe, "this kind of file can't be opened", f"give one of {known}, or a zip of several"
+            safe, "unknown kind of file", f"give one of {known}, or a zip of several"
         )
     if not content:
         raise InputFileError(safe, "the file is empty", "choose one with a mesh or points")
@@ -70,7 +71,7 @@ def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
         shutil.rmtree(part, ignore_errors=True)
         raise InputFileError(
-            name, f"is no zip that can be read ({error})", "pack it again, without a password"
+            name, f"is not a readable zip ({error})", "pack it again, without a password"
         ) from error
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
@@ -81,27 +82,27 @@ def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
 
 def _extract(archive: zipfile.ZipFile, target: Path, name: str, size: int, max_bytes: int) -> None:
     entries = [e for e in archive.infolist() if not e.is_dir()]
-    if len(entries) > MOST_FILES:
+    if len(entries) > MAX_FILES:
         raise InputFileError(
-            name, f"holds {len(entries):,} files", f"a zip may hold at most {MOST_FILES:,}"
+            name, f"holds {len(entries):,} files", f"a zip may hold at most {MAX_FILES:,}"
         )
-    room, taken = min(max_bytes, max(_RATIO_FROM, MOST_RATIO * size)), 0
+    limit, taken = min(max_bytes, max(_RATIO_FROM, MAX_RATIO * size)), 0
     for entry in entries:
         path = _inside(entry, name)
         if path is None or path.suffix.lower() not in (*SUFFIXES, *_BESIDE):
-            continue  # resource forks, thumbnails, programs: nothing that a reader would open
+            continue  # such as resource forks, thumbnails, programs
         place = target / path
         place.parent.mkdir(parents=True, exist_ok=True)
         if place.exists():
             raise InputFileError(name, f"holds {path} twice", "pack it again")
-        # What is written is counted: the sizes that a zip announces may be lies.
+        # The sizes that a zip declares may be wrong, so the written bytes are counted.
         with archive.open(entry) as source, place.open("wb") as out:
             while block := source.read(_BLOCK):
                 taken += len(block)
-                if taken > room:
+                if taken > limit:
                     raise InputFileError(
                         name,
-                        f"unpacks to more than {room / 1e6:.0f} MB",
+                        f"unpacks to more than {limit / 1e6:.0f} MB",
                         "open large folders by path on the server",
                     )
                 out.write(block)
@@ -110,7 +111,7 @@ def _extract(archive: zipfile.ZipFile, target: Path, name: str, size: int, max_b
 
 
 def _inside(entry: zipfile.ZipInfo, name: str) -> PurePosixPath | None:
-    """Where an entry goes below the folder; None for what is left out.
+    """Return an entry's path below the folder; None for one to leave out.
 
     Raises:
         InputFileError: for a path that leads out of the folder, and for links.
@@ -128,14 +129,14 @@ def _inside(entry: zipfile.ZipInfo, name: str) -> PurePosixPath | None:
             name, f"holds the link {entry.filename[:80]!r}", "pack the file instead"
         )
     if len(os.fsencode(str(path))) > 1000 or any(len(os.fsencode(p)) > 200 for p in path.parts):
-        raise InputFileError(name, "holds a file with an endless name", "give it a shorter one")
+        raise InputFileError(name, "holds a file with a very long name", "give it a shorter one")
     if path.parts[0] == "__MACOSX" or path.name.startswith("."):
         return None
     return path
 
 
 def plain_name(name: str) -> str:
-    """A file name without folders and odd characters, at most 120 characters."""
+    """Return a file name without folders and special characters, at most 120 characters."""
     last = PurePosixPath(name.replace("\\", "/")).name
     clean = re.sub(r"[^\w .()+-]", "_", last).strip(" .")
     suffix = PurePosixPath(clean).suffix[:10]

@@ -1,4 +1,4 @@
-"""The gate's answer on one open object: asked for anew whenever its joints or parts change."""
+"""Validation of one open object: runs again whenever its joints or parts change."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from dataclasses import dataclass
 from app.server.display_names import joint_title
 from app.server.jobs import CLICKS
 from app.server.object_context import ObjectContext
-from app.server.validation_tasks import judge_joints
+from app.server.validation_tasks import validate_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from model.validation.low_confidence import with_low_confidence
 from model.validation.report import Fix, Severity, ValidationReport
 from sessions.document import Document
 
-KEPT = 16
-"""Answers kept for undo and redo."""
+REPORTS_KEPT = 16
+"""Reports kept for undo and redo."""
 
 Revision = tuple[KinematicTree, str]
-"""What an answer belongs to: the tree, and the reference of the labels."""
+"""What a report is about: the tree, and the reference of the labels."""
 
-Sure = tuple[tuple[str, float], ...]
-"""Child link and confidence of each joint that is still the predictor's."""
+Confidences = tuple[tuple[str, float], ...]
+"""Child link and confidence of each joint that no person edited."""
 
 
 @dataclass(frozen=True, eq=False)
-class JointCheck:
-    """A joint that runs into something.
+class JointCollision:
+    """A collision to mark in the picture.
 
     Attributes:
-        q: radians or metres where it is deepest. depth: metres beyond the penetration at rest.
+        q: radians or metres where it is deepest.
+        depth: metres beyond the penetration at rest.
         where: (3,) the contact in the object frame.
         other: the link that is hit.
     """
@@ -44,126 +45,130 @@ class JointCheck:
     other: str | None
 
 
-class LookFirstError(CommandError):
-    """The gate doubts something that the person wasn't shown before accepting."""
+class UnseenWarningsError(CommandError):
+    """Validation reports warnings that the person wasn't shown before accepting."""
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
-    """An accept that a person asks for; see :func:`app.server.accepting.accept`.
+class AcceptanceRequest:
+    """An acceptance that a person asks for; see :func:`app.server.accepting.accept`.
 
     Attributes:
-        again: asks anew; called once the gate has answered where it hasn't yet.
+        override: reason for accepting it despite errors, else "".
+        seen: the report whose warnings the person was shown, or None.
+        retry: asks again; called when the report is there, where it wasn't yet.
     """
 
     override: str
-    looked_at: ValidationReport | None
-    again: Callable[[], None]
+    seen: ValidationReport | None
+    retry: Callable[[], None]
 
 
-class Judging:
-    """Runs the gate for an object and keeps its answers by revision."""
+class Validation:
+    """Validates an object and keeps the reports by revision."""
 
     def __init__(self, obj: ObjectContext) -> None:
         self._obj = obj
-        self._answers: OrderedDict[Revision, ValidationReport] = OrderedDict()
-        self._told: dict[tuple[Revision, Sure], ValidationReport] = {}
-        self._asked: Revision | None = None
+        self._reports: OrderedDict[Revision, ValidationReport] = OrderedDict()
+        self._complete: dict[tuple[Revision, Confidences], ValidationReport] = {}
+        self._requested: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
-        self._waiting: Wish | None = None
-        self._wished: Revision | None = None  # what the waiting wish is about
+        self._waiting: AcceptanceRequest | None = None
+        self._waiting_for: Revision | None = None
         self._lock = threading.Lock()
 
     @property
-    def waiting(self) -> bool:
-        """Whether somebody wants it accepted as soon as the joints are judged."""
+    def acceptance_waits(self) -> bool:
+        """Whether the object is to be accepted as soon as its joints are validated."""
         return self._waiting is not None
 
     @property
     def report(self) -> ValidationReport | None:
-        """The answer to the present joints and parts, with what the predictor itself doubts; None
-        while there is none. The same until something changes."""
+        """The report on the present joints and parts, warnings of low confidence included; None
+        while there is none. The same object until something changes."""
         document = self._obj.document
         revision = self._revision(document)
-        answer = None if revision is None else self._answers.get(revision)
-        if revision is None or answer is None:
+        report = None if revision is None else self._reports.get(revision)
+        if revision is None or report is None:
             return None
-        sure = document.unsettled
-        key = revision, tuple(sorted(sure.items()))
-        told = self._told.get(key)
-        # All tabs get the same one, also where two ask at once.
-        return told or self._told.setdefault(key, with_low_confidence(answer, revision[0], sure))
+        confidence = document.predicted_confidence
+        key = revision, tuple(sorted(confidence.items()))
+        complete = self._complete.get(key)
+        if complete is None:  # setdefault: all tabs get the same one, also two at a time
+            report = with_low_confidence(report, revision[0], confidence)
+            complete = self._complete.setdefault(key, report)
+        return complete
 
     @property
-    def checks(self) -> list[JointCheck]:
+    def collisions(self) -> list[JointCollision]:
         """The collisions to mark."""
         report = self.report
-        return [] if report is None else checks_of(report)
+        return [] if report is None else collisions_of(report)
 
     @property
     def problem(self) -> str:
-        """Why the present joints couldn't be judged, or ""."""
+        """Why the present joints couldn't be validated, or ""."""
         if self._problem is None or self._problem[0] != self._revision(self._obj.document):
             return ""
         return self._problem[1]
 
-    def ask(self) -> None:
-        """Start the gate where the present joints have no answer yet."""
+    def update(self) -> None:
+        """Start validating where the present joints have no report yet."""
         obj = self._obj
         revision = self._revision(obj.document)
-        if self._waiting is not None and revision != self._wished:
-            self._accept_waiting()  # it hears that this is another object now
+        if self._waiting is not None and revision != self._waiting_for:
+            self._retry_acceptance()  # which fails: the object changed
         if revision is None:
-            self._asked = None
+            self._requested = None
             return
-        if revision == self._asked or obj.predicting:
+        if revision == self._requested or obj.predicting:
             return
-        self._asked = revision
+        self._requested = revision
         obj.jobs.cancel("check")
         obj.services.drafts.stop()
-        if revision in self._answers:
-            self._answers.move_to_end(revision)
-            self._prepare(revision)
+        if revision in self._reports:
+            self._reports.move_to_end(revision)
+            self._prepare_draft(revision)
             return
         job = obj.services.workers.prediction.submit(
-            judge_joints,
+            validate_joints,
             obj.source(),
             revision[0],
             on_progress=obj.jobs.progress("check"),
             key=("check", obj.record.id),
-            gives_way=CLICKS,
+            preempted_by=CLICKS,
         )
         obj.start("check", job, lambda report: self._keep(revision, report))
 
     def forget_request(self) -> None:
-        """The gate was stopped to make room for other work; ask again."""
-        self._asked = None
+        """Validation was stopped to make room for other work; start it again at the next update."""
+        self._requested = None
 
     def failed(self, message: str) -> None:
-        """The gate broke on the joints it was asked for last."""
-        if self._asked is not None:
+        """Validation itself failed on the joints of the last request."""
+        if self._requested is not None:
             with self._lock:
-                self._problem = (self._asked, message)
-        self._accept_waiting()
+                self._problem = (self._requested, message)
+        self._retry_acceptance()
 
     def _keep(self, revision: Revision, report: ValidationReport) -> None:
         with self._lock:
-            self._answers[revision] = report
-        while len(self._answers) > KEPT:
-            self._answers.popitem(last=False)
-        self._told = {k: v for k, v in self._told.items() if k[0] in self._answers}
+            self._reports[revision] = report
+        while len(self._reports) > REPORTS_KEPT:
+            self._reports.popitem(last=False)
+        self._complete = {k: v for k, v in self._complete.items() if k[0] in self._reports}
         if revision != self._revision(self._obj.document):
             return
         if self._waiting is None:
-            self._prepare(revision)
-        self._accept_waiting()
+            self._prepare_draft(revision)
+        self._retry_acceptance()
 
-    def _prepare(self, revision: Revision) -> None:
-        """Write what will be accepted while the person still looks at it."""
+    def _prepare_draft(self, revision: Revision) -> None:
+        """Write the asset while the person still looks at it, unless errors must be fixed first."""
         obj = self._obj
         decided = obj.document.review.state == "accepted"
-        if decided or obj.asset is None or self._answers[revision].severity == Severity.ERROR:
-            return  # what is broken will be edited
+        if decided or obj.asset is None or self._reports[revision].severity == Severity.ERROR:
+            return
         obj.services.drafts.prepare(obj.source(), revision[0])
 
     @staticmethod
@@ -174,72 +179,75 @@ class Judging:
 
     # --- accepting
 
-    def admits(self, wish: Wish) -> bool:
-        """Whether the object may be accepted now; False where it will be once the gate answered.
+    def admits(self, request: AcceptanceRequest) -> bool:
+        """Whether the object may be accepted now; False where the request waits for the report.
 
         Raises:
-            CommandError: where the gate calls a joint broken and no reason is given.
-            LookFirstError: where it doubts something that the person wasn't shown.
+            CommandError: where there are errors and no reason for an override.
+            UnseenWarningsError: where there are warnings that the person wasn't shown.
         """
-        with self._lock:  # the gate may answer just now
+        with self._lock:  # the report may arrive just now
             report = self.report
             waits = report is None and not self.problem
-            self._waiting = wish if waits else None
-            self._wished = self._revision(self._obj.document)
-        if waits:
-            return False
-        document = self._obj.document
-        if report is not None and report.severity == Severity.ERROR and not wish.override.strip():
-            count, worst = len(report.joints_with(Severity.ERROR)), report.joints[0]
-            what = f"{joint_title(document, worst.child)} is broken: {worst.message}"
-            more = f" So {'are' if count > 2 else 'is'} {count - 1} more." if count > 1 else ""
-            raise CommandError(f"{what}{more} Mend it, or say why it is right")
-        if report and report.severity == Severity.WARNING and wish.looked_at is not report:
-            count, worst = len(report.joints_with(Severity.WARNING)), report.joints[0]
-            more = f" {count - 1} more to look at." if count > 1 else ""
-            raise LookFirstError(
-                f"{joint_title(document, worst.child)}: {worst.message}{more} "
-                "Y again accepts it as it is"
-            )
+            self._waiting = request if waits else None
+            self._waiting_for = self._revision(self._obj.document)
+        if report is None:
+            return not waits
+        if report.severity == Severity.ERROR and not request.override.strip():
+            raise CommandError(f"{self._summary(report)} Fix it, or give a reason for the override")
+        if report.severity == Severity.WARNING and request.seen is not report:
+            raise UnseenWarningsError(f"{self._summary(report)} Press Y again to accept it anyway")
         return True
 
-    def _accept_waiting(self) -> None:
+    def _summary(self, report: ValidationReport) -> str:
+        """Return the number of joints as bad as the worst one, and what that one has."""
+        count, worst = len(report.joints_with(report.severity)), report.joints[0]
+        kind = "error" if report.severity == Severity.ERROR else "warning"
+        title = joint_title(self._obj.document, worst.child)
+        return f"{count} {kind}{'s'[: count != 1]}. {title}: {worst.message}"
+
+    def _retry_acceptance(self) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, None
         if waiting is not None:
-            waiting.again()
+            waiting.retry()
 
-    def take_back(self) -> bool:
-        """Nobody wants it accepted any more; whether somebody did and it wasn't decided yet."""
-        with self._lock:  # the gate may answer just now
+    def withdraw(self) -> bool:
+        """Withdraw the waiting request; whether there was one that wasn't decided yet."""
+        with self._lock:  # the report may arrive just now
             waiting, self._waiting = self._waiting, None
         return waiting is not None
 
-    def doubts(self) -> tuple[str, ...]:
-        """For the record of an acceptance: what was known to be broken or doubtful."""
+    def known_problems(self) -> tuple[str, ...]:
+        """Return the warnings and errors that an acceptance is recorded with."""
         report = self.report
         if report is None:
-            return (f"the joints were not judged: {self.problem}",) if self.problem else ()
-        return tuple(f"{j.joint}: {j.message}" for j in report.joints if j.severity != Severity.OK)
+            return (f"the joints were not validated: {self.problem}",) if self.problem else ()
+        return problems_of(report)
 
-    def mend(self, joint: str, kind: str) -> Fix:
-        """The mend of that kind for a joint.
+    def fix(self, joint: str, kind: str) -> Fix:
+        """Return the fix of that kind for a joint.
 
         Raises:
             CommandError: where the joints changed meanwhile.
         """
         report = self.report
         found = None if report is None else report.of(joint)
-        for mend in () if found is None else found.fixes:
-            if mend.kind == kind:
-                return mend
-        raise CommandError("the joints changed meanwhile; they are being judged again")
+        for fix in () if found is None else found.fixes:
+            if fix.kind == kind:
+                return fix
+        raise CommandError("the joints changed meanwhile and are being validated again")
 
 
-def checks_of(report: ValidationReport) -> list[JointCheck]:
-    """The collisions of a gate's answer as the views mark them."""
+def problems_of(report: ValidationReport) -> tuple[str, ...]:
+    """Return a line for each joint that isn't free of warnings and errors."""
+    return tuple(f"{j.joint}: {j.message}" for j in report.joints if j.severity != Severity.OK)
+
+
+def collisions_of(report: ValidationReport) -> list[JointCollision]:
+    """Return the collisions of a report as the views mark them."""
     return [
-        JointCheck(j.joint, f.q.get(j.joint, 0.0), f.depth, f.where, f.other)
+        JointCollision(j.joint, f.q.get(j.joint, 0.0), f.depth, f.where, f.other)
         for j in report.joints
         for f in j.findings
         if f.kind in ("collision", "jammed") and f.severity != Severity.OK and f.where is not None

@@ -1,4 +1,4 @@
-"""The gate in a worker process; what it said of the same parts and joints is kept on disk."""
+"""Validation in a worker process, with its reports cached on disk."""
 
 from __future__ import annotations
 
@@ -19,50 +19,51 @@ from model.validation.report import ValidationReport
 from model.validation.runner import validate
 
 PACKAGES = static_assets().parent
-DECIDES = ("core", "geometry", "kinematics", "physics", "validation")
-"""Packages of the model that an answer depends on, with their thresholds."""
+DEPENDENCIES = ("core", "geometry", "kinematics", "physics", "validation")
+"""Packages of the model that a report depends on, with their thresholds."""
 
 
-def judge_joints(
+def validate_joints(
     source: PartSource, tree: KinematicTree, progress: Progress = no_progress
 ) -> ValidationReport:
-    """Ask the gate about every joint, or say again what it said of them before."""
-    kept = _kept_at(source, tree)
+    """Validate all joints, or return the cached report."""
+    cached = _cache_file(source, tree)
     try:
-        return codec.read(ValidationReport, json.loads(kept.read_text(encoding="utf-8")))
+        return codec.read(ValidationReport, json.loads(cached.read_text(encoding="utf-8")))
     except (OSError, ValueError):
         pass
 
     obj = articulated_object(source, tree)
     report = validate(obj, store=source.workspace / "collision", progress=progress)
-    draft = kept.with_name(f".{kept.name}.{secrets.token_hex(4)}")
+    draft = cached.with_name(f".{cached.name}.{secrets.token_hex(4)}")
     try:
-        kept.parent.mkdir(parents=True, exist_ok=True)
+        cached.parent.mkdir(parents=True, exist_ok=True)
         draft.write_text(json.dumps(codec.write(report)), encoding="utf-8")
-        draft.replace(kept)
-    except (OSError, ValueError):  # it counts without being kept
+        draft.replace(cached)
+    except (OSError, ValueError):  # the report counts without the cache
         draft.unlink(missing_ok=True)
     return report
 
 
-def _kept_at(source: PartSource, tree: KinematicTree) -> Path:
+def _cache_file(source: PartSource, tree: KinematicTree) -> Path:
     key = fingerprint(
-        "gate", judge_version(), source.folder.name, source.labels,
+        "gate", validation_version(), source.folder.name, source.labels,
         sorted(source.names.items()), source.category, tree.links, tree.joints,
     )  # fmt: skip
     return source.workspace / "cache" / "gate" / f"{key}.json"
 
 
 @cache
-def judge_version(root: Path = PACKAGES) -> str:
-    """Of the code that judges, its settings, the table of materials and the libraries behind it:
-    an answer that was kept counts until one of them changes.
+def validation_version(root: Path = PACKAGES) -> str:
+    """Return a key of the code, its settings, the material table and the libraries.
+
+    Cached reports count until it changes.
 
     Args:
-        root: the folder that holds the packages.
+        root: folder of the packages.
     """
     digest = hashlib.sha256()
-    for package in DECIDES:
+    for package in DEPENDENCIES:
         for path in sorted((root / "model" / package).rglob("*.py")):
             digest.update(f"{path.name}\0".encode() + path.read_bytes())
     digest.update((static_assets() / "physics" / "materials.json").read_bytes())

@@ -1,11 +1,7 @@
-"""The child's side of :mod:`app.server.jobs`: reads jobs from a pipe, runs them one at a time,
-answers.
+"""The child's side of :mod:`app.server.jobs`: reads jobs from a pipe, runs them, sends results.
 
-What comes while a job runs is run between its steps: the parent sends nothing that it may not give
-way to.
-
-Started by :class:`app.server.jobs.WorkerProcess` with one end of a pipe; imports nothing heavy
-itself.
+A job that arrives while another one runs preempts it between two of its steps; the parent sends
+only jobs that may. Imports nothing heavy itself.
 """
 
 from __future__ import annotations
@@ -31,11 +27,11 @@ from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 
 PROGRESS_PERIOD = 0.03
-"""Seconds between two progress messages; a loop may report far more often than people can see."""
+"""Least seconds between two progress messages."""
 
-LONG = 1.0
-"""Seconds of a job after which free memory goes back to the system: glibc keeps what lies between
-small things that stay, which grows to gigabytes over the objects of a scene."""
+TRIM_SECONDS = 1.0
+"""Duration of a job after which free memory goes back to the system: glibc keeps fragments, which
+grow to gigabytes over the objects of a scene."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -48,12 +44,12 @@ def pack(value: object) -> list[Any]:
 
 
 def unpack(chunks: list[Any]) -> Any:
-    """The value that :func:`pack` took apart. Read-only arrays stay read-only."""
+    """Return the value that :func:`pack` pickled. Read-only arrays stay read-only."""
     return pickle.loads(chunks[0], buffers=chunks[1:])
 
 
 def send(connection: Connection, kind: str, number: int, chunks: list[Any] | None = None) -> None:
-    """Send one message. ``chunks`` come from :func:`pack`."""
+    """Send one message; ``chunks`` come from :func:`pack`."""
     sizes = [(memoryview(c).nbytes, memoryview(c).readonly) for c in chunks or []]
     connection.send_bytes(pickle.dumps((kind, number, sizes), protocol=5))
     for chunk, (size, _) in zip(chunks or [], sizes, strict=True):
@@ -78,9 +74,9 @@ def receive(connection: Connection) -> tuple[str, int, list[Any]]:
 
 
 def describe_error(error: BaseException) -> dict[str, Any]:
-    """What the parent needs to raise ``error`` again: users' errors keep type and message.
+    """Describe ``error`` so that the parent can raise it; users' errors keep type and message.
 
-    Not the pickled exception itself: one with its own ``__init__`` doesn't survive pickling.
+    An exception with its own ``__init__`` can't be pickled itself.
     """
     text = "".join(traceback.format_exception(error))
     out: dict[str, Any] = {
@@ -128,15 +124,15 @@ class _Worker:
         del chunks
         self._send("ready" if kind == "setup" and answer[0] == "done" else "answer", number, answer)
         del answer
-        if time.monotonic() - start > LONG:
-            _give_back()
+        if time.monotonic() - start > TRIM_SECONDS:
+            _trim_memory()
 
     def _read(self) -> None:
         while True:
             try:
                 kind, number, chunks = receive(self._connection)
             except (EOFError, OSError):
-                os._exit(0)  # the parent is gone; whatever runs now has nobody to answer to
+                os._exit(0)  # the parent is gone
             if kind == "cancel":
                 self._cancelled.add(number)
             else:
@@ -175,7 +171,7 @@ class _Worker:
             if now - last_time >= PROGRESS_PERIOD or message != last_message:
                 last_time, last_message = now, message
                 self._send("progress", number, (float(fraction), str(message)))
-            # A job's own threads go on while one of them reports.
+            # Only the main thread runs jobs; a job may report from threads of its own.
             if threading.current_thread() is threading.main_thread():
                 while not self._jobs.empty():
                     self._run(*self._jobs.get())
@@ -192,8 +188,8 @@ def _takes_progress(function: Callable[..., object]) -> bool:
         return False
 
 
-def _give_back() -> None:
-    """Free memory to the system, where the C library is one that can."""
+def _trim_memory() -> None:
+    """Return free memory to the system, where the C library can."""
     if sys.platform.startswith("linux"):
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
@@ -201,10 +197,10 @@ def _give_back() -> None:
 
 
 def _die_with_parent(parent: int) -> None:
-    """Ask Linux to kill this process with its parent; the pipe's end is the second safety."""
+    """Have Linux kill this process with its parent; elsewhere the closed pipe ends it."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        # Short of memory, the kernel should take the worker and spare the server.
+        # Out of memory, the kernel should kill the worker rather than the server.
         with contextlib.suppress(OSError):
             Path("/proc/self/oom_score_adj").write_text("500")
     if os.getppid() != parent:

@@ -245,13 +245,13 @@ class ClientApp:
             put(folder, "visible", step == selection.step and not (broken and step == "Annotate"))
         if obj is None:
             self.drawing.clear()
-            self.pointing.tell_page()
+            self.pointing.set_page_state()
             return
         self._header.draw(obj)
         self._follow_prediction(obj)
         self.drawing.draw(obj, touch=self.annotate.tools.touch)
         self.annotate.draw(obj)
-        self.pointing.tell_page()
+        self.pointing.set_page_state()
         self.joints.draw(obj)
         if selection.step == "Review":  # it reads the history, which no click should pay for
             self.review.draw(obj)

@@ -13,7 +13,7 @@ import viser
 
 from app.server.display_names import display_text
 from app.server.open_object import OpenObject
-from app.server.pointer_messages import tell_page
+from app.server.pointer_messages import set_page_state
 from app.viewer.tab_threads import TabThreads
 from app.viewer.words import common as words
 from model.core.errors import ArtiworldError
@@ -167,7 +167,7 @@ class Tab:
 
     def say(self, text: str) -> None:
         """Show a line below the picture for a moment."""
-        tell_page(self.client, said=text)
+        set_page_state(self.client, said=text)
 
     def do(self, command: cmd.Command) -> None:
         """Carry out one decision about the open object."""

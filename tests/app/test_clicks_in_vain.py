@@ -57,12 +57,12 @@ def test_clicks_that_bring_little_are_counted(obj: Any) -> None:
     desk = Segmenting(obj)
     first, second, third, fourth = click(0), click(900), click(910), click(920)
     answered(desk, obj, (first,), 200)
-    assert desk.in_vain == 0
+    assert desk.ineffective_clicks == 0
     answered(desk, obj, (first, second), 202)
     answered(desk, obj, (first, second, third), 204)
-    assert desk.in_vain == 2
+    assert desk.ineffective_clicks == 2
     answered(desk, obj, (first, second, third, fourth), 300)
-    assert desk.in_vain == 0
+    assert desk.ineffective_clicks == 0
 
 
 def test_a_click_that_confirms_was_not_in_vain(obj: Any) -> None:
@@ -70,21 +70,21 @@ def test_a_click_that_confirms_was_not_in_vain(obj: Any) -> None:
     answered(desk, obj, (click(0),), 200)
     answered(desk, obj, (click(0), click(20)), 200)
     answered(desk, obj, (click(0), click(20), click(900, positive=False)), 200)
-    assert desk.in_vain == 0
+    assert desk.ineffective_clicks == 0
     # Nor are those on points of a large scan that are not displayed.
     answered(desk, obj, (click(0), click(20), click(900, positive=False), click(21)), 200)
-    assert desk.in_vain == 0
+    assert desk.ineffective_clicks == 0
 
 
 def test_undo_and_drawn_regions_are_no_clicks_in_vain(obj: Any) -> None:
     desk = Segmenting(obj)
     answered(desk, obj, (click(0),), 200)
     answered(desk, obj, (click(0), click(900)), 201)
-    assert desk.in_vain == 1
+    assert desk.ineffective_clicks == 1
     answered(desk, obj, (click(0),), 200)
-    assert desk.in_vain == 0
+    assert desk.ineffective_clicks == 0
     answered(desk, obj, (click(0), RegionRef(1, "b" * 64, True, 3, "lasso")), 201)
-    assert desk.in_vain == 0
+    assert desk.ineffective_clicks == 0
 
 
 @pytest.mark.parametrize(

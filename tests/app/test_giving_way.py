@@ -91,7 +91,7 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
         asked.append((function.__name__, how))
         return SimpleNamespace(result=lambda seconds: [], add_done_callback=lambda _: None)
 
-    jobs = SimpleNamespace(progress=lambda what: None, follow=lambda *a: None)
+    jobs = SimpleNamespace(progress=lambda what: None, add=lambda *a: None)
     obj = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder="folder"),
         document=SimpleNamespace(prompts=(), parts=(), tree=None, up_axis=None, unit_scale=1.0,
@@ -105,4 +105,4 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
     (first, encoding), (second, tool) = asked
     assert (first, second) == ("encode", "use_tool")
     assert encoding["works_on"] == "folder" and tool["works_on"] is None
-    assert tool["priority"] < tool["gives_way"] < 0
+    assert tool["priority"] < tool["preempted_by"] < 0

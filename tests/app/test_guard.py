@@ -475,7 +475,7 @@ def test_more_bytes_than_announced_are_dropped(open_server, uploads):
     part(websocket, button, 0, bytes(8))
     part(websocket, button, 1, bytes(1_000_000))
     note = receive_until(websocket, "NotificationShowMessage")
-    assert "more came than" in note["props"]["body"]
+    assert "larger than the announced" in note["props"]["body"]
     assert kept_bytes(open_server) == 0 and not arrived
 
 

@@ -275,11 +275,11 @@ def test_numeric_threads_are_limited_unless_the_environment_says_so(monkeypatch)
 
 
 def test_what_is_urgent_is_answered_between_the_steps_of_what_gives_way(worker):
-    long = worker.submit(functions.steps, 60, 0.05, gives_way=9)
+    long = worker.submit(functions.steps, 60, 0.05, preempted_by=9)
     wait_for(lambda: long.state == "running")
     later = worker.submit(functions.echo, "later", priority=8)
     assert worker.submit(functions.echo, "click", priority=9).result(1.5) == "click"
-    inner = worker.submit(functions.steps, 6, 0.05, priority=9, gives_way=12)
+    inner = worker.submit(functions.steps, 6, 0.05, priority=9, preempted_by=12)
     wait_for(lambda: inner.fraction > 0)
     assert worker.submit(functions.echo, "edit", priority=12).result(1) == "edit"
     assert inner.result(2) == 6
@@ -297,7 +297,7 @@ def test_what_gives_no_way_is_left_alone(worker):
 
 
 def test_jobs_that_work_on_the_same_wait_for_each_other(worker):
-    long = worker.submit(functions.steps, 20, 0.05, gives_way=0, works_on="a")
+    long = worker.submit(functions.steps, 20, 0.05, preempted_by=0, works_on="a")
     wait_for(lambda: long.fraction > 0)
     same = worker.submit(functions.echo, "same", priority=9, works_on="a")
     assert worker.submit(functions.echo, "other", works_on="b").result(1) == "other"
@@ -306,7 +306,7 @@ def test_jobs_that_work_on_the_same_wait_for_each_other(worker):
 
 
 def test_a_cancelled_job_has_time_until_what_came_between_is_over(worker):
-    long = worker.submit(functions.steps, 400, 0.02, gives_way=9)
+    long = worker.submit(functions.steps, 400, 0.02, preempted_by=9)
     wait_for(lambda: long.fraction > 0)
     child = worker.pid
     deaf = worker.submit(functions.deaf, CANCEL_SECONDS + 0.5, priority=9)
@@ -319,7 +319,7 @@ def test_a_cancelled_job_has_time_until_what_came_between_is_over(worker):
 
 
 def test_a_job_begins_anew_where_the_child_died_of_one_that_came_between(worker):
-    long = worker.submit(functions.steps, 20, 0.05, gives_way=9)
+    long = worker.submit(functions.steps, 20, 0.05, preempted_by=9)
     wait_for(lambda: long.fraction > 0)
     with pytest.raises(JobFailed, match="kill_myself"):
         worker.submit(functions.kill_myself, priority=9).result(10)

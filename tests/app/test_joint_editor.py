@@ -47,7 +47,7 @@ def editor(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_a_door_made_a_drawer_takes_axis_and_range_from_the_geometry(editor: Any) -> None:
     editor.set_type("prismatic")
-    assert editor.asked == [(snapping_tasks.retype_joint, DOOR, "link_1", "prismatic")]
+    assert editor.asked == [(snapping_tasks.change_type, DOOR, "link_1", "prismatic")]
     assert editor.selection.joint == DRAWER
 
 

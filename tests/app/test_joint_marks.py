@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.server.display_tasks import PartPayload
-from app.server.validating import JointCheck
+from app.server.validating import JointCollision
 from app.viewer.picture.joint_marks import AxisMark, JointMarks
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.moving_parts import MovingParts
@@ -68,7 +68,7 @@ def test_axes_move_with_what_the_joint_hangs_on(drawn: tuple[Notes, JointMarks])
 def test_contacts_show_in_their_pose_alone(drawn: tuple[Notes, JointMarks]) -> None:
     client, marks = drawn
     where = (0.0, -0.2, 0.4)
-    marks.show_contacts([JointCheck("upper", 1.2, 0.01, where, "link_1")], TREE)
+    marks.show_contacts([JointCollision("upper", 1.2, 0.01, where, "link_1")], TREE)
     ball = client.nodes["/contact/0"]
 
     def shown(**q: float) -> bool:

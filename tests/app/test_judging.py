@@ -15,19 +15,18 @@ import pytest
 import trimesh
 
 from app.server import validation_tasks as judging_tasks
-from app.server.accepting import accept, asset_folder, take_back
+from app.server.accepting import accept, asset_folder, withdraw
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.part_tasks import parts_of
-from app.server.validating import LookFirstError
+from app.server.validating import UnseenWarningsError
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.physics.collision import build
-from model.validation import runner as gate
 from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.live import LiveSession
@@ -94,7 +93,7 @@ def cupboard(app_state: AppState) -> OpenObject:
 
 
 def judged(obj: OpenObject) -> Any:
-    return wait(lambda: obj.judging.report, "a verdict")
+    return wait(lambda: obj.validation.report, "a verdict")
 
 
 def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObject) -> None:
@@ -103,26 +102,26 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     obj.watch(lambda: None, lambda *note: notes.append(note))
 
     # While the gate is at work an accept waits for it, and is refused then.
-    if obj.judging.report is None:
+    if obj.validation.report is None:
         accept(obj, "", "tester", NOW)
         wait(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
     report = judged(obj)
     assert report.severity == Severity.ERROR
     assert report.of("door").worst.other == "link_0"
-    with pytest.raises(CommandError, match=r"part 1 is broken: .* say why it is right"):
+    with pytest.raises(CommandError, match=r"1 error. part 1: .* give a reason for the override"):
         accept(obj, "", "tester", NOW)
     assert obj.document.review.state == "predicted"
     assert [c.joint for c in obj.checks] == ["door"]
 
     # The mend goes the way of every edit: the gate runs again, and undo brings the old answer.
-    mend = obj.judging.mend("door", "flip")
-    obj.do(cmd.SetJoint(mend.joint), "tester")
-    assert obj.judging.report is not report
+    fix = obj.validation.fix("door", "flip")
+    obj.do(cmd.SetJoint(fix.joint), "tester")
+    assert obj.validation.report is not report
     assert judged(obj).severity == Severity.OK
-    with pytest.raises(CommandError, match="judged again"):
-        obj.judging.mend("door", "flip")
+    with pytest.raises(CommandError, match="validated again"):
+        obj.validation.fix("door", "flip")
     obj.do(cmd.Undo(), "tester")
-    assert obj.judging.report is report
+    assert obj.validation.report is report
 
     accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
     notes.clear()
@@ -183,22 +182,22 @@ def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObje
     # The hinge lies beside the board's edge: the door runs 12 mm into it, which may be meant.
     obj.do(cmd.SetJoint(replace(DOOR, origin=(-0.28, -0.003, 0.2))), "tester")
     said: list[CommandError] = []
-    if obj.judging.report is None:  # asked for before the gate has answered: told, not accepted
+    if obj.validation.report is None:  # asked for before the gate has answered: told, not accepted
         accept(obj, "", "tester", NOW, refused=said.append)
         wait(lambda: said, "it is told to whoever asked")
-        assert isinstance(said[0], LookFirstError)
+        assert isinstance(said[0], UnseenWarningsError)
     report = judged(obj)
     assert report.severity == Severity.WARNING
-    with pytest.raises(LookFirstError, match="Y again accepts it as it is"):
+    with pytest.raises(UnseenWarningsError, match=r"1 warning.*Press Y again"):
         accept(obj, "", "tester", NOW)
     assert obj.document.review.state != "accepted"
 
     # What was seen of other joints doesn't count.
     obj.do(cmd.SetJoint(replace(DOOR, origin=(-0.279, -0.003, 0.2))), "tester")
     judged(obj)
-    with pytest.raises(LookFirstError):
-        accept(obj, "", "tester", NOW, looked_at=report)
-    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    with pytest.raises(UnseenWarningsError):
+        accept(obj, "", "tester", NOW, seen=report)
+    accept(obj, "", "tester", NOW, seen=obj.validation.report)
     wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["looked_at"]) == ("look", True)
@@ -231,7 +230,7 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
         busy = obj.services.workers.prediction.submit(time.sleep, 0.5, priority=9)
         wait(lambda busy=busy: busy.state == "running", "the gate is held up")
         obj.do(cmd.SetJoint(replace(DOOR, upper=upper)), "tester")
-        assert obj.judging.report is None
+        assert obj.validation.report is None
         accept(obj, "", "tester", NOW, refused=said.append)
         obj.do(meanwhile, "rob")
         wait(lambda: said or obj.document.review.state == "accepted", "it is told")
@@ -248,15 +247,15 @@ def test_what_the_predictor_does_not_believe_is_not_accepted_unseen(cupboard: Op
     obj.do(cmd.RecordPrediction(Prediction(tree, confidence={"link_1": 0.02}), labels), "tester")
     report = judged(obj)
     assert report.severity == Severity.WARNING  # though nothing is in its way
-    assert report is obj.judging.report
-    with pytest.raises(LookFirstError, match="only 2 % sure"):
+    assert report is obj.validation.report
+    with pytest.raises(UnseenWarningsError, match="Low confidence"):
         accept(obj, "", "tester", NOW)
     # What a person settled is nobody's guess any more.
     obj.do(cmd.LockJoint("link_1", True), "tester")
     assert judged(obj).severity == Severity.OK
     obj.do(cmd.LockJoint("link_1", False), "tester")
     assert judged(obj).severity == Severity.WARNING
-    accept(obj, "", "tester", NOW, looked_at=obj.judging.report)
+    accept(obj, "", "tester", NOW, seen=obj.validation.report)
     wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["looked_at"]) == ("look", True)
@@ -267,25 +266,25 @@ def test_what_the_gate_said_is_kept(cupboard: OpenObject, monkeypatch: pytest.Mo
     tree = cupboard.document.tree
     assert tree is not None
     source = cupboard.source()
-    first = judging_tasks.judge_joints(source, tree)
-    monkeypatch.setattr(gate, "validate", None)
-    assert judging_tasks.judge_joints(source, tree) == first
+    first = judging_tasks.validate_joints(source, tree)
+    monkeypatch.setattr(judging_tasks, "validate", None)
+    assert judging_tasks.validate_joints(source, tree) == first
     other = replace(tree, joints=(replace(tree.joints[0], upper=0.7), *tree.joints[1:]))
     with pytest.raises(TypeError):
-        judging_tasks.judge_joints(source, other)
-    monkeypatch.setattr(judging_tasks, "judge_version", lambda: "another")
+        judging_tasks.validate_joints(source, other)
+    monkeypatch.setattr(judging_tasks, "validation_version", lambda: "another")
     with pytest.raises(TypeError):
-        judging_tasks.judge_joints(source, tree)
+        judging_tasks.validate_joints(source, tree)
 
 
 def test_what_was_kept_is_forgotten_when_a_threshold_changes(tmp_path: Path) -> None:
-    for package in judging_tasks.DECIDES:
+    for package in judging_tasks.DEPENDENCIES:
         shutil.copytree(static_assets().parent / "model" / package, tmp_path / "model" / package)
-    assert judging_tasks.judge_version(tmp_path) == judging_tasks.judge_version()
-    examine = tmp_path / "model" / "gate" / "examine.py"
-    examine.write_text(examine.read_text().replace("SHALLOW = 0.03", "SHALLOW = 0.02"))
-    judging_tasks.judge_version.cache_clear()
-    assert judging_tasks.judge_version(tmp_path) != judging_tasks.judge_version()
+    assert judging_tasks.validation_version(tmp_path) == judging_tasks.validation_version()
+    examine = tmp_path / "model" / "validation" / "examine.py"
+    examine.write_text(examine.read_text() + "\nSHALLOW = 0.02\n")
+    judging_tasks.validation_version.cache_clear()
+    assert judging_tasks.validation_version(tmp_path) != judging_tasks.validation_version()
 
 
 def test_bodies_are_made_while_joints_are_predicted(
@@ -351,22 +350,22 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     assert app_state.store.accepting()[record.id].comment == "seen in person"
     held.cancel()
     why = wait(lambda: app_state.on_hold(record), "it is held back")
-    assert "part 1 is broken" in why and obj.held == why
+    assert "1 error. part 1" in why and obj.hold_reason == why
     assert obj.document.review.state != "accepted" and not obj.interrupted
     assert not app_state.is_accepting(record.id) and "save" not in obj.jobs
     kept = PendingAcceptance(record.seq, "seen in person", "", why)
-    assert obj.begun == kept and app_state.store.accepting() == {record.id: kept}
+    assert obj.pending_acceptance == kept and app_state.store.accepting() == {record.id: kept}
     app_state.sync_remote()
     assert app_state.on_hold(record) == why
     # The next server says so, too.
     other = AppState(app_state.config, Store(app_state.workspace), [Path(obj.record.path)])
     try:
-        assert other.held(record) == why and not other.was_interrupted(record)
+        assert other.on_hold(record) == why and not other.was_interrupted(record)
     finally:
         other.close()
     # What is changed is another object; asked for with a reason it is accepted.
     obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.01)), "tester")
-    assert not obj.held and not app_state.on_hold(app_state.store.object(record.id))
+    assert not obj.hold_reason and not app_state.on_hold(app_state.store.object(record.id))
     judged(obj)
     accept(obj, "", "ann", NOW, "it gives way")
     wait(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
@@ -385,10 +384,14 @@ def test_a_wish_hears_at_once_that_the_joints_changed(
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.97)), "tester")
     said: list[CommandError] = []
     accept(obj, "", "ann", NOW, refused=said.append)
-    assert not said and obj.judging.waiting
+    assert not said and obj.validation.acceptance_waits
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.96)), "rob")
     wait(lambda: said, "it is told")
-    assert "edited meanwhile" in str(said[0]) and not obj.judging.waiting and not obj.held
+    assert (
+        "edited meanwhile" in str(said[0])
+        and not obj.validation.acceptance_waits
+        and not obj.hold_reason
+    )
     held.cancel()
     judged(obj)
     assert obj.document.review.state != "accepted" and not app_state.store.accepting()
@@ -400,22 +403,22 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> 
         obj.do(cmd.Reopen(), "tester")
     notes: list[tuple[str, str, str]] = []
     stop = obj.watch(lambda: None, lambda *note: notes.append(note))
-    assert not take_back(obj) and not notes
+    assert not withdraw(obj) and not notes
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
     accept(obj, "seen in person", "ann", NOW)
     assert app_state.is_accepting(obj.record.id) and app_state.store.accepting()
     # Another object is on the screen by the time that it is read.
-    waits = f"{obj.record.name}: as soon as the joints are judged"
+    waits = f"{obj.record.name}: when the checks pass"
     assert notes[-1] == ("Accepting", waits, "blue")
-    assert take_back(obj)
-    assert notes[-1] == ("Not accepted", "Taken back before the joints were judged", "gray")
+    assert withdraw(obj)
+    assert notes[-1] == ("Not accepted", "Cancelled before the checks were done", "gray")
     assert not app_state.is_accepting(obj.record.id) and not app_state.store.accepting()
     held.cancel()
     assert judged(obj).severity == Severity.OK
     wait(lambda: not obj.jobs, "nothing goes on")
-    assert obj.document.review.state != "accepted" and not obj.held and not obj.interrupted
+    assert obj.document.review.state != "accepted" and not obj.hold_reason and not obj.interrupted
     stop()
 
 
@@ -429,8 +432,8 @@ def test_what_could_not_be_judged_is_not_accepted_unseen(
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.95)), "tester")
     wait(lambda: "check" in obj.jobs, "the gate is asked")
     accept(obj, "", "ann", NOW)
-    obj.judging.failed("its process ended")
-    assert "couldn't be judged: its process ended" in obj.held
+    obj.validation.failed("its process ended")
+    assert "checks failed: its process ended" in obj.hold_reason
     assert obj.document.review.state != "accepted" and "save" not in obj.jobs
     held.cancel()
     judged(obj)
@@ -462,10 +465,10 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         again.watch(lambda: None, lambda *note: notes.append(note))
         judged(again)
         assert again.interrupted
-        assert again.begun == PendingAcceptance(
+        assert again.pending_acceptance == PendingAcceptance(
             again.state.seq, "hinge seen in person", "it gives way"
         )
-        assert any(n[0] == "Not accepted yet" and "Y accepts it" in n[1] for n in notes)
+        assert any(n[0] == "Not accepted yet" and "Press Y to accept" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
         wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
         assert not again.interrupted and not state.store.accepting()
@@ -481,7 +484,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     first = next(e.seq for e in history if isinstance(e.command, cmd.Accept))
     for e in history[:first]:
         store.append(known.id, e.command, e.who, e.seq - 1, at=e.at)
-    store.accepting_begins(known.id, PendingAcceptance(first - 1))
+    store.begin_acceptance(known.id, PendingAcceptance(first - 1))
     store.close()
     target = asset_folder(tmp_path, known)
     shutil.copytree(folder, target.with_name(f".{target.name}.0123456789ab.old"))
@@ -502,7 +505,7 @@ def test_what_another_server_is_saving_is_told_until_that_ends(
     """Also where it ends without a decision, as when it is cancelled."""
     store = Store(tmp_path)
     (known,) = store.open_objects([(Path(cupboard.record.path), None, "cupboard")])
-    store.accepting_begins(known.id, PendingAcceptance(known.seq))
+    store.begin_acceptance(known.id, PendingAcceptance(known.seq))
     config = replace(cupboard.services.config, workspace=tmp_path)
     state = AppState(config, Store(tmp_path), [Path(cupboard.record.path)])
     try:
@@ -510,7 +513,7 @@ def test_what_another_server_is_saving_is_told_until_that_ends(
         state.queue.subscribe(lambda: told.append(None))
         state.sync_remote()
         assert state.was_interrupted(*state.queue.records()) and not told
-        store.accepting_ends(known.id)
+        store.end_acceptance(known.id)
         state.sync_remote()
         assert not state.was_interrupted(*state.queue.records()) and told
     finally:

@@ -82,7 +82,7 @@ def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(begin_app, tmp_
     (good,) = app_state.queue.add([tmp_path / "good.ply"])
     bad = app_state.add_upload("bad.ply", b"ply\nformat ascii 1.0\n")
     path = app_state.store.object(bad).path
-    with pytest.raises(CommandError, match="only what can't be read"):
+    with pytest.raises(CommandError, match="only unreadable"):
         app_state.queue.remove(good)
     obj = app_state.object(bad)
     wait(lambda: obj.problem, "the problem")
@@ -96,7 +96,7 @@ def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(begin_app, tmp_
     app_state.queue.remove(bad)
     assert app_state.add_upload("bad.ply", path.read_bytes()) == bad  # so it is back as well
     assert app_state.queue.records()[-1].id == bad and not app_state.queue.removed
-    with pytest.raises(CommandError, match="nothing was taken off"):
+    with pytest.raises(CommandError, match="nothing was removed"):
         app_state.queue.restore()
 
 
@@ -112,11 +112,11 @@ def test_what_was_taken_off_stays_off_at_the_next_start(begin_app, tmp_path: Pat
         wait(lambda obj=obj: obj.problem, "the problem")
         app_state.queue.remove(number)
     later = begin_app(good, *bad)
-    assert [r.id for r in later.records()] == ids[:1]
-    assert later.taken_off == tuple(ids[:0:-1])
-    assert later.put_back() == ids[1]
+    assert [r.id for r in later.queue.records()] == ids[:1]
+    assert later.queue.removed == tuple(ids[:0:-1])
+    assert later.queue.restore() == ids[1]
     again = begin_app(good, *bad)
-    assert [r.id for r in again.records()] == ids[:2] and again.taken_off == (ids[2],)
+    assert [r.id for r in again.queue.records()] == ids[:2] and again.queue.removed == (ids[2],)
     assert [r.id for r in begin_app(bad[1]).records()] == [ids[2]]  # it is all there is
     GOOD.export(bad[1])  # mended
     assert [r.id for r in begin_app(good, *bad).records()] == ids

@@ -70,7 +70,7 @@ def test_a_zip_of_it_opens(mjcf: Path, tmp_path: Path) -> None:
 
 
 def test_alone_it_is_taken_where_it_names_no_files(tmp_path: Path) -> None:
-    with pytest.raises(InputFileError, match="its meshes didn't come along"):
+    with pytest.raises(InputFileError, match="its meshes are missing"):
         keep_upload(tmp_path, "a.xml", MJCF.encode(), 10**8)
     boxes = b"<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
     assert open_asset(keep_upload(tmp_path, "a.xml", boxes, 10**8)).mesh is not None

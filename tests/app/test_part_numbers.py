@@ -122,6 +122,6 @@ def test_a_tool_that_finds_no_time_is_given_up_in_words(monkeypatch: pytest.Monk
     job: Job[Any] = Job(stopped.append, 1, "tool", (int, (), {}), None, None)
     obj.services.workers.segmentation.submit = lambda *a, **k: job
     monkeypatch.setattr("app.server.segmenting.TOOL_SECONDS", 0.01)
-    with pytest.raises(CommandError, match="too much to do"):
+    with pytest.raises(CommandError, match="too busy"):
         segmenting.use_tool(ToolRequest("grow", 1), "tester")
     assert stopped == [job]

@@ -30,8 +30,8 @@ def test_the_newest_job_counts():
     report = jobs.progress("predict")
     report(0.1, "not followed yet")
     assert not jobs.busy and not redraws
-    jobs.follow("predict", old, lambda _: None)
-    jobs.follow("predict", new, lambda _: None, (0.2, "again"))
+    jobs.add("predict", old, lambda _: None)
+    jobs.add("predict", new, lambda _: None, (0.2, "again"))
     assert not jobs.drop("predict", old)
     assert "predict" in jobs and jobs.busy == {"predict": (0.2, "again")}
     report(0.5, "half")
@@ -46,14 +46,14 @@ def test_the_newest_job_counts():
 def test_what_went_wrong_is_said_in_words(caplog: pytest.LogCaptureFixture):
     jobs = RunningJobs("the chest", lambda: None)
     kept: list[int] = []
-    assert jobs.hand_over("save", ended(state="done", value=3), kept.append) is None
+    assert jobs.deliver("save", ended(state="done", value=3), kept.append) is None
     assert kept == [3]
-    stopped = jobs.hand_over("save", ended(state="cancelled"), kept.append)
+    stopped = jobs.deliver("save", ended(state="cancelled"), kept.append)
     assert isinstance(stopped, Cancelled)
     mistake = CommandError("no part is there yet")
-    assert jobs.hand_over("save", ended(state="failed", error=mistake), kept.append) is mistake
+    assert jobs.deliver("save", ended(state="failed", error=mistake), kept.append) is mistake
     assert not caplog.records
-    fault = jobs.hand_over("save", ended(state="done", value=3), lambda value: value / 0)
+    fault = jobs.deliver("save", ended(state="done", value=3), lambda value: value / 0)
     assert "division by zero (our fault" in str(fault)
     assert "job save of the chest failed" in caplog.text
     assert kept == [3]

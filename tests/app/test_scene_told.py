@@ -44,7 +44,7 @@ def test_in_another_frame_they_are_turned_along_and_damage_is_nothing(
 ) -> None:
     (cupboard / "object.urdf").write_text(robot(body=9.0, door=9.0, grip=0.2))
     obj, copy = SceneObject("a", "a", np.eye(4), np.ones(3)), tmp_path / "copy"
-    scene_tasks.lay_down(scene_tasks.SceneItem(obj, Decision(True), cupboard, copy))
+    scene_tasks.make_working_copy(scene_tasks.SceneItem(obj, Decision(True), cupboard, copy))
     plain = open_asset(copy).inertials["link_1"]
     turned = open_asset(copy, up_axis="y", unit_scale=0.5).inertials["link_1"]
     x, y, z = plain.center

@@ -84,7 +84,7 @@ def lying() -> bytes:
         (zipped(("a.obj", b"v 0 0 0\n" * 2_000_000), packing=zipfile.ZIP_DEFLATED), "unpacks"),
         (zipped(*((f"{i}.obj", b"") for i in range(5001))), "5,001 files"),
         (zipped(("notes.exe", b"MZ")), "nothing that can be opened"),
-        (zipped(("x" * 300 + ".obj", OBJ)), "endless name"),
+        (zipped(("x" * 300 + ".obj", OBJ)), "very long name"),
         (zipped(("a.obj", OBJ))[:-30], "no zip"),
         (b"PK\x03\x04 not really", "no zip"),
         (lying(), "no zip"),

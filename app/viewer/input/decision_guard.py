@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from app.server.pointer_messages import ArtiworldShownMessage, tell_page
+from app.server.pointer_messages import ArtiworldShownMessage, set_page_state
 from app.viewer.tab import Tab
 from app.viewer.words import common as words
 
@@ -51,7 +51,7 @@ class DecisionGuard:
             return
         self._sent, self._sent_at, self._shown_at = what, time.monotonic(), None
         self._number += 1
-        tell_page(self._tab.client, shown=self._number)
+        set_page_state(self._tab.client, shown=self._number)
 
     def long_enough(self, pressed_at: float) -> bool:
         """Whether what is there now was seen when a key was pressed, by the monotonic clock."""

@@ -14,7 +14,7 @@ from app.server.pointer_messages import (
     ArtiworldHoverMessage,
     ArtiworldStrokeMessage,
     ArtiworldToolMessage,
-    tell_page,
+    set_page_state,
 )
 from app.server.tool_tasks import ToolRequest
 from app.viewer.input.hover import Hover
@@ -158,7 +158,7 @@ class Pointing:
 
     # --- what the page shows
 
-    def tell_page(self) -> None:
+    def set_page_state(self) -> None:
         """Let the page's script know what a drag means, and what to write below the picture."""
         selection = self._selection
         drawing = selection.step == "Annotate" and selection.object is not None
@@ -174,7 +174,7 @@ class Pointing:
         news = {k: v for k, v in state.items() if self._told.get(k) != v}
         if news:
             self._told = state
-            tell_page(self._tab.client, **news)
+            set_page_state(self._tab.client, **news)
 
     def _hint(self) -> str:
         if self.armed == "merge":
