@@ -23,6 +23,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
+from model.evaluation.part_matching import sampled_parts
 from model.io.urdf.meshes import moved_mesh
 
 Rule = Literal["as it is", "power of ten", "box"]
@@ -198,8 +199,6 @@ def fit(frame: Frame, truth: FloatArray, predicted: FloatArray) -> Similarity:
 
 def outline(parts: Sequence[Part], points: int = POINTS) -> FloatArray:
     """(N, 3) samples of a whole object with the corners of its box exactly in them."""
-    from model.evaluation.part_matching import sampled_parts
-
     sampled = sampled_parts(parts)
     everything = np.concatenate([s.points for s in sampled] or [np.zeros((1, 3))])
     order = np.random.default_rng(0).permutation(len(everything))[:points]

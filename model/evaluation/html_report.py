@@ -1,7 +1,4 @@
-"""One page that holds everything: tables, reliability, and pictures of the worst objects.
-
-Nothing is loaded from elsewhere and nothing runs in it. Every name is escaped.
-"""
+"""The evaluation as one self-contained HTML page: tables, calibration, pictures of failures."""
 
 from __future__ import annotations
 
@@ -9,18 +6,19 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from html import escape
 from pathlib import Path
 
 import numpy as np
+from jinja2 import Environment, StrictUndefined
 
 from model.core.errors import InputFileError
+from model.evaluation import render
 from model.evaluation.calibration import Calibration
 from model.evaluation.joint_metrics import ObjectScore
 from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.report import COLUMNS, Report, faults, paper_rows, show, summary_cells
-from model.evaluation.run import EvaluationConfig, judge, load_truth
-from model.evaluation.summary import METRICS
+from model.evaluation.run import EvaluationConfig, load_truth, score_prediction
+from model.evaluation.summary import METRICS, Metric
 
 STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 1rem;
@@ -39,7 +37,7 @@ border:1px dashed #cdd2d8;border-radius:4px}.note{color:#556;max-width:60rem}
 
 @dataclass(frozen=True)
 class Pictures:
-    """PNG files of one object; None where there is nothing to draw."""
+    """PNG files of one object, or None."""
 
     given: bytes | None
     truth: bytes | None
@@ -52,7 +50,7 @@ def write_html(runs: Sequence[tuple[EvaluationConfig, Report]], path: Path, pict
     Args:
         runs: each method's configuration and report.
         path: of the page.
-        pictures: how many of each method's worst objects are drawn.
+        pictures: number of each method's worst objects that are drawn.
 
     Raises:
         InputFileError: where it can't be written.
@@ -61,17 +59,23 @@ def write_html(runs: Sequence[tuple[EvaluationConfig, Report]], path: Path, pict
     for config, report in runs:
         worst = worst_objects(report.scores, pictures)
         drawn = draw_objects(config, worst)
-        sections.append(_section(report, worst, drawn))
+        objects = [(o, drawn.get(o.object_id) or Pictures(None, None, None)) for o in worst]
+        sections.append((report, objects, _reliability(report.calibration)))
+    page = _PAGE.render(
+        sections=sections, style=STYLE, metrics=METRICS, columns=list(COLUMNS),
+        paper=paper_rows(), figure=_figure, cells=lambda s: list(summary_cells(s)),
+        faults=faults, png=_data_url,
+    )  # fmt: skip
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_page([r for _, r in runs], sections), encoding="utf-8")
+        path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
     return path
 
 
 def worst_objects(scores: Sequence[ObjectScore], count: int) -> list[ObjectScore]:
-    """Objects that aren't usable, those with the largest share of wrong joints first."""
+    """Return objects that aren't usable, those with the largest share of wrong joints first."""
 
     def badness(score: ObjectScore) -> tuple[float, float, str]:
         wrong = sum(not j.usable for j in score.joints) + len(score.extra)
@@ -85,7 +89,7 @@ def worst_objects(scores: Sequence[ObjectScore], count: int) -> list[ObjectScore
 def draw_objects(
     config: EvaluationConfig, scores: Sequence[ObjectScore]
 ) -> dict[str, Pictures | None]:
-    """Pictures by object id, in parallel; what failed before isn't predicted again."""
+    """Draw objects in parallel, by id; failed ones aren't predicted again."""
     failed = frozenset(s.object_id for s in scores if s.problem)
     ids = [s.object_id for s in scores]
     return dict(robust_map(partial(draw_object, config, failed), ids, config.jobs))
@@ -94,9 +98,7 @@ def draw_objects(
 def draw_object(
     config: EvaluationConfig, failed: frozenset[str], object_id: str
 ) -> Pictures | None:
-    """Input, truth and prediction; None where the object can't be read."""
-    from model.evaluation import render
-
+    """Draw input, truth and prediction; None where the object can't be read."""
     try:
         with time_limit(config.timeout):
             truth = load_truth(config, object_id)
@@ -109,122 +111,98 @@ def draw_object(
             shown = render.png(render.draw(obj, colors=colors, q=q, joints=True, bounds=bounds))
             if object_id in failed:
                 return Pictures(given, shown, None)
-            predicted = judge(config, truth).predicted
+            predicted = score_prediction(config, truth).predicted
             if predicted is None:
                 return Pictures(given, shown, None)
             image = render.draw(
                 predicted, colors=colors, q=render.half_open(predicted), joints=True, bounds=bounds
             )
             return Pictures(given, shown, render.png(image))
-    except Exception:  # the boundary of a job: the page says that there is no picture
+    except Exception:  # the boundary of a job: the page shows no picture then
         return None
 
 
-def _page(reports: Sequence[Report], sections: Sequence[str]) -> str:
-    title = escape(f"Evaluation on {reports[0].dataset}")
-    rows = "".join(_row(r.row(), "own") for r in reports)
-    rows += "".join(_row(row, "paper") for row in paper_rows())
-    head = "".join(f"<th>{escape(c)}</th>" for c in ("method", *COLUMNS))
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<style>{STYLE}</style></head><body><h1>{title}</h1>"
-        f"<table><tr>{head}</tr>{rows}</table>"
-        '<p class="note">TC, tree and usable count missing and extra joints. APD and ALD in rad, '
-        "OPD and DLD in metres. The paper's rows are its own figures on its own objects.</p>"
-        f"{''.join(sections)}</body></html>\n"
-    )
+_PAGE = Environment(
+    autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+).from_string("""\
+{%- macro row(cells, kind="", tag="td") -%}
+<tr{% if kind %} class="{{ kind }}"{% endif %}>
+{%- for c in cells %}<{{ tag }}>{{ c }}</{{ tag }}>{% endfor %}</tr>
+{%- endmacro -%}
+<!doctype html><html lang="en"><head><meta charset="utf-8">
+<title>Evaluation on {{ sections[0][0].dataset }}</title>
+<meta name="viewport" content="width=device-width,initial-scale=1">
+<style>{{ style|safe }}</style></head><body>
+<h1>Evaluation on {{ sections[0][0].dataset }}</h1>
+<table>{{ row(["method"] + columns, tag="th") }}
+{% for report, _, _ in sections %}{{ row(report.row(), "own") }}{% endfor %}
+{% for cells in paper %}{{ row(cells, "paper") }}{% endfor %}</table>
+<p class="note">TC, tree and usable count missing and extra joints. APD and ALD in rad, OPD and DLD
+in metres. The paper's rows are its own figures on its own objects.</p>
+{% for report, objects, curve in sections %}
+{% set s = report.summary %}
+<h2>{{ report.label }}</h2>
+<p>{{ s.objects }} objects, {{ s.joints }} joints; {{ s.missing }} missing, {{ s.unparseable }}
+unparseable, {{ s.extra }} extra, {{ s.failed }} objects without a prediction.
+{%- if report.frame is not none %} Frame of the files: {{ report.frame }}.{% endif %}</p>
+<details><summary>All figures, with definitions</summary><table class="text">
+{{ row(["figure", "value", "95 % interval", "unit", "definition", "source"], tag="th") }}
+{% for m in metrics %}{{ row(figure(report, m)) }}{% endfor %}</table></details>
+<details><summary>By category (objects, joints)</summary><table>
+{{ row(["category"] + columns, tag="th") }}
+{% for name, v in report.by_category.items() %}
+{{ row(["%s (%s, %s)" % (name, v.objects, v.joints)] + cells(v)) }}
+{% endfor %}</table></details>
+{% if curve %}
+{% set c = report.calibration %}
+<h3>Confidence</h3><p>{{ c.joints }} joints; expected calibration error {{ "%.3f" % c.ece }}, Brier
+score {{ "%.3f" % c.brier }}.</p>
+<svg width="280" height="280" viewBox="0 0 280 280" role="img"
+ aria-label="share of usable joints by confidence" font-size="11" fill="#556">
+<rect x="40" y="40" width="200" height="200" fill="none" stroke="#ccd"/>
+<path d="M40 240L240 40" stroke="#99a" stroke-dasharray="4"/>
+<polyline points="{% for x, y, _, _ in curve %}{{ x }},{{ y }} {% endfor %}" fill="none"
+ stroke="#2980b9"/>
+{% for x, y, r, joints in curve %}<circle cx="{{ x }}" cy="{{ y }}" r="{{ r }}" fill="#2980b9">
+<title>{{ joints }} joints</title></circle>{% endfor %}
+<text x="140" y="268" text-anchor="middle">confidence</text>
+<text x="34" y="44" text-anchor="end">1</text><text x="34" y="244" text-anchor="end">0</text>
+<text x="240" y="254" text-anchor="middle">1</text>
+<text x="40" y="30">share of usable joints</text></svg>
+{% endif %}
+<h3>{{ "The worst objects" if objects else "Every object is usable" }}</h3>
+{% for o, pictures in objects %}
+<h4>{{ o.object_id }} ({{ o.category or "unknown" }})</h4><div class="worst">
+{% for what, data in [("input", pictures.given), ("truth, half open", pictures.truth),
+                      ("prediction, half open", pictures.predicted)] %}
+<figure>{% if data is none %}<div class="none">no picture</div>{% else %}
+<img alt="{{ o.object_id }}: {{ what }}" src="{{ png(data) }}">{% endif %}
+<figcaption>{{ what }}</figcaption></figure>
+{% endfor %}</div><p class="why">{{ faults(o)[:12]|join("; ") }}
+{%- if o.execution and o.execution.why %}<br>Driven: {{ o.execution.why }}{% endif %}</p>
+{% endfor %}
+{% endfor %}
+</body></html>
+""")
 
 
-def _section(
-    report: Report, worst: Sequence[ObjectScore], drawn: dict[str, Pictures | None]
-) -> str:
-    s = report.summary
-    figures = []
-    for m in METRICS:
-        value = show(m, s[m.key])
-        low, high = report.intervals[m.key]
-        span = "–" if value == "–" else f"{show(m, low)} … {show(m, high)}"
-        figures.append(_row((m.label, value, span, m.unit, m.definition, m.source)))
-    head = ("figure", "value", "95 % interval", "unit", "what it is", "source")
-    categories = "".join(
-        _row((f"{c} ({v.objects}, {v.joints})", *summary_cells(v)))
-        for c, v in report.by_category.items()
-    )
-    frame = "" if report.frame is None else f" Frame of the files: {report.frame}."
-    return (
-        f"<h2>{escape(report.label)}</h2>"
-        f"<p>{s.objects} objects, {s.joints} joints; {s.missing} missing, {s.unparseable} "
-        f"unparseable, {s.extra} extra, {s.failed} objects without a prediction."
-        f"{escape(frame)}</p>"
-        f"<details><summary>All figures, with definitions</summary>"
-        f'<table class="text">{_header(head)}{"".join(figures)}</table></details>'
-        f"<details><summary>By category (objects, joints)</summary>"
-        f"<table>{_header(('category', *COLUMNS))}{categories}</table></details>"
-        f"{_reliability(report.calibration)}"
-        f"<h3>{'The worst objects' if worst else 'Every object is usable'}</h3>"
-        f"{''.join(_object(o, drawn.get(o.object_id)) for o in worst)}"
-    )
+def _data_url(data: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def _object(score: ObjectScore, pictures: Pictures | None) -> str:
-    pictures = pictures or Pictures(None, None, None)
-    cells = "".join(
-        f"<figure>{_image(data, f'{score.object_id}: {what}')}<figcaption>{what}</figcaption>"
-        "</figure>"
-        for what, data in (
-            ("input", pictures.given),
-            ("truth, half open", pictures.truth),
-            ("prediction, half open", pictures.predicted),
-        )
-    )
-    name = escape(f"{score.object_id} ({score.category or 'unknown'})")
-    why = escape("; ".join(faults(score)[:12]))
-    if score.execution is not None and score.execution.why:
-        why += f"<br>Driven: {escape(score.execution.why)}"
-    return f'<h4>{name}</h4><div class="worst">{cells}</div><p class="why">{why}</p>'
+def _figure(report: Report, m: Metric) -> tuple[str, ...]:
+    """A row of the table of all figures."""
+    value = show(m, report.summary[m.key])
+    low, high = report.intervals[m.key]
+    span = "–" if value == "–" else f"{show(m, low)} … {show(m, high)}"
+    return m.label, value, span, m.unit, m.definition, m.source
 
 
-def _image(data: bytes | None, alt: str) -> str:
-    if data is None:
-        return '<div class="none">nothing to draw</div>'
-    text = base64.b64encode(data).decode("ascii")
-    return f'<img alt="{escape(alt)}" src="data:image/png;base64,{text}">'
-
-
-def _header(cells: Sequence[str]) -> str:
-    return f"<tr>{''.join(f'<th>{escape(c)}</th>' for c in cells)}</tr>"
-
-
-def _row(cells: Sequence[str], kind: str = "") -> str:
-    start = f'<tr class="{kind}">' if kind else "<tr>"
-    return f"{start}{''.join(f'<td>{escape(c)}</td>' for c in cells)}</tr>"
-
-
-def _reliability(c: Calibration) -> str:
-    """The reliability curve as a drawing of 260 x 260 units."""
-    if not c.joints:
-        return ""
-    side, edge = 200, 40
-    points = [(edge + side * b.confidence, edge + side * (1 - b.usable)) for b in c.bins]
-    most = max(b.joints for b in c.bins)
-    dots = "".join(
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{3 + 6 * (b.joints / most) ** 0.5:.1f}" '
-        f'fill="#2980b9"><title>{b.joints} joints</title></circle>'
-        for (x, y), b in zip(points, c.bins, strict=True)
-    )
-    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    far = edge + side
-    return (
-        f"<h3>Confidence</h3><p>{c.joints} joints; expected calibration error {c.ece:.3f}, Brier "
-        f'score {c.brier:.3f}.</p><svg width="280" height="280" viewBox="0 0 280 280" role="img" '
-        'aria-label="share of usable joints by confidence" font-size="11" fill="#556">'
-        f'<rect x="{edge}" y="{edge}" width="{side}" height="{side}" fill="none" stroke="#ccd"/>'
-        f'<path d="M{edge} {far}L{far} {edge}" stroke="#99a" stroke-dasharray="4"/>'
-        f'<polyline points="{line}" fill="none" stroke="#2980b9"/>{dots}'
-        f'<text x="{edge + side / 2}" y="{far + 28}" text-anchor="middle">confidence</text>'
-        f'<text x="{edge - 6}" y="{edge + 4}" text-anchor="end">1</text>'
-        f'<text x="{edge - 6}" y="{far + 4}" text-anchor="end">0</text>'
-        f'<text x="{far}" y="{far + 14}" text-anchor="middle">1</text>'
-        f'<text x="{edge}" y="{edge - 10}">share of usable joints</text></svg>'
-    )
+def _reliability(c: Calibration) -> list[tuple[str, str, str, int]]:
+    """Points x, y of the reliability curve in a square of 200 units, their radii, and joints."""
+    most = max((b.joints for b in c.bins), default=1)
+    return [
+        (f"{40 + 200 * b.confidence:.1f}", f"{40 + 200 * (1 - b.usable):.1f}",
+         f"{3 + 6 * (b.joints / most) ** 0.5:.1f}", b.joints)
+        for b in c.bins
+    ]  # fmt: skip

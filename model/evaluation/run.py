@@ -99,7 +99,7 @@ class ObjectResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ScoredPrediction:
     """A prediction with its truth and its score.
 
     Attributes:
@@ -243,12 +243,12 @@ def evaluate_object(config: EvaluationConfig, object_id: str) -> ObjectResult:
         with time_limit(config.timeout):
             truth = load_truth(config, object_id)
             category.append(truth.object.category)
-            judged = judge(config, truth)
-        score = judged.score
+            scored = score_prediction(config, truth)
+        score = scored.score
         if config.execute:
-            run = execute(judged.predicted, seed=config.seed, timeout=config.timeout)
+            run = execute(scored.predicted, seed=config.seed, timeout=config.timeout)
             score = replace(score, execution=run)
-        return ObjectResult(score, judged.seconds)
+        return ObjectResult(score, scored.seconds)
     # The boundary of a job: whatever one object does to the predictor, the run goes on.
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
@@ -265,7 +265,7 @@ def load_truth(config: EvaluationConfig, object_id: str) -> GroundTruth:
     return corrupt(truth, config.corruption, rng)
 
 
-def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
+def score_prediction(config: EvaluationConfig, truth: GroundTruth) -> ScoredPrediction:
     """Predict, or read what was predicted, and score it.
 
     Raises:
@@ -282,7 +282,9 @@ def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
             unmatched_parts=len(written.object.parts) - len(found.matches),
         )  # fmt: skip
         note = "; ".join(n for n in written.notes if not n.startswith("link_"))[:500]
-        return Judged(truth, found.object, replace(score, object_id=truth.id, note=note), seconds)
+        return ScoredPrediction(
+            truth, found.object, replace(score, object_id=truth.id, note=note), seconds
+        )
     if config.predictor == TRUTH:
         prediction = Prediction(truth.object.tree)
     else:
@@ -298,7 +300,7 @@ def judge(config: EvaluationConfig, truth: GroundTruth) -> Judged:
     predicted = None
     if prediction.tree is not None:
         predicted = replace(truth.object, tree=prediction.tree)
-    return Judged(truth, predicted, replace(score, object_id=truth.id), seconds)
+    return ScoredPrediction(truth, predicted, replace(score, object_id=truth.id), seconds)
 
 
 @lru_cache(maxsize=2)
