@@ -1,4 +1,4 @@
-"""Every edit as a small frozen value that can be written as JSON.
+"""Every edit as a small frozen value with a JSON form.
 
 A command says what a person decided (or what a job answered), never how the state changes; that is
 in :mod:`sessions.edits`. Written commands are kept for good: a kind or a field is never renamed,
@@ -63,7 +63,7 @@ class AddRegion:
 
 @dataclass(frozen=True)
 class RemovePrompt:
-    """Take back prompts that belong together, such as a click and another mask for it.
+    """Remove prompts that belong together, such as a click and another mask for it.
 
     Attributes:
         index: of the first one; counts all the prompts in the order they were given.
@@ -80,7 +80,7 @@ class RemovePrompt:
 
 @dataclass(frozen=True)
 class ClearPrompts:
-    """Take back all the prompts of ``part``, or of every part where it is None."""
+    """Remove all prompts of ``part``, or of every part where it is None."""
 
     part: int | None = None
 
@@ -103,7 +103,7 @@ class AddPart:
 
 @dataclass(frozen=True)
 class NamePart:
-    """What a part is: door, drawer, lid, … or None for no name."""
+    """Name a part: door, drawer, lid, …, or None for no name."""
 
     part: int
     name: str | None
@@ -127,7 +127,7 @@ class DeletePart:
 
 @dataclass(frozen=True)
 class SetCategory:
-    """What the object is, or None."""
+    """Set the object's category, or None."""
 
     category: str | None
 
@@ -137,7 +137,7 @@ class SetCategory:
 
 @dataclass(frozen=True)
 class SetFrame:
-    """How the source is read: its up axis and metres per unit. Starts the annotation afresh."""
+    """Set the up axis and metres per unit of the source. Restarts the annotation."""
 
     up_axis: UpAxis
     unit_scale: float
@@ -151,7 +151,7 @@ class SetFrame:
 
 @dataclass(frozen=True)
 class RecordSegmentation:
-    """A segmenter's answer. Amends the present document; no undo step.
+    """A segmenter's result. Amends the present document; no undo step.
 
     Attributes:
         prompts_key: :func:`sessions.document.prompts_key` of the prompts that it answers.
@@ -176,7 +176,7 @@ class RecordSegmentation:
 
 @dataclass(frozen=True)
 class RecordPrediction:
-    """A predictor's answer.
+    """A predictor's result.
 
     Attributes:
         prediction: the answer; without a tree it changes no joint.
@@ -199,21 +199,21 @@ class SetJoint:
 
 @dataclass(frozen=True)
 class SetRoot:
-    """Make ``link`` the root; the joints on the way to the former root turn round."""
+    """Make ``link`` the root; the joints on the path to the former root are reversed."""
 
     link: str
 
 
 @dataclass(frozen=True)
 class ResetJoint:
-    """Back to what was predicted for the joint of ``child``."""
+    """Reset the joint of ``child`` to the predicted one."""
 
     child: str
 
 
 @dataclass(frozen=True)
 class LockJoint:
-    """Whether the joint of ``child`` is settled: the next prediction keeps it."""
+    """Lock or unlock the joint of ``child``: the next prediction keeps a locked joint."""
 
     child: str
     locked: bool
@@ -221,7 +221,7 @@ class LockJoint:
 
 @dataclass(frozen=True)
 class Accept:
-    """The object is right.
+    """Accept the object.
 
     Attributes:
         comment: for people.
@@ -247,7 +247,7 @@ class Accept:
 
 @dataclass(frozen=True)
 class Reject:
-    """The object goes back to its annotator.
+    """Reject the object: it goes back to its annotator.
 
     Attributes:
         reason, comment: why.
@@ -270,7 +270,7 @@ class Reject:
 
 @dataclass(frozen=True)
 class Reopen:
-    """Work on an accepted or rejected object again."""
+    """Reopen an accepted or rejected object."""
 
     comment: str = ""
 
@@ -289,12 +289,12 @@ class Saved:
 
 @dataclass(frozen=True)
 class Undo:
-    """Take back the last step."""
+    """Undo the last step."""
 
 
 @dataclass(frozen=True)
 class Redo:
-    """Do again what was taken back last."""
+    """Redo the step that was undone last."""
 
 
 Command = (
@@ -360,18 +360,18 @@ KINDS: Mapping[str, type[Command]] = {
     "undo": Undo,
     "redo": Redo,
 }
-"""The one table of what can be written."""
+"""All commands by their stored name."""
 
 _KIND_OF: Mapping[type[Command], str] = {cls: kind for kind, cls in KINDS.items()}
 
 
 def kind_of(command: Command) -> str:
-    """The command's name in JSON."""
+    """Return the command's stored name."""
     return _KIND_OF[type(command)]
 
 
 def to_json(command: Command) -> dict[str, Any]:
-    """``command`` in dicts, lists, text and finite numbers; its name under ``kind``.
+    """Return ``command`` as JSON data, its name under ``kind``.
 
     Raises:
         CommandError: where a number is NaN or infinite.
@@ -384,10 +384,10 @@ def to_json(command: Command) -> dict[str, Any]:
 
 
 def from_json(data: object) -> Command:
-    """The command that :func:`to_json` wrote.
+    """Return the command that :func:`to_json` wrote.
 
     Raises:
-        CommandError: naming the field and the value, or the kind that this version doesn't know.
+        CommandError: naming the field and the value, or the unknown kind.
     """
     if not isinstance(data, dict):
         raise CommandError(f"a command must be an object, got {str(data)[:80]!r}")

@@ -1,4 +1,4 @@
-"""What is decided about one object at one moment. Arrays are held by reference, never loaded."""
+"""All decisions about one object at one moment. Arrays are held by reference, never loaded."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sessions.tool_commands import FaceCut
 
 @dataclass(frozen=True)
 class RegionRef:
-    """A :class:`~model.segmentation.prompts.Region` whose elements lie in the store.
+    """A :class:`~model.segmentation.prompts.Region` whose elements are in the store.
 
     Attributes:
         part: the part.
         elements: reference of the stored (K,) int64 array.
-        positive: False where they don't belong to the part.
+        positive: whether they belong to the part.
         count: K.
         tool: box, lasso, brush, …
     """
@@ -38,11 +38,11 @@ class RegionRef:
 
 @dataclass(frozen=True)
 class PartInfo:
-    """A part that somebody declared or clicked. Its link is ``link_<id>``.
+    """A declared or clicked part. Its link is ``link_<id>``.
 
     Attributes:
-        id, name: its number, and what it is.
-        like: the part of which a tool found it to be another one: the same shape, a mirror image.
+        id, name: its number and its name.
+        like: the part that a tool found it to be a copy or a mirror image of, or None.
     """
 
     id: int
@@ -57,13 +57,13 @@ class PartInfo:
 
 @dataclass(frozen=True)
 class SegmentationRecord:
-    """A segmenter's answer.
+    """A segmenter's result.
 
     Attributes:
-        prompts_key: key of the prompts that it answers.
+        prompts_key: key of its prompts.
         labels: reference of the stored (E,) int16 labels.
-        segmenter: who answered.
-        seconds: how long it took.
+        segmenter: name of the segmenter.
+        seconds: time it took.
         counts: label → number of elements, -1 is unassigned.
     """
 
@@ -75,23 +75,23 @@ class SegmentationRecord:
 
     @property
     def parts(self) -> tuple[int, ...]:
-        """Ids that own elements, ascending; what is unassigned goes to the base."""
+        """Ids that own elements, ascending; unassigned elements go to the base."""
         own = {BASE if part == UNASSIGNED else part for part, n in self.counts.items() if n > 0}
         return tuple(sorted(own))
 
 
 @dataclass(frozen=True)
 class ReviewRecord:
-    """Where the object stands.
+    """The state of review.
 
     Attributes:
         state: see :mod:`sessions.review`.
-        by, at: who brought it there last, and when (ISO 8601, UTC).
+        by, at: author and time (ISO 8601, UTC) of the last change.
         reason: why it was rejected, else None.
-        comment: the reviewer's words.
-        problems: what was known to be doubtful when it was accepted.
-        override: why it was accepted although the gate calls a joint broken, else "".
-        decided_at: when the decision about a whole scene was made that brought it there, else "".
+        comment: the reviewer's comment.
+        problems: the warnings and errors known when it was accepted.
+        override: why it was accepted despite errors, else "".
+        decided_at: time of the scene's decision that led to the state, else "".
     """
 
     state: ReviewState = "todo"
@@ -106,7 +106,7 @@ class ReviewRecord:
 
 @dataclass(frozen=True)
 class SavedRecord:
-    """Where the asset was written last."""
+    """The folder that the asset was written to last."""
 
     folder: str
     by: str
@@ -115,7 +115,7 @@ class SavedRecord:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Elements of the source that are not looked at; see :class:`~sessions.commands.LeaveOut`."""
+    """Elements of the source that are left out; see :class:`~sessions.tool_commands.LeaveOut`."""
 
     elements: str
     count: int
@@ -124,7 +124,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class CropRecord:
-    """An object that was cut out of this scan; see :class:`~sessions.commands.CropOut`."""
+    """An object that was cut out of this scan; see :class:`~sessions.tool_commands.CropOut`."""
 
     name: str
     path: str
@@ -136,7 +136,7 @@ class CropRecord:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the object stood in a scan; see :class:`~sessions.commands.Placed`."""
+    """Place of the object in a scan; see :class:`~sessions.tool_commands.Placed`."""
 
     scene: str
     scene_sha256: str
@@ -147,7 +147,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class DecisionRecord:
-    """What was decided for several objects; see :class:`~sessions.scene_commands.DecideObjects`."""
+    """A decision about several objects; see :class:`~sessions.scene_commands.DecideObjects`."""
 
     decision: Decided
     objects: tuple[int, ...]
@@ -165,25 +165,25 @@ class Document:
     Attributes:
         prompts: clicks and regions in the order they were given.
         parts: ascending by id; the base is always there.
-        category: what the object is, or None.
+        category: the object's category, or None.
         up_axis, unit_scale: how the source is read; None is the format's own up axis.
-        segmentation: the last answer, maybe to older prompts; None where there is none.
-        prediction: the last answer of a predictor, as it was given.
+        segmentation: the last result, maybe of older prompts, or None.
+        prediction: the last prediction, unedited.
         prediction_for: reference of the labels that ``tree`` was predicted for.
         tree: the kinematic tree as edited, or None.
-        locked: child links whose joints are settled.
-        review: where the object stands.
-        saved: where the asset was written last, or None.
-        annotator: who worked on the parts last; a rejected object goes back there.
-        edits: steps that led here; undone ones don't count.
-        joint_edits: how many of them corrected the tree since the last prediction.
-        label: what the last of them did, in a few words.
-        left_out: elements of the source that are not looked at, or None.
-        face_cuts: cuts that split faces of what is left, in order.
+        locked: child links whose joints are locked.
+        review: the state of review.
+        saved: the folder that the asset was written to last, or None.
+        annotator: the last person who edited the parts; a rejected object goes back there.
+        edits: number of steps, without undone ones.
+        joint_edits: number of them that edited the tree since the last prediction.
+        label: description of the last step.
+        left_out: elements of the source that are left out, or None.
+        face_cuts: cuts that split the remaining faces, in order.
         crops: objects that were cut out of this scan.
-        placement: where the object stood in the scan it was cut out of, or None.
-        articulable: of a scene: object id → whether it is articulated, where a person said so.
-        decided: of a scene: what was decided for its objects, in order.
+        placement: place of the object in the scan that it was cut out of, or None.
+        articulable: of a scene: object id → whether it is articulable, where a person decided.
+        decided: of a scene: the decisions about its objects, in order.
         picked: of a scene: objects that were picked out of others, in order.
     """
 
@@ -234,7 +234,7 @@ class Document:
 
     @property
     def next_part(self) -> int:
-        """The lowest part id that is free."""
+        """The lowest free part id."""
         used = {p.id for p in self.parts}
         return next(i for i in range(MAX_PARTS + 1) if i not in used)
 
@@ -245,42 +245,41 @@ class Document:
 
     @property
     def edited_joints(self) -> tuple[str, ...]:
-        """Child links whose joint isn't the predicted one."""
+        """Child links whose joint differs from the predicted one."""
         if self.tree is None or self.prediction is None:
             return ()
         return tuple(j.child for j in self.tree.joints if self.prediction.joint(j.child) != j)
 
     @property
     def joints_file(self) -> str | None:
-        """Name of the file that tells the joints to begin with; None where they were predicted."""
+        """Name of the file that the joints came from; None where they were predicted."""
         return None if self.prediction is None else self.prediction.file
 
     @property
     def predicted_confidence(self) -> dict[str, float]:
-        """Child link → confidence, 0..1, of the joints as predicted that nobody settled since."""
+        """Child link → confidence, 0..1, of predicted joints that are neither edited nor locked."""
         if self.prediction is None:
             return {}
-        settled = {*self.edited_joints, *self.locked}
-        return {k: v for k, v in self.prediction.confidence.items() if k not in settled}
+        decided = {*self.edited_joints, *self.locked}
+        return {k: v for k, v in self.prediction.confidence.items() if k not in decided}
 
     @property
     def locked_joints(self) -> tuple[Joint, ...]:
-        """The settled joints, for the next prediction."""
+        """The locked joints, which the next prediction keeps."""
         if self.tree is None:
             return ()
         return tuple(j for j in self.tree.joints if j.child in self.locked)
 
     def part(self, part: int) -> PartInfo | None:
-        """The part with that id, or None."""
+        """Return the part with that id, or None."""
         return next((p for p in self.parts if p.id == part), None)
 
 
 def prompts_key(document: Document) -> str:
-    """Digest of the prompts and of the frame that they were given in; loads no array.
+    """Return a digest of the prompts and of their frame, without loading arrays.
 
-    Equal prompts have equal keys, as with :meth:`model.segmentation.prompts.Prompts.key`; the two
-    digests differ, as this one reads the regions' references. Recorded answers carry the key, so
-    the way it is computed is part of the format.
+    It differs from :meth:`model.segmentation.prompts.Prompts.key`, as it reads the regions'
+    references. Recorded results hold the key, so its computation is part of the format.
     """
     digest = hashlib.sha256(repr((document.up_axis, document.unit_scale)).encode())
     if document.left_out is not None:
@@ -297,10 +296,10 @@ def prompts_key(document: Document) -> str:
 
 
 def review_problems(document: Document) -> tuple[str, ...]:
-    """What a person has to put right before the object can be accepted; empty where nothing has.
+    """Return what a person must fix before the object can be accepted.
 
-    Stricter than :func:`acceptance_problems`: joints that were predicted for other parts, and
-    parts that hold nothing.
+    Stricter than :func:`acceptance_problems`: also joints predicted for other parts, and empty
+    parts.
     """
     problems = acceptance_problems(document)
     if document.tree is None or document.segmentation is None:
@@ -311,18 +310,18 @@ def review_problems(document: Document) -> tuple[str, ...]:
         problems = ("the parts changed since the prediction: predict again (P)",)
     full = document.segmentation.parts
     empty = [p for p in document.parts if p.id != BASE and p.id not in full]
-    told = [p.partition(" ")[0] for p in problems]
+    named = [p.partition(" ")[0] for p in problems]
     return problems + tuple(
         f"part {p.id}{f' ({p.name})' if p.name else ''} is empty: click on it, or delete it"
         for p in empty
-        if p.link not in told
+        if p.link not in named
     )
 
 
 def acceptance_problems(document: Document) -> tuple[str, ...]:
-    """What no acceptance may be written with; empty where there is nothing.
+    """Return what prevents every acceptance.
 
-    Written sessions are replayed through it, so that it never becomes stricter.
+    Stored sessions are replayed through it, so it must never become stricter.
     """
     if document.tree is None:
         return ("there is no kinematic tree yet; predict it first",)

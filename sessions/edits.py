@@ -1,4 +1,4 @@
-"""What each command does to a document. Pure: the same document where nothing changes."""
+"""The effect of each command on a document. Pure: the same document where nothing changes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ from sessions.tree_edits import path_to_root, replace_joint, reroot, without_lin
 
 @dataclass(frozen=True)
 class Context:
-    """Who gives a command and when.
+    """Author and time of a command.
 
     Attributes:
         who: the person.
@@ -68,7 +68,7 @@ class Context:
 
 
 def edit(document: Document, command: Command, context: Context) -> Document:
-    """The document after ``command`` as one step.
+    """Return the document after ``command`` as one step.
 
     Raises:
         CommandError: where the document doesn't allow it; the message says why.
@@ -87,7 +87,7 @@ def edit(document: Document, command: Command, context: Context) -> Document:
 def amend(
     document: Document, command: RecordSegmentation | Saved | Placed, context: Context
 ) -> Document:
-    """The document with a job's answer noted; not a step that can be undone."""
+    """Return the document with a job's result; not a step that can be undone."""
     if isinstance(command, Saved):
         return replace(document, saved=SavedRecord(command.folder, context.who, context.at))
     if isinstance(command, Placed):
@@ -134,7 +134,7 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             return _clear_prompts(document, part), "annotate"
         case AddPart(part=part, name=name):
             if document.part(part) is not None:
-                raise CommandError(f"part {part} is there already; part {document.next_part} isn't")
+                raise CommandError(f"part {part} exists already; part {document.next_part} is free")
             return _with_part(document, PartInfo(part, name)), "annotate"
         case DeletePart(part=part):
             return _delete_part(document, part), "annotate"
@@ -166,7 +166,7 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
 def _reviewed(
     before: Document, after: Document, command: Command, action: Action, context: Context
 ) -> Document:
-    """``after`` with its review state, its counters and who did it."""
+    """Return ``after`` with its review state, counters and author."""
     state = transition(before.review.state, action, context.role)
     review = before.review
     if isinstance(command, (Accept, Reject, Reopen)):
@@ -181,7 +181,7 @@ def _reviewed(
             "" if isinstance(command, Reopen) else command.decided_at,
         )
     elif state != review.state:
-        # The reviewer's words stay readable while the annotator mends the object.
+        # The reviewer's comment stays while the annotator corrects the object.
         review = replace(review, state=state, by=context.who, at=context.at)
     joint_edits = before.joint_edits
     if isinstance(command, (RecordPrediction, SetFrame)):
@@ -210,7 +210,7 @@ def _add_prompt(document: Document, prompt: Click | RegionRef) -> Document:
 
 
 def _with_prompts(document: Document, prompts: tuple[Click | RegionRef, ...]) -> Document:
-    # Without prompts there is nothing that labels could answer.
+    # Without prompts there are no labels.
     segmentation = document.segmentation if prompts else None
     return replace(document, prompts=prompts, segmentation=segmentation)
 
@@ -243,7 +243,7 @@ def _name_part(document: Document, part: int, name: str | None) -> Document:
         return document
     named = [known]
     if known.name is None:
-        # Whoever says what one of six equal knobs is has said it of all that have no name yet.
+        # A name of one of six equal knobs holds for all that have none yet.
         first = part if known.like is None else known.like
         named = [p for p in document.parts if p.name is None and first in (p.id, p.like)]
     for one in named:
@@ -257,7 +257,7 @@ def _delete_part(document: Document, part: int) -> Document:
     tree = None if document.tree is None else without_link(document.tree, gone.link)
     document = _clear_prompts(document, part)
     parts = tuple(p for p in document.parts if p.id != part)
-    # Another part may get this number: those like it are like the first of them from now on.
+    # Another part may get this number: its copies are copies of the first of them from now on.
     first = next((p.id for p in parts if p.like == part), None)
     return replace(
         document,
@@ -281,7 +281,7 @@ def _set_frame(document: Document, command: SetFrame) -> Document:
 
 
 def _afresh(document: Document) -> Document:
-    """Without all that was said about elements, which have other numbers now."""
+    """Return it without all that refers to elements, whose numbers changed."""
     return replace(
         document,
         prompts=(),
@@ -320,7 +320,7 @@ def _crop_out(document: Document, command: CropOut) -> Document:
 def _apply_tool(document: Document, command: ApplyTool) -> Document:
     if command.replaces > len(document.prompts):
         raise CommandError(
-            f"{command.tool} takes the place of {command.replaces} prompts, "
+            f"{command.tool} replaces {command.replaces} prompts, "
             f"but there are {len(document.prompts)}"
         )
     before = document
@@ -346,7 +346,7 @@ def _cut_faces(document: Document, command: CutFaces) -> Document:
 
 def _record_prediction(document: Document, command: RecordPrediction) -> tuple[Document, Action]:
     if document.segmentation is None:
-        # The parts went away while the predictor was at work.
+        # The parts were deleted during the prediction.
         return document, "predict"
     tree = command.prediction.tree
     if tree is None:

@@ -1,4 +1,4 @@
-"""The session loop: one live state an object, shared by everybody who looks at it."""
+"""The session loop: one live state of each object, shared by all its users."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class LiveSession:
         self._next_key = 0
         self._queue: deque[tuple[int, SessionState, Command]] = deque()
         self._delivering = False
-        self._given_here: set[int] = set()
+        self._issued_here: set[int] = set()
         self._chance = random.Random()
 
     @property
@@ -53,20 +53,20 @@ class LiveSession:
     def issued_here(self, seq: int) -> bool:
         """Whether the command with that number was given in this process, since it was opened."""
         with self._lock:
-            return seq in self._given_here
+            return seq in self._issued_here
 
     def do(self, command: Command, who: str, *, role: Role = "reviewer") -> SessionState:
-        """Apply ``command``, keep it, tell the subscribers.
+        """Apply ``command``, store it, and notify the subscribers.
 
-        What is applied is what is read back from the written form, so a replay can't differ. Where
-        another process was first, its commands are taken in and the command is tried again.
+        The command is applied as read back from its written form, so a replay can't differ. Where
+        another process was first, the command is applied after its commands.
 
         Returns:
             The state after it; the former one where it changes nothing.
 
         Raises:
-            CommandError: where the state doesn't allow the command; nothing was kept.
-            StoreError: where it couldn't be kept; the state is as before.
+            CommandError: where the state doesn't allow the command; nothing was stored.
+            StoreError: where it couldn't be stored; the state is as before.
         """
         command = from_json(to_json(command))
         who = clean_who(who)
@@ -77,7 +77,7 @@ class LiveSession:
             self._deliver()
 
     def refresh(self) -> SessionState:
-        """Take in what other processes did."""
+        """Apply the commands of other processes."""
         with self._lock:
             self._catch_up()
             state = self._state
@@ -87,8 +87,8 @@ class LiveSession:
     def subscribe(self, callback: Subscriber) -> Callable[[], None]:
         """Call ``callback(state, command)`` after each command, in order, outside of the lock.
 
-        Calls come one at a time, from the thread that gave this or another command. What a
-        callback raises is logged and stops nothing.
+        Calls come one at a time, from a thread that issues commands. Exceptions of a callback
+        are only logged.
 
         Returns:
             A function that ends the subscription; it may be called twice.
@@ -116,11 +116,11 @@ class LiveSession:
             except ConflictError:
                 if attempt == MAX_ATTEMPTS - 1:
                     raise
-                # Waiting by chance keeps processes in step from losing again and again.
+                # A random wait keeps processes from colliding again and again.
                 time.sleep(self._chance.uniform(0, MAX_WAIT) * attempt / MAX_ATTEMPTS)
                 self._catch_up()
                 continue
-            self._given_here.add(after.seq)
+            self._issued_here.add(after.seq)
             self._advance(after, command)
             return after
         raise AssertionError("unreachable")
@@ -145,7 +145,7 @@ class LiveSession:
             try:
                 if subscriber is not None:
                     subscriber(state, command)
-            except Exception:  # one screen's failure must not cost the others their update
+            except Exception:  # the other subscribers must still be called
                 logger.exception("a subscriber of object %d failed", self.object_id)
             finally:
                 with self._lock:
@@ -153,7 +153,7 @@ class LiveSession:
 
 
 class SessionHub:
-    """One :class:`LiveSession` an object, for all who hold it; forgotten when nobody does."""
+    """The :class:`LiveSession` of each object, kept while it is referenced."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
@@ -161,7 +161,7 @@ class SessionHub:
         self._sessions: WeakValueDictionary[int, LiveSession] = WeakValueDictionary()
 
     def session(self, object_id: int) -> LiveSession:
-        """The live session of an object.
+        """Return the live session of an object.
 
         Raises:
             StoreError: where there is no such object.
@@ -172,8 +172,8 @@ class SessionHub:
                 session = self._sessions[object_id] = LiveSession(self.store, object_id)
             return session
 
-    def follow(self, last: Mapping[int, int]) -> None:
-        """Take in what other processes did.
+    def sync(self, last: Mapping[int, int]) -> None:
+        """Apply the commands of other processes.
 
         Args:
             last: object id → number of its last command; see :meth:`Store.last_commands`.

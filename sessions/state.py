@@ -1,4 +1,4 @@
-"""A session's state, and what each command makes of it. Pure: replaying the log gives the state."""
+"""A session's state, and the effect of commands on it. Pure: replaying the log gives the state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MAX_UNDO = 1000
 
 @dataclass(frozen=True)
 class SessionState:
-    """The present document, the way back and the way forward.
+    """The present document, and the documents of undo and redo.
 
     Attributes:
         present: what is decided now.
@@ -46,12 +46,12 @@ class SessionState:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a step to take back."""
+        """Whether there is a step to undo."""
         return bool(self.past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is a step to do again."""
+        """Whether there is a step to redo."""
         return bool(self.future)
 
     @property
@@ -79,7 +79,7 @@ class JobRequest:
 
 
 def apply(state: SessionState, command: Command, context: Context) -> SessionState:
-    """The state after ``command``; the very same object where the command changes nothing.
+    """Return the state after ``command``; the same object where it changes nothing.
 
     Raises:
         CommandError: where the state doesn't allow the command; the message says why.
@@ -114,7 +114,7 @@ def apply(state: SessionState, command: Command, context: Context) -> SessionSta
 def replay(
     commands: Iterable[tuple[int, Command, Context]], state: SessionState | None = None
 ) -> SessionState:
-    """The state after commands that were applied before.
+    """Return the state after stored commands.
 
     Args:
         commands: (seq, command, context) in order.
@@ -129,7 +129,7 @@ def replay(
 
 
 def needed_jobs(state: SessionState) -> tuple[JobRequest, ...]:
-    """What has to be computed for the present document."""
+    """Return the jobs that the present document needs."""
     document = state.present
     if document.prompts and not document.segmentation_current:
         return (JobRequest("segment", document.key),)
@@ -137,7 +137,7 @@ def needed_jobs(state: SessionState) -> tuple[JobRequest, ...]:
 
 
 def _check_review_kept(before: Document, after: Document, context: Context) -> None:
-    """An annotator must not take back a reviewer's decision."""
+    """Check that an annotator doesn't undo a reviewer's decision."""
     decided = {"accepted", "rejected"}
     if (
         context.role == "annotator"

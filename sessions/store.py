@@ -1,7 +1,7 @@
-"""The workspace: a database of commands, and the arrays beside it.
+"""The workspace: a database of commands, and a folder of arrays.
 
-Commands are only ever appended. Everything else in the database can be made again from them:
-snapshots save the time of a replay, and the columns of an object save the queue from loading it.
+Commands are only ever appended; all else in the database is derived from them: snapshots make
+replays faster, and the columns of an object spare the queue from loading it.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ __all__ = [
 ]
 
 SNAPSHOT_EVERY = 50
+"""Commands between two snapshots."""
 SNAPSHOTS_KEPT = 2
-_OFF, _ACCEPTING = "taken off ", "accepting "
-"""Before an object's id: keys of marks that are no decisions about it."""
+"""Snapshots kept of each object."""
+_REMOVED, _ACCEPTING = "taken off ", "accepting "
+"""Stored key prefixes, before an object's id, of marks that aren't decisions."""
 
 
 class ConflictError(StoreError):
-    """Another process appended first; read what it did and try again."""
+    """Another process appended first: read its commands and try again."""
 
 
 # In the order of the record's fields.
@@ -85,33 +87,33 @@ class Store:
         self._database.close()
 
     def open_object(self, path: Path, sha256: str | None, name: str) -> ObjectRecord:
-        """The object of the source ``path``; made where it isn't there yet.
+        """Return the object of the source ``path``, adding it if needed.
 
         Args:
-            path: file or folder; relative ones count from the current folder.
-            sha256: of its content, None where it wasn't read yet.
-            name: short, for people.
+            path: file or folder; relative to the current folder.
+            sha256: digest of its content; None where it wasn't read yet.
+            name: short display name.
         """
         return self.open_objects([(path, sha256, name)])[0]
 
     def open_objects(self, sources: Iterable[tuple[Path, str | None, str]]) -> list[ObjectRecord]:
-        """As :meth:`open_object`, for many at once in one transaction."""
+        """Like :meth:`open_object`, for many in one transaction."""
         wanted = [(_key(path), sha256, name) for path, sha256, name in sources]
         try:
             return self._open_objects(wanted)
         except StoreError as error:
             if not isinstance(error.__cause__, exc.IntegrityError):
                 raise
-            return self._open_objects(wanted)  # another process has just made them
+            return self._open_objects(wanted)  # another process has just added them
 
     def objects(self) -> list[ObjectRecord]:
-        """All the objects in the order in which they were opened first."""
+        """Return all objects in the order of their first opening."""
         with self._database.reading() as connection:
             rows = connection.execute(select(*_COLUMNS).order_by(objects.c.id)).all()
         return [_record(row) for row in rows]
 
     def object(self, object_id: int) -> ObjectRecord:
-        """One object.
+        """Return one object.
 
         Raises:
             StoreError: where there is none with that id.
@@ -120,13 +122,13 @@ class Store:
             return _record(self._row(connection, object_id))
 
     def last_commands(self) -> dict[int, int]:
-        """Id of each object → number of its last command."""
+        """Return object id → number of its last command."""
         with self._database.reading() as connection:
             rows = connection.execute(select(objects.c.id, objects.c.seq)).all()
         return {row.id: row.seq for row in rows}
 
     def load(self, object_id: int) -> SessionState:
-        """The session's state: the last snapshot that is whole, and the commands after it."""
+        """Return the session's state: the last intact snapshot with the commands after it."""
         with self._database.reading() as connection:
             row = self._row(connection, object_id)
             state = self._snapshot(connection, object_id, row.seq)
@@ -150,19 +152,19 @@ class Store:
         role: Role = "reviewer",
         after: SessionState | None = None,
     ) -> int:
-        """Keep ``command``; it is durable when this returns.
+        """Store ``command``; it is durable when this returns.
 
         Args:
             object_id: the object.
-            command: the decision; one that the state doesn't allow is refused.
+            command: the decision.
             who: the person.
             expected_seq: number of the last command that the caller knows.
-            at: when, ISO 8601, UTC; None is now.
-            role: what the person may do.
-            after: the state with the command applied, where the caller has it already.
+            at: time, ISO 8601, UTC; None is now.
+            role: the person's role.
+            after: the state with the command applied, where the caller has it.
 
         Returns:
-            The command's number; ``expected_seq`` where it changes nothing and isn't kept.
+            The command's number; ``expected_seq`` where it changes nothing and isn't stored.
 
         Raises:
             ConflictError: where ``expected_seq`` isn't the last number any more.
@@ -191,36 +193,35 @@ class Store:
                 self._append(connection, line, _summary(after, who, at), blob)
         except StoreError as error:
             if isinstance(error.__cause__, exc.IntegrityError):
-                # A database without a writers' queue: both inserted, the second one is refused.
+                # Without a lock on writers both processes inserted; the second one is refused.
                 raise self._conflict(object_id, expected_seq, expected_seq + 1) from error
             raise
         return after.seq
 
     def history(self, object_id: int, after: int = 0) -> list[Entry]:
-        """The commands of an object in order, from number ``after`` + 1."""
+        """Return the commands of an object in order, from number ``after`` + 1."""
         with self._database.reading() as connection:
             self._row(connection, object_id)
             return self._entries(connection, object_id, after)
 
     def removed_objects(self) -> dict[int, str]:
-        """Objects that are left out of the queue, the last one last → :meth:`mark_removed`'s stamp."""
-        return self._marks(_OFF)
+        """Return removed object → its stamp of :meth:`mark_removed`, the last one last."""
+        return self._marks(_REMOVED)
 
     def mark_removed(self, object_id: int, stamp: str) -> None:
-        """Leave an object out of the queue from now on; nothing of it is lost.
+        """Leave an object out of the queue from now on; its decisions stay.
 
         Args:
-            object_id: the object.
-            stamp: tells whether its source changed since.
+            stamp: changes with its source.
         """
-        self._mark(_OFF, object_id, stamp)
+        self._mark(_REMOVED, object_id, stamp)
 
     def mark_restored(self, object_ids: Iterable[int]) -> None:
-        """Have objects in the queue again; those that are there already stay."""
-        self._unmark(_OFF, object_ids)
+        """Have removed objects in the queue again."""
+        self._unmark(_REMOVED, object_ids)
 
-    def accepting(self) -> dict[int, PendingAcceptance]:
-        """Objects whose acceptance was begun and not ended, and what was said for it."""
+    def pending_acceptances(self) -> dict[int, PendingAcceptance]:
+        """Return object id → its acceptance that began and has not ended."""
         found = {}
         for object_id, value in self._marks(_ACCEPTING).items():
             seq, _, text = value.partition(" ")  # early versions stored the number alone
@@ -230,22 +231,22 @@ class Store:
         return found
 
     def begin_acceptance(self, object_id: int, pending: PendingAcceptance) -> None:
-        """Keep that an object is being accepted; a server that dies now leaves that behind."""
+        """Store that an acceptance begins, so that it outlives this server."""
         fields = {"comment": pending.comment, "override": pending.override}
         if pending.hold_reason:
             fields["held"] = pending.hold_reason
         self._mark(_ACCEPTING, object_id, f"{pending.seq} {json.dumps(fields)}")
 
     def end_acceptance(self, object_id: int) -> None:
-        """It was accepted, or whoever wanted it was told why not."""
+        """Store that an acceptance ended, decided or refused."""
         self._unmark(_ACCEPTING, [object_id])
 
     def put_array(self, array: npt.NDArray[Any]) -> str:
-        """Keep an array of numbers; the same content has the same reference. Durable on return."""
+        """Store an array, durably; returns its reference, the same for the same content."""
         return self._arrays.put(array)
 
     def get_array(self, ref: str) -> npt.NDArray[Any]:
-        """The array behind ``ref``, read-only.
+        """Return the array behind ``ref``, read-only.
 
         Raises:
             StoreError: naming the file, where it is missing or damaged.
@@ -265,7 +266,7 @@ class Store:
             for key, sha256, _ in wanted:
                 row = known[key]
                 if sha256 not in (None, row.sha256) and (row.sha256 is None or row.seq == 0):
-                    # Nobody decided anything about the former content, if there was any.
+                    # There are no decisions about the former content.
                     mine = objects.c.id == row.id
                     connection.execute(update(objects).where(mine).values(sha256=sha256))
                     row = connection.execute(select(*_COLUMNS).where(mine)).one()
@@ -329,7 +330,7 @@ class Store:
             try:
                 return state_from_json(json.loads(zlib.decompress(row.blob)))
             except (StoreError, ValueError, zlib.error):
-                continue  # only a shortcut: an older one, or the commands alone, say the same
+                continue  # an older snapshot, or the commands alone, give the same state
         return SessionState()
 
     def _entries(self, connection: Connection, object_id: int, after: int) -> list[Entry]:

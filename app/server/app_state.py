@@ -133,7 +133,7 @@ class AppState:
     def sync_remote(self) -> None:
         """Take in what other servers of the workspace did."""
         last = self.store.last_commands()
-        self.hub.follow(last)
+        self.hub.sync(last)
         self.acceptances.sync()
         self.queue.sync(last)
 
@@ -143,7 +143,7 @@ class AppState:
                 self.sync_remote()
             except Exception:  # a thread's boundary; it is tried again
                 if not self._closed.is_set():
-                    log.exception("what other servers did couldn't be read")
+                    log.exception("reading the commands of other servers failed")
 
     def close(self) -> None:
         """End the workers."""

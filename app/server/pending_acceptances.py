@@ -57,7 +57,7 @@ class PendingAcceptances:
         """Drop what ended, here or in another server."""
         if not self._pending:
             return
-        stored = self._store.accepting()
+        stored = self._store.pending_acceptances()
         over = [i for i in self._pending if i not in stored]
         for object_id in over:
             del self._pending[object_id]
@@ -72,7 +72,7 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
     the object's next command.
     """
     waiting: dict[int, PendingAcceptance] = {}
-    for object_id, pending in store.accepting().items():
+    for object_id, pending in store.pending_acceptances().items():
         record = store.object(object_id)
         folder = asset_folder(workspace, record)
         recover(folder)

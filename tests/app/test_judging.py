@@ -318,10 +318,10 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(
         refused.clear()
         accept(obj, "seen in person", "tester", NOW, reason, refused=refused.append)
         kept = PendingAcceptance(obj.state.seq, "seen in person", reason)
-        assert app_state.store.accepting() == {obj.record.id: kept}
+        assert app_state.store.pending_acceptances() == {obj.record.id: kept}
         held.cancel()
         judged(obj)
-        wait(lambda: not obj.jobs and (refused or not app_state.store.accepting()), "it is decided")
+        wait(lambda: not obj.jobs and (refused or not app_state.store.pending_acceptances()), "it is decided")
         assert (obj.document.review.state == "accepted", bool(refused)) == (accepted, not accepted)
 
 
@@ -347,14 +347,14 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
         and obj.in_use
     )
     accept(obj, "", "rob", NOW)  # in another tab: what the first one typed stays
-    assert app_state.store.accepting()[record.id].comment == "seen in person"
+    assert app_state.store.pending_acceptances()[record.id].comment == "seen in person"
     held.cancel()
     why = wait(lambda: app_state.on_hold(record), "it is held back")
     assert "1 error. part 1" in why and obj.hold_reason == why
     assert obj.document.review.state != "accepted" and not obj.interrupted
     assert not app_state.is_accepting(record.id) and "save" not in obj.jobs
     kept = PendingAcceptance(record.seq, "seen in person", "", why)
-    assert obj.pending_acceptance == kept and app_state.store.accepting() == {record.id: kept}
+    assert obj.pending_acceptance == kept and app_state.store.pending_acceptances() == {record.id: kept}
     app_state.sync_remote()
     assert app_state.on_hold(record) == why
     # The next server says so, too.
@@ -369,7 +369,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     judged(obj)
     accept(obj, "", "ann", NOW, "it gives way")
     wait(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
-    wait(lambda: not app_state.store.accepting(), "it is over")
+    wait(lambda: not app_state.store.pending_acceptances(), "it is over")
 
 
 def test_a_wish_hears_at_once_that_the_joints_changed(
@@ -394,7 +394,7 @@ def test_a_wish_hears_at_once_that_the_joints_changed(
     )
     held.cancel()
     judged(obj)
-    assert obj.document.review.state != "accepted" and not app_state.store.accepting()
+    assert obj.document.review.state != "accepted" and not app_state.store.pending_acceptances()
 
 
 def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> None:
@@ -408,13 +408,13 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> 
     wait(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
     accept(obj, "seen in person", "ann", NOW)
-    assert app_state.is_accepting(obj.record.id) and app_state.store.accepting()
+    assert app_state.is_accepting(obj.record.id) and app_state.store.pending_acceptances()
     # Another object is on the screen by the time that it is read.
     waits = f"{obj.record.name}: when the checks pass"
     assert notes[-1] == ("Accepting", waits, "blue")
     assert withdraw(obj)
     assert notes[-1] == ("Not accepted", "Cancelled before the checks were done", "gray")
-    assert not app_state.is_accepting(obj.record.id) and not app_state.store.accepting()
+    assert not app_state.is_accepting(obj.record.id) and not app_state.store.pending_acceptances()
     held.cancel()
     assert judged(obj).severity == Severity.OK
     wait(lambda: not obj.jobs, "nothing goes on")
@@ -471,7 +471,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         assert any(n[0] == "Not accepted yet" and "Press Y to accept" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
         wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
-        assert not again.interrupted and not state.store.accepting()
+        assert not again.interrupted and not state.store.pending_acceptances()
         assert not state.was_interrupted(*state.queue.records())
         folder = Path(again.document.saved.folder)
     finally:
@@ -491,7 +491,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     config = replace(before.config, workspace=tmp_path)
     state = AppState(config, Store(tmp_path), source)
     try:
-        assert (target / "provenance.json").is_file() and not state.store.accepting()
+        assert (target / "provenance.json").is_file() and not state.store.pending_acceptances()
         saved = state.store.load(known.id).present.saved
         assert saved is not None and Path(saved.folder) == target
         assert not state.was_interrupted(*state.queue.records())

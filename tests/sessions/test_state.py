@@ -218,7 +218,7 @@ def test_parts_are_added_named_and_deleted():
     state = run(AddPart(1, "door"), AddPart(3), NamePart(3, "knob"))
     assert state.present.part_names == {1: "door", 3: "knob"}
     assert state.present.next_part == 2
-    with pytest.raises(CommandError, match="part 1 is there already; part 2 isn't"):
+    with pytest.raises(CommandError, match="part 1 exists already; part 2 is free"):
         run(AddPart(1), state=state)
     with pytest.raises(CommandError, match="no part 7; there are 0, 1, 3"):
         run(NamePart(7, "x"), state=state)

@@ -365,12 +365,12 @@ def test_a_workspace_in_an_awkward_folder(tmp_path):
 def test_what_was_said_for_an_acceptance_that_was_begun_is_kept(store):
     known = opened(store)
     said = PendingAcceptance(0, "two\nlines, 門", "it gives way")
-    store.accepting_begins(known, said)
-    assert store.accepting() == {known: said}
+    store.begin_acceptance(known, said)
+    assert store.pending_acceptances() == {known: said}
     # Older versions kept the number of the command alone.
     old = f"UPDATE meta SET value = '{now()} 7' WHERE key LIKE 'accepting %'"
     again = changed(store, old)
-    assert again.accepting() == {known: PendingAcceptance(7)}
-    again.accepting_ends(known)
-    assert not again.accepting()
+    assert again.pending_acceptances() == {known: PendingAcceptance(7)}
+    again.end_acceptance(known)
+    assert not again.pending_acceptances()
     again.close()
