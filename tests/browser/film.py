@@ -14,6 +14,8 @@ WIDTH = 900
 QUALITY = 72
 """WebP's, 0..100: text stays readable, a minute stays below two megabytes."""
 _POINTER = ((0, 0), (0, 17), (4, 13), (7, 20), (10, 19), (7, 12), (13, 12))
+_LONGEST = 300_000.0
+"""Milliseconds for one screenshot of a busy machine."""
 _SETTLED = 350
 """Milliseconds that a page without a GPU takes to draw a change."""
 
@@ -41,7 +43,7 @@ class Film:
             pointer: where the mouse is, in pixels of the page. pressed: whether it clicks.
         """
         self.page.wait_for_timeout(_SETTLED)
-        shot = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
+        shot = Image.open(io.BytesIO(self.page.screenshot(timeout=_LONGEST))).convert("RGB")
         scale = WIDTH / shot.width
         page = shot.resize((WIDTH, round(shot.height * scale)), Image.Resampling.LANCZOS)
         frame = Image.new("RGB", (WIDTH, page.height + 34), "#16202c")

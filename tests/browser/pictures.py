@@ -49,7 +49,12 @@ class Taking:
         self._tabs: list[Tab] = []
 
     def open(
-        self, *paths: Path, kind: type[Tab] = Tab, size: tuple[int, int] = SIZE, **settings: Any
+        self,
+        *paths: Path,
+        kind: type[Tab] = Tab,
+        size: tuple[int, int] = SIZE,
+        reflections: bool = True,
+        **settings: Any,
     ) -> Tab:
         """A server of its own, with nothing decided yet, and a page of it."""
         workspace = Path(tempfile.mkdtemp(dir=self._work))
@@ -57,7 +62,8 @@ class Taking:
             ServeConfig(paths=paths, workspace=workspace, port=0, user="annotator", **settings)
         )
         page = self._chromium.new_page(viewport={"width": size[0], "height": size[1]})
-        page.add_init_script("localStorage.setItem('viser-user:artiworld', '\\n')")  # reflections
+        if reflections:
+            page.add_init_script("localStorage.setItem('viser-user:artiworld', '\\n')")
         page.goto(server.url)
         tab = kind(page, server)
         self._tabs.append(tab)
@@ -83,7 +89,11 @@ class Taking:
         if not self.wanted(name):
             return
         tab.page.wait_for_timeout(2500)  # the last frames, drawn without a GPU
-        picture = Image.open(io.BytesIO(tab.page.screenshot())).convert("RGB").crop(box)
+        picture = (
+            Image.open(io.BytesIO(tab.page.screenshot(timeout=1000 * LONG)))
+            .convert("RGB")
+            .crop(box)
+        )
         path = self._out / f"{name}.png"
         # Of Pillow's ways to choose colours the one that keeps thin bright lines.
         few = picture.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -251,9 +261,12 @@ def scene(taking: Taking) -> None:
         scene=EXAMPLES / "home.scene.json",
         assets=(EXAMPLES,),
     )
-    desk = tab.desk
+    scene_workspace = tab.scene_workspace
     wait_until(
-        lambda: desk.wanted() and all(w.document.tree is not None for w in desk.wanted()),
+        lambda: (
+            scene_workspace.wanted()
+            and all(w.document.tree is not None for w in scene_workspace.wanted())
+        ),
         "all are predicted",
         LONG,
     )
@@ -261,8 +274,14 @@ def scene(taking: Taking) -> None:
     wait_until(lambda: tab.scene.card.above == 0.5, "the slider is heard")
     tab.page.wait_for_timeout(1000)  # the button counts anew
     tab.page.get_by_role("button", name=re.compile(r"^Accept \d")).click()
-    wait_until(lambda: desk.accepting.waiting or "accept" in desk.busy, "it begins")
-    wait_until(lambda: not desk.accepting.waiting and "accept" not in desk.busy, "decided", LONG)
+    wait_until(
+        lambda: scene_workspace.accepting.waiting or "accept" in scene_workspace.busy, "it begins"
+    )
+    wait_until(
+        lambda: not scene_workspace.accepting.waiting and "accept" not in scene_workspace.busy,
+        "decided",
+        LONG,
+    )
     tab.app.tab.act(lambda: tab.scene.choice.choose("chair at the desk"))
     wait_until(lambda: tab.scene.choice.selected == "chair at the desk", "the chair is chosen")
     look(tab, (3.0, -5.9, 4.8), (0.1, 0.0, 0.2))
@@ -281,7 +300,7 @@ def demo(taking: Taking) -> None:
     """The moving picture: clicks, parts, joints that open and shut, on the bundled cabinet."""
     if not taking.wanted("demo"):
         return
-    tab = taking.open(size=FILM_SIZE)
+    tab = taking.open(size=FILM_SIZE, reflections=False)  # each of many frames is drawn faster
     look(tab, (-0.95, -2.3, 1.3), (0.02, -0.15, 0.36))
     film = Film(tab.page)
     caption = "1. Click on each part that moves"
@@ -306,7 +325,7 @@ def demo(taking: Taking) -> None:
     film.take(caption, 1200)
     chosen = tab.selection.joint
     others = [joint for joint in tab.document.tree.joints if joint.moves and joint != chosen]
-    for share in 0.45 * (1 - np.cos(np.linspace(0, 2 * np.pi, 25))):
+    for share in 0.45 * (1 - np.cos(np.linspace(0, 2 * np.pi, 17))):
 
         def pose(share: float = float(share)) -> None:
             for joint in others:
@@ -314,7 +333,7 @@ def demo(taking: Taking) -> None:
 
         tab.app.tab.act(pose)
         tab.set_slider("Pose [°]", round(float(share * np.degrees(chosen.upper)), 1))
-        film.take("3. The joints move at once: correct, review, export", 90)
+        film.take("3. The joints move at once: correct, review, export", 120)
     path = taking.save_film(film, "demo")
     print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
 
