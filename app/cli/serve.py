@@ -12,7 +12,7 @@ from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from model.core.errors import ConfigurationError, InputFileError
-from model.io.geometry_files import SUFFIXES
+from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.model_files import is_model
 from model.prediction.registry import check_predictor
 from model.prediction.remote import is_backend
@@ -99,7 +99,8 @@ def scene_to_open(options: ServeCommand) -> Path | None:
     """
     first = options.paths[0] if options.paths else None
     if not (options.assets or options.scene) and (
-        first is None or first.is_dir() or first.suffix.lower() in SUFFIXES or is_model(first)
+        first is None or first.is_dir() or is_model(first)
+        or (first.suffix.lower() in SUFFIXES and first.suffix.lower() not in STAGES)
         or not recognised(first)
     ):  # fmt: skip
         return None

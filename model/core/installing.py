@@ -6,6 +6,9 @@ import os
 import shlex
 import shutil
 import sys
+from importlib.util import find_spec
+
+from model.core.errors import ConfigurationError
 
 
 def install_command(*requirements: str) -> str:
@@ -23,3 +26,14 @@ def install_command(*requirements: str) -> str:
         near = os.path.relpath(python)
         start = f"{shlex.quote(python if near.startswith(os.pardir) else near)} -m pip"
     return f"{start} install {' '.join(map(shlex.quote, requirements))}"
+
+
+def require(package: str, extra: str) -> None:
+    """Refuse to go on where an optional package isn't installed.
+
+    Raises:
+        ConfigurationError: with the command that installs it.
+    """
+    if find_spec(package) is None:
+        how = install_command(extra)
+        raise ConfigurationError(f"this needs the package {package}, which isn't installed: {how}")

@@ -1,7 +1,8 @@
 """Files with one mesh or cloud to :class:`~model.core.asset.Asset` values.
 
 Up axis by default: glTF and GLB are +y up by their standard; a single OBJ file is taken as +y up,
-as modelling tools write it; PLY, STL, PCD, NPZ and text are +z up. Folders of part meshes lie in
+as modelling tools write it; PLY, STL, PCD, NPZ, text, LAS and E57 are +z up. USD
+and COLLADA files state their axis and unit, which are applied. Folders of part meshes lie in
 one object frame that is +z up already, whatever their format, except for glTF.
 """
 
@@ -18,7 +19,10 @@ from model.core.asset import Asset, Source, UpAxis
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.part_names import named_parts
 from model.core.progress import Progress, no_progress
+from model.io.formats.dae import read_dae
+from model.io.formats.e57 import read_e57
 from model.io.formats.gltf import read_gltf
+from model.io.formats.las import read_las
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, size_of
 from model.io.formats.mtl import MaterialFiles
 from model.io.formats.npz import read_npz
@@ -27,18 +31,24 @@ from model.io.formats.pcd import read_pcd
 from model.io.formats.ply import read_ply
 from model.io.formats.stl import read_stl
 from model.io.formats.text import read_text
+from model.io.formats.usd import read_usd
 from model.io.source_checks import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 
 _READERS: dict[str, Callable[[Path, int], Loaded]] = {
     ".ply": read_ply, ".obj": read_obj, ".glb": read_gltf, ".gltf": read_gltf, ".stl": read_stl,
     ".pcd": read_pcd, ".xyz": read_text, ".xyzrgb": read_text, ".xyzn": read_text,
+    ".las": read_las, ".laz": read_las, ".e57": read_e57, ".dae": read_dae,
+    ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd, ".usdz": read_usd,
     ".pts": read_text, ".asc": read_text, ".txt": read_text, ".csv": read_text, ".npz": read_npz,
 }  # fmt: skip
 SUFFIXES: tuple[str, ...] = tuple(_READERS)
 """Suffixes of the meshes and clouds that can be opened."""
 
+STAGES = (".usd", ".usda", ".usdc")
+"""Suffixes of USD stages, which are scenes unless one is named as a single object."""
+
 _TOO_COMMON = (".txt", ".csv", ".npz")  # in a folder these are rarely clouds
-FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in _TOO_COMMON)
+FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in (*_TOO_COMMON, *STAGES))
 """Suffixes that are picked up when a folder is searched."""
 
 _Y_UP = (".glb", ".gltf")

@@ -1,0 +1,82 @@
+"""COLLADA meshes, read through pycollada."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.core.errors import InputFileError
+from model.core.installing import require
+from model.core.mesh import Material
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, check_indices, join, read_bytes
+
+_WORLD_FROM_UP = {
+    "X_UP": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+    "Y_UP": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "Z_UP": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+}
+
+
+def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read the triangles of a COLLADA file's scene; metres, +z up by the file's own axis and unit.
+
+    Of materials the diffuse colour is kept, textures are not.
+
+    Raises:
+        InputFileError: where it is no such file, damaged, or has no triangles.
+        ConfigurationError: where pycollada isn't installed.
+    """
+    require("collada", "artiworld[scans]")
+    collada: Any = import_module("collada")
+    data = read_bytes(path, max_bytes)
+    if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
+        raise InputFileError(path, "declares XML entities, which are not read", "export it again")
+    pieces: list[tuple[str, Loaded]] = []
+    textured = False
+    try:
+        passed_over = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
+        file = collada.Collada(io.BytesIO(data), ignore=passed_over)
+        up = np.eye(4)
+        up[:3, :3] = _WORLD_FROM_UP[str(file.assetInfo.upaxis or "Y_UP")]
+        up[:3, :3] *= float(file.assetInfo.unitmeter or 1.0)
+        for bound in file.scene.objects("geometry") if file.scene is not None else ():
+            for primitive in bound.primitives():
+                triangles = (
+                    primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
+                )
+                if getattr(triangles, "vertex_index", None) is None or triangles.vertex is None:
+                    continue
+                faces = np.asarray(triangles.vertex_index, np.int64).reshape(-1, 3)
+                vertices = np.asarray(triangles.vertex, np.float64)
+                check_indices(path, faces, len(vertices))
+                diffuse = getattr(getattr(primitive.material, "effect", None), "diffuse", None)
+                textured |= diffuse is not None and not isinstance(diffuse, tuple)
+                material = _material(diffuse)
+                own = np.zeros(len(faces), np.int32)
+                made = Loaded(vertices, faces, face_material=own, materials=(material,))
+                name = str(getattr(bound.original, "name", "") or bound.original.id)
+                pieces.append((name, made.moved(up)))
+    except InputFileError:
+        raise
+    except Exception as error:  # pycollada raises many kinds for damaged files
+        raise InputFileError(
+            path, f"can't be read as COLLADA ({error})", "export it again"
+        ) from None
+    if not pieces:
+        raise InputFileError(path, "has no triangles in its scene", "export the object again")
+    whole = join([p for _, p in pieces])
+    remarks = ("textures of COLLADA files are not read",) if textured else ()
+    names = tuple((name, len(p.faces)) for name, p in pieces if len(p.faces))
+    return replace(whole, pieces=names, warnings=(*whole.warnings, *remarks))
+
+
+def _material(diffuse: Any) -> Material:
+    if not isinstance(diffuse, tuple) or len(diffuse) < 3:
+        return Material()
+    r, g, b = (int(np.clip(np.rint(255 * float(c)), 0, 255)) for c in diffuse[:3])
+    return Material("dae", (r, g, b, 255))

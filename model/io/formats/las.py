@@ -1,0 +1,66 @@
+"""LAS and LAZ: surveyed clouds (ASPRS LAS 1.4), read through laspy."""
+
+from __future__ import annotations
+
+import io
+import struct
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.core.errors import InputFileError
+from model.core.installing import require
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
+
+
+def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read one LAS or LAZ file; +z up, in the unit of its coordinate system, mostly metres.
+
+    Raises:
+        InputFileError: where it is no such file, damaged, or has no points.
+        ConfigurationError: where laspy isn't installed.
+    """
+    require("laspy", "artiworld[scans]")
+    laspy: Any = import_module("laspy")
+    data = read_bytes(path, max_bytes)
+    if not data.startswith(b"LASF"):
+        raise InputFileError(path, "is not a LAS file", "a LAS or LAZ file begins with 'LASF'")
+    if not _plausible(data):  # laspy would count through billions of records
+        raise InputFileError(path, "has a damaged LAS header", "export it again")
+    try:
+        with laspy.open(io.BytesIO(data)) as file:
+            declared = int(file.header.point_count) * int(file.header.point_format.size)
+            if declared > max_bytes:
+                raise InputFileError(path, "unpacks to more than the limit", "thin the scan first")
+            cloud = file.read()
+        points = np.column_stack([cloud.x, cloud.y, cloud.z]).astype(np.float64)
+        names = set(cloud.point_format.dimension_names)
+        colors = None
+        if {"red", "green", "blue"} <= names:
+            rgb = np.column_stack([cloud.red, cloud.green, cloud.blue]).astype(np.uint16)
+            colors = colors_from(rgb) if rgb.any() else None
+    except InputFileError:
+        raise
+    except Exception as error:  # laspy and lazrs raise many kinds for damaged files
+        raise InputFileError(path, f"can't be read as LAS ({error})", "export it again") from None
+    if not len(points):
+        raise InputFileError(path, "has no points", "export the scan again")
+    return Loaded(points, colors=colors)
+
+
+def _plausible(data: bytes) -> bool:
+    """Whether the records that the header declares fit into the file (LAS 1.4, table 3)."""
+    if len(data) < 227 or data[24] != 1 or data[25] > 4:
+        return False
+    size, start, records = struct.unpack_from("<HII", data, 94)
+    extended = (
+        struct.unpack_from("<QI", data, 235) if data[25] == 4 and len(data) >= 247 else (0, 0)
+    )
+    return (
+        size <= start <= len(data)
+        and records * 54 <= start
+        and extended[0] <= len(data)
+        and extended[1] * 60 <= len(data)
+    )

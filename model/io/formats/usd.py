@@ -1,0 +1,182 @@
+"""USD meshes and primitive shapes, read through usd-core.
+
+Units (``metersPerUnit``) and the up axis come from the stage. The colour that is shown or that a
+preview surface has is kept; textures are not. What is invisible or a guide is passed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from trimesh import creation
+
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.installing import install_command
+from model.core.mesh import Material
+from model.io.formats.loaded import (
+    DEFAULT_MAX_BYTES,
+    Loaded,
+    check_indices,
+    colors_from,
+    join,
+    size_of,
+)
+from model.io.formats.srgb import to_srgb
+from model.io.formats.triangulate import triangulate
+
+FloatArray = npt.NDArray[np.float64]
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+SHAPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone")
+WORLD_FROM_UP = {
+    "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
+    "z": np.eye(4),
+}
+
+
+def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """All that can be seen on a stage, metres, +z up.
+
+    Raises:
+        InputFileError: where it is no stage, too large, or has no mesh.
+        ConfigurationError: where usd-core isn't installed.
+    """
+    if size_of(path) > max_bytes:
+        raise InputFileError(path, "is over the limit of bytes", "thin or cut the scan first")
+    stage = UsdStage(path)
+    into = stage.turn.copy()
+    into[:3, :3] *= stage.unit
+    found: list[tuple[str, Loaded]] = []
+    for prim in stage.prims():
+        kind = prim.GetTypeName()
+        if kind == "Mesh" or kind in SHAPES:
+            made = stage.mesh_of(prim) if kind == "Mesh" else stage.primitive_of(prim, kind)
+            found.append((str(prim.GetName()), made.moved(stage.world(prim) @ into)))
+    if not found:
+        raise InputFileError(path, "there is no mesh on its stage", "export its objects")
+    whole = join([made for _, made in found])
+    named = tuple((name, len(made.faces)) for name, made in found if len(made.faces))
+    return replace(whole, pieces=named)
+
+
+class UsdStage:
+    """An open stage with pxr's modules; geometry comes out in metres, +z up."""
+
+    def __init__(self, path: Path) -> None:
+        if find_spec("pxr") is None:
+            how = install_command("artiworld[usd]")
+            raise ConfigurationError(f"USD needs the package usd-core: {how}")
+        self.usd, self.geom, self.shade, tf = (
+            import_module(f"pxr.{n}") for n in ("Usd", "UsdGeom", "UsdShade", "Tf")
+        )
+        if not path.is_file():
+            raise InputFileError(path, "no such file", "check the path")
+        try:
+            self.stage: Any = self.usd.Stage.Open(str(path))
+        except tf.ErrorException as error:
+            first = str(error).strip().splitlines()[-1][:200]
+            raise InputFileError(path, f"is no USD stage: {first}", "export it again") from None
+        self.path = path
+        self.up: Any = str(self.geom.GetStageUpAxis(self.stage)).lower()
+        self.unit = float(self.geom.GetStageMetersPerUnit(self.stage))
+        if self.up not in ("y", "z") or not (0 < self.unit < 1e6):
+            raise InputFileError(
+                path, f"has up axis {self.up!r} and {self.unit} metres a unit", "y or z up, above 0"
+            )
+        self.turn = WORLD_FROM_UP[self.up]
+        self.places = self.geom.XformCache()
+
+    def prims(self, below: Any = None) -> Iterator[Any]:
+        """What can be seen, instances opened; purposes for machines left out."""
+        every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
+        root = self.stage.GetPseudoRoot() if below is None else below
+        walk = iter(self.usd.PrimRange(root, every))
+        for prim in walk:
+            image = self.geom.Imageable(prim)
+            if image and (
+                image.GetVisibilityAttr().Get() == "invisible"
+                or image.GetPurposeAttr().Get() in ("guide", "proxy")
+            ):
+                walk.PruneChildren()
+                continue
+            yield prim
+
+    def world(self, prim: Any) -> FloatArray:
+        """(4, 4) world_from_prim in metres, +z up, of points in metres, +z up."""
+        out = np.asarray(self.places.GetLocalToWorldTransform(prim), np.float64).T
+        out[:3, 3] *= self.unit
+        return self.turn @ out @ self.turn.T
+
+    def mesh_of(self, prim: Any) -> Loaded:
+        """A ``Mesh`` prim in its own frame and unit."""
+        mesh = self.geom.Mesh(prim)
+        points = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), np.float64)
+        sizes = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or (), np.int64)
+        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or (), np.int64)
+        if points.ndim != 2 or not len(points) or (sizes < 0).any() or sizes.sum() != len(corners):
+            raise InputFileError(
+                self.path, f"{prim.GetPath()}: its faces and points don't fit together"
+            )
+        check_indices(self.path, corners[:, None], len(points))
+        triangles, _ = triangulate(corners, sizes, points)
+        faces = corners[triangles]
+        if mesh.GetOrientationAttr().Get() == "leftHanded":
+            faces = faces[:, ::-1]
+        return self._coloured(prim, points, faces)
+
+    def primitive_of(self, prim: Any, kind: str) -> Loaded:
+        """A prim of one of :data:`SHAPES` in its own frame and unit."""
+        made = getattr(self.geom, kind)(prim)
+        if kind == "Cube":
+            shape = creation.box(extents=[float(made.GetSizeAttr().Get())] * 3)
+        elif kind == "Sphere":
+            shape = creation.icosphere(subdivisions=3, radius=float(made.GetRadiusAttr().Get()))
+        else:
+            radius, height = (float(a.Get()) for a in (made.GetRadiusAttr(), made.GetHeightAttr()))
+            build = {"Cylinder": creation.cylinder, "Capsule": creation.capsule,
+                     "Cone": creation.cone}[kind]  # fmt: skip
+            shape = build(radius=radius, height=height)
+            if kind != "Cylinder":  # theirs stand on, or begin at, the origin
+                shape.apply_translation(-shape.bounds.mean(0))
+        points = np.asarray(shape.vertices, np.float64)
+        axis = "Z" if kind in ("Cube", "Sphere") else str(made.GetAxisAttr().Get())
+        points = points[:, {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}[axis]]
+        return self._coloured(prim, points, np.asarray(shape.faces, np.int64))
+
+    def _coloured(self, prim: Any, points: FloatArray, faces: Any) -> Loaded:
+        shown = self.geom.Gprim(prim).GetDisplayColorAttr().Get()
+        linear = np.asarray(shown if shown else (), np.float64).reshape(-1, 3)
+        if len(linear) == len(points) and len(points) > 1:
+            return Loaded(points, faces, colors=colors_from(to_srgb(np.clip(linear, 0, 1))))
+        one = self._input(prim, "diffuseColor")
+        if one is None and len(linear):
+            one = linear[0]
+        if one is None or not np.isfinite(one).all():
+            return Loaded(points, faces)
+        rgb = to_srgb(np.clip(np.asarray([one], np.float64), 0, 1))[0]
+        color = (int(rgb[0]), int(rgb[1]), int(rgb[2]), 255)
+        metallic, roughness = self._shine(prim)
+        material = Material(str(prim.GetName()), color, None, metallic, roughness)
+        return Loaded(points, faces, face_material=np.zeros(len(faces), np.int32),
+                      materials=(material,))  # fmt: skip
+
+    def _shine(self, prim: Any) -> list[float | None]:
+        """Metallic and roughness of the bound preview surface."""
+        found = [self._input(prim, name) for name in ("metallic", "roughness")]
+        return [float(v) if isinstance(v, int | float) and 0 <= v <= 1 else None for v in found]
+
+    def _input(self, prim: Any, name: str) -> Any:
+        """A plain value of the bound preview surface, or None."""
+        bound, _ = self.shade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+        if not bound:
+            return None
+        surface = bound.ComputeSurfaceSource()[0]
+        slot = surface.GetInput(name) if surface else None
+        return slot.Get() if slot and not slot.HasConnectedSource() else None

@@ -1,0 +1,118 @@
+"""Formats of scanners, from files that their own libraries write, and broken ones of each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from model.core.errors import ArtiworldError, InputFileError
+from model.io.open_asset import open_asset
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])
+COLORS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [9, 9, 9]], np.uint8)
+
+
+def las(path: Path) -> Path:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=2, version="1.2")
+    header.scales = [0.001] * 3
+    file = laspy.LasData(header)
+    file.x, file.y, file.z = POINTS.T
+    file.red, file.green, file.blue = (COLORS.astype(np.uint16) * 257).T
+    file.write(path)
+    return path
+
+
+def e57(path: Path) -> Path:
+    pye57 = pytest.importorskip("pye57")
+    file = pye57.E57(str(path), mode="w")
+    names = ("cartesianX", "cartesianY", "cartesianZ", "colorRed", "colorGreen", "colorBlue")
+    columns = [*POINTS.T, *COLORS.T]
+    file.write_scan_raw(dict(zip(names, columns, strict=True)))
+    file.close()
+    return path
+
+
+def dae(path: Path) -> Path:
+    collada = pytest.importorskip("collada")
+    file = collada.Collada()
+    file.assetInfo.upaxis, file.assetInfo.unitmeter, file.assetInfo.unitname = "Y_UP", 0.01, "cm"
+    effect = collada.material.Effect("e", [], "phong", diffuse=(1, 0, 0, 1))
+    material = collada.material.Material("m", "red", effect)
+    file.effects.append(effect)
+    file.materials.append(material)
+    source = collada.source.FloatSource("v", (100 * POINTS).ravel(), ("X", "Y", "Z"))
+    geometry = collada.geometry.Geometry(file, "g", "tetra", [source])
+    inputs = collada.source.InputList()
+    inputs.addInput(0, "VERTEX", "#v")
+    index = np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3])
+    geometry.primitives.append(geometry.createTriangleSet(index, inputs, "m"))
+    file.geometries.append(geometry)
+    bound = collada.scene.MaterialNode("m", material, inputs=[])
+    node = collada.scene.Node("n", children=[collada.scene.GeometryNode(geometry, [bound])])
+    file.scenes.append(collada.scene.Scene("s", [node]))
+    file.scene = file.scenes[0]
+    file.write(str(path))
+    return path
+
+
+def usd(path: Path) -> Path:
+    pytest.importorskip("pxr")
+    from pxr import Sdf, Usd, UsdGeom, UsdUtils
+
+    plain = path.with_suffix(".usdc")
+    stage = Usd.Stage.CreateNew(str(plain))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    mesh = UsdGeom.Mesh.Define(stage, "/tetra")
+    mesh.CreatePointsAttr((100 * POINTS).tolist())
+    mesh.CreateFaceVertexCountsAttr([3] * 4)
+    mesh.CreateFaceVertexIndicesAttr([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3])
+    stage.Save()
+    if path.suffix == ".usdz":
+        UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(plain)), str(path))
+    return path
+
+
+WRITERS = {"a.las": las, "a.laz": las, "a.e57": e57}
+MESHES = {"a.dae": dae, "a.usdc": usd, "a.usdz": usd}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_clouds_keep_places_and_colours(name: str, tmp_path: Path) -> None:
+    asset = open_asset(WRITERS[name](tmp_path / name))
+    assert asset.cloud is not None and asset.cloud.colors is not None
+    assert asset.cloud.points == pytest.approx(POINTS, abs=1e-3)
+    assert asset.cloud.colors.tolist() == COLORS.tolist()
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_meshes_are_turned_and_scaled_as_they_state(name: str, tmp_path: Path) -> None:
+    asset = open_asset(MESHES[name](tmp_path / name))
+    assert asset.mesh is not None and len(asset.mesh.faces) == 4
+    # y up and centimetres: (x, y, z) stands at (x, -z, y) metres.
+    assert asset.mesh.bounds.tolist() == [
+        pytest.approx([0, -3, 0], abs=1e-6), pytest.approx([1, 0, 2], abs=1e-6),
+    ]  # fmt: skip
+    if name.endswith(".dae"):
+        assert asset.mesh.materials[0].base_color[:3] == (255, 0, 0)
+
+
+@pytest.mark.parametrize("name", [*WRITERS, *MESHES])
+@pytest.mark.parametrize("damage", ["cut", "noise", "text"])
+def test_a_broken_file_is_named(name: str, damage: str, tmp_path: Path) -> None:
+    path = (WRITERS | MESHES)[name](tmp_path / name)
+    data = bytearray(path.read_bytes())
+    if damage == "cut":
+        data = data[: len(data) // 3]
+    elif damage == "noise":
+        rng = np.random.default_rng(0)
+        data[4:] = rng.integers(0, 256, len(data) - 4, dtype=np.uint8).tobytes()
+    else:
+        data = bytearray(b"not a scan at all\n" * 10)
+    path.write_bytes(data)
+    with pytest.raises(ArtiworldError) as error:
+        open_asset(path)
+    assert isinstance(error.value, InputFileError) and name in str(error.value)
