@@ -195,7 +195,7 @@ def test_some_nan_points_are_dropped_with_a_note(tmp_path):
     assert "200 of 2000" in " ".join(report["problems"])
 
 
-def test_what_was_left_out_is_told_until_the_export(tmp_path, capsys):
+def test_what_was_left_out_is_noted_until_the_export(tmp_path, capsys):
     """From the scan over its parts and the saved asset to what a simulator gets."""
     wall, door = (m.subdivide().subdivide() for m in cupboard())
     whole = trimesh.util.concatenate([wall, door])
@@ -223,7 +223,7 @@ def test_what_was_left_out_is_told_until_the_export(tmp_path, capsys):
     assert open_asset(parts, tmp_path / "workspace", ReadOptions()).warnings == (remark,)
 
 
-def test_a_damaged_mesh_of_a_urdf_is_told_at_its_export(tmp_path, capsys):
+def test_a_damaged_mesh_of_a_urdf_is_noted_at_its_export(tmp_path, capsys):
     points = cupboard()[0].vertices.copy()
     points[3] = np.nan
     ply(tmp_path / "body.ply", points)
@@ -306,12 +306,12 @@ def test_an_output_that_can_be_no_folder_is_the_users_mistake(
         "evaluate": ["--data", "procedural", "--family", "Box", "--predictor", "geometric"],
     }[command]
     assert main([command, *words, "--out", str(tmp_path / out)]) == 2
-    told = capfd.readouterr().err
-    assert "--out" in told and told.count("\n") == 1
+    error = capfd.readouterr().err
+    assert "--out" in error and error.count("\n") == 1
     assert {path.name for path in tmp_path.iterdir()} == {"file", "box.urdf"}
 
 
-def test_a_seed_below_zero_and_a_path_of_nothing_are_told(tmp_path, capfd):
+def test_a_seed_below_zero_and_an_empty_path_are_refused(tmp_path, capfd):
     assert main(["predict", str(tmp_path), "--out", str(tmp_path / "out"), "--seed", "-5"]) == 2
     assert "whole number" in capfd.readouterr().err
     nowhere = str(tmp_path / "nowhere.urdf")

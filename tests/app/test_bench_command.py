@@ -41,7 +41,7 @@ def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["bench", "sleep"], "sleep"),
         (["bench", "segment", "--sets", "nothing"], "nothing"),
@@ -50,10 +50,10 @@ def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
         (["evaluate", "--root", "/no/such/folder"], "/no/such/folder"),
     ],
 )
-def test_mistakes_are_named(words, told, capfd):
+def test_mistakes_are_named(words, message, capfd):
     assert main(words) == 2
     lines = capfd.readouterr().err.strip().splitlines()
-    assert len(lines) == 1 and told in lines[0]
+    assert len(lines) == 1 and message in lines[0]
 
 
 def test_bench_ui_measures_a_small_cloud():

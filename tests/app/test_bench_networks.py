@@ -51,7 +51,7 @@ def test_every_figure_is_measured_beside_its_baseline():
     assert all(rows and all(len(r) == len(rows[0]) for r in rows) for _, rows in shown)
 
 
-def test_what_does_not_fit_is_said_and_the_rest_goes_on(monkeypatch):
+def test_a_network_that_does_not_fit_is_reported_and_the_rest_measured(monkeypatch):
     import torch
 
     def too_large(*_):
@@ -69,5 +69,5 @@ def test_what_does_not_fit_is_said_and_the_rest_goes_on(monkeypatch):
 
 def test_unknown_sizes_are_named(capfd):
     assert main(["bench", "networks", "--sizes", "3b"]) == 2
-    told = capfd.readouterr().err
-    assert "3b" in told and "1.7b" in told
+    error = capfd.readouterr().err
+    assert "3b" in error and "1.7b" in error

@@ -19,6 +19,7 @@ import yourdfpy
 
 from app.cli import printing, segment
 from app.cli.batch import Crashed, run_all
+from app.cli.commands import COMMANDS
 from app.cli.main import main, make_parser, parse
 from app.server.crash_log import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
@@ -33,17 +34,6 @@ from tests.app.run_cli import (
     write_prompts,
 )
 
-COMMANDS = (
-    "serve",
-    "segment",
-    "predict",
-    "export",
-    "check",
-    "evaluate",
-    "generate",
-    "bench",
-    "doctor",
-)
 HEAVY = ("torch", "viser", "open3d", "scipy", "mujoco", "sqlalchemy", "trimesh", "numpy", "rich")
 
 
@@ -108,20 +98,13 @@ def test_help_is_quick():
         assert f"\n    {command} " in done.stdout
 
 
-def test_every_option_is_explained(capsys):
-    for command in COMMANDS:
-        assert main([command, "--help"]) == 0
-        text = capsys.readouterr().out
-        assert text.startswith(f"usage: artiworld {command}")
-
-
 def test_version():
     done = artiworld("--version")
     assert done.returncode == 0 and done.stdout.startswith("artiworld ")
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ([], "COMMAND"),
         (["segmnt"], "segment"),
@@ -139,10 +122,10 @@ def test_version():
         (["predict", "x", "--out", "y", "--pred", "geometric"], "--pred"),
     ],
 )
-def test_wrong_usage_is_one_line(words, told, capsys):
+def test_wrong_usage_is_one_line(words, message, capsys):
     assert main(words) == 2
     lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1 and told in lines[0] and "--help" in lines[0]
+    assert len(lines) == 1 and message in lines[0] and "--help" in lines[0]
 
 
 @pytest.mark.parametrize(
@@ -182,7 +165,7 @@ def test_segment_writes_every_face_into_exactly_one_part(scan, segmented):
     np.testing.assert_allclose(door, [[0.0, -0.05, 0.0], [0.6, -0.002, 0.8]], atol=1e-6)
 
 
-def test_segment_says_what_it_did(segmented):
+def test_segment_reports_parts_and_source(segmented):
     folder, report = segmented
     assert json.loads((folder / "object.json").read_text()) == report
     assert report["format"] == 1 and report["category"] == "cupboard"
@@ -310,10 +293,10 @@ def test_predict_writes_a_urdf_that_other_readers_open(parts, tmp_path):
     assert set(robot.link_map) == set(prediction["links"]) >= {"link_0", "link_1"}
     assert robot.base_link == prediction["base"] == "link_0"
     (moving,) = [j for j in robot.joint_map.values() if j.type != "fixed"]
-    (said,) = [j for j in prediction["joints"] if j["type"] != "fixed"]
-    assert (moving.name, moving.type) == (said["name"], said["type"]) == (said["name"], "revolute")
-    assert [moving.limit.lower, moving.limit.upper] == pytest.approx(said["limits"], abs=1e-6)
-    assert 0.0 <= said["confidence"] <= 1.0
+    (predicted,) = [j for j in prediction["joints"] if j["type"] != "fixed"]
+    assert (moving.name, moving.type) == (predicted["name"], "revolute")
+    assert [moving.limit.lower, moving.limit.upper] == pytest.approx(predicted["limits"], abs=1e-6)
+    assert 0.0 <= predicted["confidence"] <= 1.0
     for name in ("tree.json", "provenance.json", "meshes"):
         assert (out / name).exists()
     for key in ("backend", "seconds", "problems", "seed"):
@@ -321,7 +304,7 @@ def test_predict_writes_a_urdf_that_other_readers_open(parts, tmp_path):
     assert prediction["category"] == "cupboard"
 
 
-def test_predict_tells_of_a_misspelt_category_and_goes_on(parts, tmp_path):
+def test_predict_warns_of_a_misspelt_category(parts, tmp_path):
     done = artiworld("predict", parts, "--out", tmp_path / "asset", "--category", "cabnit")
     assert done.returncode == 0, done.stderr
     assert "note: category 'cabnit' is none that is known; did you mean 'cabinet'?" in done.stdout
@@ -382,7 +365,7 @@ def test_predict_and_export_agree_on_the_mass(segmented, tmp_path, capfd):
     assert report["kilograms"] > 0
 
 
-def test_unknown_names_tell_the_known_ones(parts, scan, tmp_path):
+def test_unknown_names_list_the_known_ones(parts, scan, tmp_path):
     done = artiworld("predict", parts, "--out", tmp_path / "o", "--predictor", "magic")
     assert_users_mistake(done, "magic", "geometric")
     prompts = write_prompts(tmp_path / "p.json", [DOOR_CLICK])
@@ -402,13 +385,13 @@ def asset(segmented, tmp_path_factory) -> Path:
     return out
 
 
-def test_what_export_tells_people_is_not_drowned_in_shapes(capfd):
+def test_export_lists_many_collision_shapes_in_one_row(capfd):
     shapes = [{"file": f"meshes/collision/link_0_{i}.obj", "bytes": 100} for i in range(24)]
     files = [{"file": "object.urdf", "bytes": 7}, {"file": "meshes/link_0.obj", "bytes": 9}]
     printing.print_files({"asset": "a", "format": "urdf", "files": files + shapes}, Path("o"))
-    told = capfd.readouterr().out
-    assert "object.urdf" in told and "meshes/link_0.obj" in told
-    assert "meshes/collision/ · 24 files" in told and "2,400" in told and "link_0_3" not in told
+    out = capfd.readouterr().out
+    assert "object.urdf" in out and "meshes/link_0.obj" in out
+    assert "meshes/collision/ · 24 files" in out and "2,400" in out and "link_0_3" not in out
 
 
 @pytest.mark.parametrize("form", ["urdf", "mjcf", "glb", "usd"])
@@ -472,15 +455,15 @@ def test_export_options_reach_the_files(asset, tmp_path, capfd):
     assert "<collision>" in plain and "<collision>" not in heavy
     assert 'damping="0.5" friction="0.25"' in heavy or 'damping="7" friction="8"' in heavy
     capfd.readouterr()
-    for wrong, told in (
+    for wrong, message in (
         (["--method", "magic"], "hollow"),
         (["--density", "-3"], "--density"),
         (["--material", "kryptonite"], "wood"),
         (["--turning", "much"], "--turning"),
-        (["--max-hulls", "0"], "one hull"),
+        (["--max-hulls", "0"], "max_hulls"),
     ):
         assert main([*base, "--out", str(tmp_path / "x"), *wrong]) == 2
-        assert told in capfd.readouterr().err
+        assert message in capfd.readouterr().err
 
 
 def test_check_tells_good_from_bad(cupboards, capfd):
@@ -495,18 +478,18 @@ def test_check_tells_good_from_bad(cupboards, capfd):
     assert report["summary"]["fine"] == 1 and report["summary"]["unreadable"] == 1
     words = ["check", str(cupboards / "good"), "--format", "glb", "--no-cache"]
     assert main(words) == 0
-    told = capfd.readouterr().out
-    assert "1 of 1 can be read back; validation: 1 fine," in told and "note:" not in told
+    out = capfd.readouterr().out
+    assert "1 of 1 can be read back; validation: 1 fine," in out and "note:" not in out
 
 
-def test_what_was_changed_on_reading_a_urdf_is_told(cupboards, tmp_path, capfd):
+def test_changes_on_reading_a_urdf_are_noted(cupboards, tmp_path, capfd):
     urdf = cupboards / "good" / "object.urdf"
     urdf.write_text(re.sub(r'<axis xyz="[^"]*"', '<axis xyz="0 0 2"', urdf.read_text()))
     given = [str(cupboards), "--jobs", "1", "--no-cache"]
     main(["check", *given, "--format", "urdf", "--no-gate", "--no-collision"])
     main(["export", *given, "--format", "urdf,sdf", "--out", str(tmp_path / "o"), "--no-collision"])
-    told = " ".join(capfd.readouterr().out.split())
-    assert told.count("axis of length 2 was normalised") == 2
+    out = " ".join(capfd.readouterr().out.split())
+    assert out.count("axis of length 2 was normalised") == 2
     about = json.loads((tmp_path / "o" / "good" / "sdf" / "artiworld.json").read_text())
     assert (about["format"], about["asset"]) == ("sdf", "good")
     assert any("axis of length 2" in note for note in about["notes"])
@@ -514,12 +497,12 @@ def test_what_was_changed_on_reading_a_urdf_is_told(cupboards, tmp_path, capfd):
     assert str(tmp_path) not in json.dumps(about), "an export names no folders of this machine"
 
 
-def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_path, capfd):
+def test_a_joint_predicted_with_low_confidence_is_a_warning(parts, tmp_path, capfd):
     out = tmp_path / "asset"
     assert main(["predict", str(parts), "--out", str(out), "--category", "cupboard"]) == 0
-    told = json.loads((out / "prediction.json").read_text())
-    told["joints"][0]["confidence"] = 0.02
-    (out / "prediction.json").write_text(json.dumps(told))
+    prediction = json.loads((out / "prediction.json").read_text())
+    prediction["joints"][0]["confidence"] = 0.02
+    (out / "prediction.json").write_text(json.dumps(prediction))
     words = ["check", str(out), "--format", "glb", "--no-cache", "--no-collision", "--json"]
 
     def verdicts() -> list[str]:
@@ -530,7 +513,7 @@ def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_pa
 
     assert verdicts() == ["unsure"]
     main(words[:-1])
-    assert "Low confidence (2 %)" in capfd.readouterr().out, "people are told why"
+    assert "Low confidence (2 %)" in capfd.readouterr().out, "the reason is printed"
     # What somebody changed since is no prediction any more.
     urdf = (out / "object.urdf").read_text()
     upper = re.search(r' upper="[^"]+"', urdf)
@@ -539,7 +522,7 @@ def test_a_predicted_joint_that_is_likely_wrong_is_to_be_looked_at(parts, tmp_pa
     assert verdicts() == []
 
 
-def test_what_the_gate_calls_broken_is_not_fine(cupboards, capfd):
+def test_a_joint_with_an_error_fails_the_check(cupboards, capfd):
     urdf = cupboards / "good" / "object.urdf"
     text = urdf.read_text()
     axis = re.search(r'<axis xyz="[^"]+"', text)
@@ -563,15 +546,15 @@ def test_a_worker_that_crashes_ends_nothing():
     ]  # fmt: skip
 
 
-def test_export_names_what_is_wrong(asset, tmp_path, capfd):
-    for words, told in (
+def test_export_names_mistakes(asset, tmp_path, capfd):
+    for words, message in (
         ([str(asset), "--format", "dwg", "--out", str(tmp_path / "o")], "mjcf"),
         ([str(tmp_path), "--format", "urdf", "--out", str(tmp_path / "o")], "object.urdf"),
         ([str(asset), "--format", "urdf", "--out", str(asset)], "--out"),
     ):
         assert main(["export", *words]) == 2
         lines = capfd.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and told in lines[0]
+        assert len(lines) == 1 and message in lines[0]
 
 
 # Our own faults
@@ -633,23 +616,23 @@ def test_several_problems_are_still_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "artiworld: first problem; second\n"
 
 
-def test_no_tree_is_code_1_with_the_reason_kept(monkeypatch, parts, tmp_path, capsys):
+def test_no_tree_is_code_1_with_the_reason_in_a_file(monkeypatch, parts, tmp_path, capsys):
     from model.core.articulated_object import Prediction
 
     class Silent:
         name = "silent"
 
         def predict(self, segmented, **_):
-            return Prediction(None, ("the model said nothing",), backend="silent 1")
+            return Prediction(None, ("the model gave nothing",), backend="silent 1")
 
     monkeypatch.setattr("app.cli.predict.load_predictor", lambda name: Silent())
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     out = tmp_path / "out"
     for _ in range(2):
         assert main(["predict", str(parts), "--out", str(out)]) == 1
-        assert "the model said nothing" in capsys.readouterr().err
+        assert "the model gave nothing" in capsys.readouterr().err
     kept = json.loads((out / "prediction.json").read_text())
-    assert kept["joints"] == [] and kept["problems"] == ["the model said nothing"]
+    assert kept["joints"] == [] and kept["problems"] == ["the model gave nothing"]
     monkeypatch.undo()
     assert main(["predict", str(parts), "--out", str(out)]) == 0
 
@@ -673,11 +656,11 @@ def test_a_file_is_no_folder_to_write_to(tmp_path, capfd):
         assert "taken is a file; give a folder" in capfd.readouterr().err
 
 
-def test_what_is_wrong_is_told_by_the_option_that_was_given(tmp_path, capsys):
+def test_a_mistake_names_the_option_that_was_given(tmp_path, capsys):
     taken = tmp_path / "taken"
     taken.touch()
     assert main(["evaluate", "--data", "procedural", "--export", str(taken)]) == 2
-    assert "--export" in (said := capsys.readouterr().err) and "--out" not in said
+    assert "--export" in (error := capsys.readouterr().err) and "--out" not in error
     assert main(["scene", "inspect", str(tmp_path)]) == 2
     assert "is a folder; name the scene's file" in capsys.readouterr().err
     assert main(["train", "--preset", "nope", "--out", str(tmp_path / "run")]) == 2
@@ -685,13 +668,13 @@ def test_what_is_wrong_is_told_by_the_option_that_was_given(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "hint"),
     [
         (["generate", "--famly", "Oven", "--out", "x"], "(did you mean --family?); see"),
         (["scene", "inspect", "home.json", "--asets=x"], "(did you mean --assets?); see"),
         (["check", "a", "--zzz", "b"], "artiworld check: unrecognized arguments: --zzz b; see"),
     ],
 )
-def test_a_misspelt_option_is_told_with_the_one_that_is_near(words, said, capsys):
+def test_a_misspelt_option_gets_a_hint(words, hint, capsys):
     assert main(words) == 2
-    assert said in capsys.readouterr().err
+    assert hint in capsys.readouterr().err

@@ -51,8 +51,8 @@ def test_several_methods_in_one_run(tmp_path: Path, capsys: pytest.CaptureFixtur
     compared = tmp_path / "compared"
     words = ["--compare", str(out / "oracle"), str(out / "truth"), "--out", str(compared)]
     assert main(["evaluate", *words]) == 0
-    assert "mended Laptop_0_0" in capsys.readouterr().out
-    assert "mended" in (compared / "comparison.md").read_text()
+    assert "fixed Laptop_0_0" in capsys.readouterr().out
+    assert "fixed" in (compared / "comparison.md").read_text()
 
 
 def test_objects_are_exported_for_predict(tmp_path: Path) -> None:
@@ -66,7 +66,7 @@ def test_objects_are_exported_for_predict(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--data", "nothing"), "partnet-mobility"),
         (("--data", "urdf"), "--root"),
@@ -81,12 +81,12 @@ def test_objects_are_exported_for_predict(tmp_path: Path) -> None:
         ((*MADE, "--limit", "0"), "limit"),
     ],
 )
-def test_mistakes_are_told_in_one_line(
-    words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+def test_mistakes_are_reported_in_one_line(
+    words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["evaluate", *words]) == 2
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert told.startswith("artiworld") and said in told
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith("artiworld") and message in error
 
 
 def test_segmentation_by_simulated_clicks(
@@ -120,7 +120,7 @@ def test_the_annotator_ends_with_the_right_object() -> None:
     assert json.dumps(report.to_json()) and "geometric" in report.to_markdown()
 
 
-def test_an_object_that_cannot_be_annotated_is_said() -> None:
+def test_an_object_that_cannot_be_annotated_is_reported() -> None:
     data = DatasetOptions("procedural", families=("Safe",))
     found = annotate(AnnotatorConfig(data, ("geometric",)), "Spaceship_0_0")
     assert [s.predictor for s in found] == ["geometric", BY_HAND]
@@ -129,5 +129,5 @@ def test_an_object_that_cannot_be_annotated_is_said() -> None:
 
 def test_a_mistake_is_one_line_without_a_bar_before_it(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "--data", "partnet-mobility"]) == 2
-    told = capfd.readouterr().err
-    assert told.startswith("artiworld: ") and told.count("\n") == 1
+    error = capfd.readouterr().err
+    assert error.startswith("artiworld: ") and error.count("\n") == 1

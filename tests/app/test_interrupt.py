@@ -111,9 +111,9 @@ def test_an_interrupt_does_not_wait_for_a_server_that_is_silent(tmp_path: Path) 
 
 def ends_quietly(run: subprocess.Popen[str]) -> None:
     """With the code of an interrupt, without a traceback, and with all of its group."""
-    _, told = run.communicate(timeout=20)
+    _, error = run.communicate(timeout=20)
     assert run.returncode == 130
-    assert "Traceback" not in told
+    assert "Traceback" not in error
     end = time.monotonic() + 5
     while left := in_group(run.pid):
         assert time.monotonic() < end, left

@@ -80,7 +80,7 @@ def world_of(entry: dict) -> tuple[np.ndarray, np.ndarray]:
     return turn, np.array(entry["world_from_urdf"]["position"])
 
 
-def test_states_are_told(converted: tuple[Path, dict]) -> None:
+def test_states_are_reported(converted: tuple[Path, dict]) -> None:
     out, summary = converted
     states = {k: v["state"] for k, v in objects_of(out).items()}
     assert states == {"cabinet_1": "predicted", "cabinet_2": "predicted", "cabinet_3": "predicted",
@@ -148,20 +148,24 @@ def test_the_source_is_written_back_with_urdfs(converted: tuple[Path, dict]) -> 
         assert urdf is None or (out / urdf["urdf"]).is_file()
 
 
-def test_the_scene_says_where_it_comes_from(converted: tuple[Path, dict], assets: Path) -> None:
+def test_the_scene_records_its_source(converted: tuple[Path, dict], assets: Path) -> None:
     out, summary = converted
-    told = json.loads((out / "artiworld.json").read_text())
-    assert (told["format"], told["source"], told["reader"]) == ("scene", "layout.json", "mesatask")
+    about = json.loads((out / "artiworld.json").read_text())
+    assert (about["format"], about["source"], about["reader"]) == (
+        "scene",
+        "layout.json",
+        "mesatask",
+    )
     layout = (out.parent / "layout.json").read_bytes()
-    assert told["sha256"] == hashlib.sha256(layout).hexdigest() and "scene.xml" in told["files"]
+    assert about["sha256"] == hashlib.sha256(layout).hexdigest() and "scene.xml" in about["files"]
     assert "artiworld.json" in summary["files"]
-    by_object = {id: entry for entry in told["assets"].values() for id in entry["objects"]}
+    by_object = {id: entry for entry in about["assets"].values() for id in entry["objects"]}
     cabinet = by_object["cabinet_1"]
     assert cabinet["source"] == "cab" and cabinet["predictor"]
     assert cabinet["sha256"] == asset_digest(assets / "cab")
     assert by_object["rock_1"]["source"] == "rock.obj" and "predictor" not in by_object["rock_1"]
-    assert any(note.startswith("broken_1: ") for note in told["notes"])
-    assert str(assets) not in json.dumps(told), "paths of this machine are nobody's business"
+    assert any(note.startswith("broken_1: ") for note in about["notes"])
+    assert str(assets) not in json.dumps(about), "no paths of this machine"
 
 
 def test_mujoco_steps_the_scene_for_a_second(converted: tuple[Path, dict]) -> None:
@@ -272,7 +276,7 @@ def until(condition: Callable[[], object], what: str) -> None:
         time.sleep(0.01)
 
 
-def test_killed_in_the_middle_it_goes_on(assets: Path, tmp_path: Path) -> None:
+def test_a_killed_run_is_resumed(assets: Path, tmp_path: Path) -> None:
     """First one of its workers, then the run itself."""
     objects = [
         {"instance": f"cabinet_{i}", "retrieved_uid": "cab", "position": [3 * i, 0, 0],
@@ -334,11 +338,11 @@ def test_clicks_beside_an_asset_cut_it_as_in_the_browser(tmp_path: Path) -> None
         for z in np.linspace(0, 0.78, 13)), ((0.405, 0.0, 0.0), (0.42, 0.5, 0.8)),
     )  # fmt: skip
     click = {"position": [0.42, 0.2, 0.3], "part": 1}
-    told = {"parts": [{"id": 1, "name": "door"}], "clicks": [click]}
+    prompts = {"parts": [{"id": 1, "name": "door"}], "clicks": [click]}
     objects = []
     for i, name in enumerate(("good", "bad", "still")):
         write_mesh(mesh, tmp_path / f"{name}.ply")  # +z up
-        kept = json.dumps(told) if name != "bad" else "{"
+        kept = json.dumps(prompts) if name != "bad" else "{"
         (tmp_path / f"{name}.prompts.json").write_text(kept)
         objects.append({
             "id": name, "description": "rock" if name == "still" else "cabinet", "asset": name,
@@ -348,23 +352,23 @@ def test_clicks_beside_an_asset_cut_it_as_in_the_browser(tmp_path: Path) -> None
     scene = made.write_scene(tmp_path / "home.json", made.own(objects))
     out = tmp_path / "out"
     assert main(["scene", "convert", str(scene), "--out", str(out), "--jobs", "1", "--json"]) == 0
-    told_of = objects_of(out)
-    assert {k: v["state"] for k, v in told_of.items()} == {
+    states = objects_of(out)
+    assert {k: v["state"] for k, v in states.items()} == {
         "good": "predicted", "bad": "failed", "still": "static",
     }  # fmt: skip
-    assert "bad.prompts.json" in told_of["bad"]["reason"]
-    door = load_object(out / told_of["good"]["asset_folder"]).parts[1]
+    assert "bad.prompts.json" in states["bad"]["reason"]
+    door = load_object(out / states["good"]["asset_folder"]).parts[1]
     assert door.name == "door" and door.mesh is not None
     # The panel alone, at its size in the scene.
     assert np.allclose(np.sort(np.ptp(door.mesh.vertices, axis=0)), [0.03, 0.75, 0.8], atol=1e-6)
     assert len(door.mesh.faces) == 12
 
 
-def test_a_scan_stands_on_the_floor_and_not_on_its_stray_points(tmp_path: Path) -> None:
+def test_a_scan_stands_on_the_floor_and_not_on_its_outliers(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     top = rng.uniform((-0.3, -0.3, 0.03), (0.3, 0.3, 0.04), (4000, 3))
-    stray = rng.uniform((-0.5, -0.5, -0.4), (0.5, 0.5, -0.1), (6, 3))
-    points = np.concatenate([top, stray]).astype(np.float32)
+    outliers = rng.uniform((-0.5, -0.5, -0.4), (0.5, 0.5, -0.1), (6, 3))
+    points = np.concatenate([top, outliers]).astype(np.float32)
     write_cloud(PointCloud(points), tmp_path / "slab.ply")
     entry = {"id": "slab", "description": "slab", "asset": "slab", "position": [1, 2, 0],
              "quaternion_wxyz": [1, 0, 0, 0], "scale": [1, 1, 1], "anchor": "base"}  # fmt: skip
@@ -386,7 +390,7 @@ def test_inspect(assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["nowhere.json"], "nowhere.json"),
         (["layout.json", "--assets", "nowhere"], "nowhere"),
@@ -395,15 +399,15 @@ def test_inspect(assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["layout.json", "--time-limit", "0"], "--time-limit"),
     ],
 )
-def test_mistakes_are_told_in_one_line(
-    words: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_mistakes_are_reported_in_one_line(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     made.write_scene(tmp_path / "layout.json", made.mesatask())
     assert main(["scene", "convert", *words, "--out", "out"]) == 2
     error = capsys.readouterr().err
-    assert told in error and len(error.strip().splitlines()) == 1
+    assert message in error and len(error.strip().splitlines()) == 1
 
 
 def test_two_runs_into_one_folder_are_refused(assets: Path, tmp_path: Path) -> None:
