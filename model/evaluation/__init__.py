@@ -1,1 +1,1 @@
-"""Matching, joint metrics, executability, reports."""
+"""Part matching, joint metrics, executability, reports and benchmarks."""

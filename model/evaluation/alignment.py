@@ -1,10 +1,10 @@
-"""Frame, scale and place of other people's predictions.
+"""Frame, scale and position of predictions of other methods.
 
-Methods write their URDFs Y up, in centimetres, or in a unit box of their own. That is a convention
-and no mistake, so it is resolved once: one rotation (of the 24 that map axes to axes) and one rule
-for the scale are chosen for the whole method, by how well all its objects' surfaces lie on the true
-ones. Within the rule ``box`` each object has its own scale and place. What was done is reported. An
-object that lies otherwise than its method's others is wrong, and scored so.
+Methods write URDFs Y up, in centimetres, or in a unit box. That is a convention and no mistake, so
+it is resolved once: one rotation (of the 24 that map axes to axes) and one rule for the scale are
+chosen for the whole method, by the distance of all its objects' surfaces from the true ones. With
+the rule ``box`` each object has its own scale and position. The choice is reported. An object in
+another frame than its method's others is wrong, and scored so.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from model.io.urdf.meshes import moved_mesh
 
 Rule = Literal["as it is", "power of ten", "box"]
 RULES: tuple[Rule, ...] = get_args(Rule)
-"""Scale and place: untouched; scaled by a power of ten; the box's diagonal and centre fitted."""
+"""Scale and position: unchanged, a power of ten, or fitted to the box's diagonal and centre."""
 POINTS = 1500
 CAP = 0.1
-"""Distances beyond it count as it, in diagonals: a missing part must not decide the frame."""
+"""Largest distance that counts, in diagonals: a missing part must not decide the frame."""
 MARGIN = 0.004
-"""A simpler frame wins unless another is better by this much, in diagonals."""
+"""Smallest improvement of a less simple frame, in diagonals."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -56,11 +56,11 @@ ROTATIONS = _rotations()
 
 @dataclass(frozen=True)
 class Frame:
-    """How a method's files become the truth's frame.
+    """The transform of a method's files to the truth's frame.
 
     Attributes:
         rotation: index into :data:`ROTATIONS`.
-        rule: for scale and place.
+        rule: for scale and position.
         exponent: of the power of ten.
     """
 
@@ -69,8 +69,8 @@ class Frame:
     exponent: int = 0
 
     def describe(self) -> str:
-        """For people: "as it is", or what was turned and scaled."""
-        said = []
+        """Describe rotation and scale, or "as it is"."""
+        out = []
         if self.rotation:
             names = np.array(["x", "y", "z"])
             matrix = ROTATIONS[self.rotation]
@@ -78,12 +78,12 @@ class Frame:
                 ("-" if row.sum() < 0 else "") + str(names[np.argmax(np.abs(row))])
                 for row in matrix
             ]
-            said.append(f"turned: its ({', '.join(rows)}) are x, y, z")
+            out.append(f"turned: its ({', '.join(rows)}) are x, y, z")
         if self.rule == "power of ten":
-            said.append(f"scaled by {10.0**self.exponent:g}")
+            out.append(f"scaled by {10.0**self.exponent:g}")
         elif self.rule == "box":
-            said.append("each object scaled and moved to the true box")
-        return "; ".join(said) or "as it is"
+            out.append("each object scaled and moved to the true box")
+        return "; ".join(out) or "as it is"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,18 +95,18 @@ class Similarity:
     shift: FloatArray
 
     def points(self, points: FloatArray) -> FloatArray:
-        """(N, 3) points in the truth's frame."""
+        """Transform (N, 3) points to the truth's frame."""
         return self.scale * points @ self.rotation.T + self.shift
 
     def object(self, obj: ArticulatedObject) -> ArticulatedObject:
-        """The whole object in the truth's frame: geometry, axes, origins and travels."""
+        """Transform an object: geometry, axes, origins and limits."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.scale * self.rotation, self.shift
         parts = tuple(self._part(p, matrix) for p in obj.parts)
         return replace(obj, parts=parts, tree=self.tree(obj.tree))
 
     def tree(self, tree: KinematicTree) -> KinematicTree:
-        """The tree in the truth's frame."""
+        """Transform a tree."""
         return KinematicTree(tree.links, tuple(self._joint(j) for j in tree.joints))
 
     def _joint(self, joint: Joint) -> Joint:
@@ -131,12 +131,12 @@ class Similarity:
 
 @dataclass(frozen=True)
 class FrameCosts:
-    """How far one object is from the truth in each frame.
+    """Distances of one object from the truth in each frame.
 
     Attributes:
         costs: (24, 3) as nested tuples, by rotation and :data:`RULES`: mean distance between the
             two surfaces in true diagonals, both ways.
-        exponent: power of ten that brings its diagonal nearest to the true one.
+        exponent: power of ten that fits its diagonal to the true one.
     """
 
     costs: tuple[tuple[float, ...], ...]
@@ -166,14 +166,14 @@ def frame_costs(truth: FloatArray, predicted: FloatArray) -> FrameCosts:
 
 
 def choose_frame(objects: Sequence[FrameCosts]) -> Frame:
-    """The frame that suits most of a method's objects; the simplest one among equals."""
+    """Choose the best frame of a method's objects; the simplest one among equals."""
     if not objects:
         return Frame()
     costs = np.mean([o.costs for o in objects], axis=0)  # (24, 3)
     exponents = [o.exponent for o in objects]
     common = max(set(exponents), key=exponents.count)
     if exponents.count(common) < 0.8 * len(exponents):
-        costs[:, 1] = np.inf  # no one power of ten
+        costs[:, 1] = np.inf  # no common power of ten
     simplicity = [(r, k) for k in range(len(RULES)) for r in range(len(ROTATIONS))]
     best = float(costs.min())
     rotation, rule = next((r, k) for r, k in simplicity if costs[r, k] <= best + MARGIN)
@@ -183,7 +183,7 @@ def choose_frame(objects: Sequence[FrameCosts]) -> Frame:
 
 
 def fit(frame: Frame, truth: FloatArray, predicted: FloatArray) -> Similarity:
-    """The similarity of ``frame`` for one object, from (N, 3) and (M, 3) samples."""
+    """Fit the similarity of ``frame`` to one object, from (N, 3) and (M, 3) samples."""
     rotation = ROTATIONS[frame.rotation]
     if frame.rule == "as it is":
         return Similarity(rotation, 1.0, np.zeros(3))
@@ -198,7 +198,7 @@ def fit(frame: Frame, truth: FloatArray, predicted: FloatArray) -> Similarity:
 
 
 def outline(parts: Sequence[Part], points: int = POINTS) -> FloatArray:
-    """(N, 3) samples of a whole object with the corners of its box exactly in them."""
+    """Sample (N, 3) points of an object, the extreme points of its box among them."""
     sampled = sampled_parts(parts)
     everything = np.concatenate([s.points for s in sampled] or [np.zeros((1, 3))])
     order = np.random.default_rng(0).permutation(len(everything))[:points]
@@ -218,7 +218,7 @@ def _extremes_of(points: FloatArray) -> FloatArray:
 
 
 def renamed(tree: KinematicTree, names: Mapping[str, str]) -> KinematicTree:
-    """The tree with other link names; those that aren't named get one that no part has."""
+    """Rename links; links without a new name get a unique one."""
     taken = set(names.values())
     table = dict(names)
     for link in tree.links:

@@ -1,4 +1,4 @@
-"""Whether a predictor's confidence means what it says."""
+"""Calibration of a predictor's confidence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class CalibrationBin:
 
     Attributes:
         low, high: of the bin, 0..1. joints: in it.
-        confidence: their mean. usable: share of them that were usable.
+        confidence: their mean. usable: share of usable joints.
     """
 
     low: float
@@ -49,7 +49,7 @@ class Calibration:
 
 
 def calibrate(scores: Iterable[ObjectScore], *, bins: int = BINS) -> Calibration:
-    """Compare confidences with what became of the joints; extra joints are left out."""
+    """Compare confidences with the joints' usability; extra joints are left out."""
     pairs = [
         (j.confidence, float(j.usable))
         for o in scores
@@ -58,32 +58,29 @@ def calibrate(scores: Iterable[ObjectScore], *, bins: int = BINS) -> Calibration
     ]
     if not pairs:
         return Calibration((), 0, math.nan, math.nan)
-    sure, right = np.array(pairs).T
-    return compared(sure, right, bins=bins)
+    confidence, right = np.array(pairs).T
+    return compared(confidence, right, bins=bins)
 
 
 def compared(
-    sure: npt.NDArray[np.floating],
+    confidence: npt.NDArray[np.floating],
     right: npt.NDArray[np.floating],
     weights: npt.NDArray[np.floating] | None = None,
     *,
     bins: int = BINS,
 ) -> Calibration:
-    """Confidences (N,) beside what became of the joints, 1 or 0 (N,); ``weights`` (N,) tell how
-    much each counts."""
-    weights = np.ones(len(sure)) if weights is None else weights
-    place = np.minimum((sure * bins).astype(int), bins - 1)
+    """Compare (N,) confidences with (N,) outcomes, 1 or 0, with optional ``weights`` (N,)."""
+    weights = np.ones(len(confidence)) if weights is None else weights
+    place = np.minimum((confidence * bins).astype(int), bins - 1)
     found, ece = [], 0.0
     for k in np.unique(place):
         here = place == k
-        confidence, usable = (
-            float(np.average(values[here], weights=weights[here])) for values in (sure, right)
+        mean, usable = (
+            float(np.average(values[here], weights=weights[here])) for values in (confidence, right)
         )
         found.append(
-            CalibrationBin(
-                float(k / bins), float((k + 1) / bins), int(here.sum()), confidence, usable
-            )
+            CalibrationBin(float(k / bins), float((k + 1) / bins), int(here.sum()), mean, usable)
         )
-        ece += float(weights[here].sum()) * abs(confidence - usable)
-    brier = float(np.average((sure - right) ** 2, weights=weights))
-    return Calibration(tuple(found), len(sure), ece / float(weights.sum()), brier)
+        ece += float(weights[here].sum()) * abs(mean - usable)
+    brier = float(np.average((confidence - right) ** 2, weights=weights))
+    return Calibration(tuple(found), len(confidence), ece / float(weights.sum()), brier)

@@ -1,4 +1,4 @@
-"""Two runs side by side: what changed, figure by figure and object by object."""
+"""Compare two runs, figure by figure and object by object."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from model.evaluation.report import Report, faults, finite, show
 from model.evaluation.summary import METRICS, Summary, resampled, summarise, term_sums
 
 RESAMPLES = 2000
+KIND_NAMES = {"broken": "regressed", "mended": "fixed", "changed": "changed"}
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,9 @@ class ObjectChange:
     """An object whose faults differ.
 
     Attributes:
-        kind: "mended" or "broken" where it became usable or ceased to be, else "changed".
-        gone, new: faults that the second run hasn't any more, or has besides.
+        kind: "mended" where it became usable, "broken" where it no longer is, else "changed": the
+            words of ``comparison.json``; :data:`KIND_NAMES` has those for people.
+        gone, new: faults of the first run only, and of the second only.
     """
 
     object_id: str
@@ -42,7 +44,7 @@ class Comparison:
         labels: of the two runs. objects: how many both have; left_out: how many only one has.
         before, after: their figures on the common objects.
         difference: key → after minus before, and its 95 % interval (paired bootstrap).
-        changes: objects that differ, broken ones first.
+        changes: objects that differ, regressions first.
     """
 
     labels: tuple[str, str]
@@ -54,7 +56,7 @@ class Comparison:
     changes: tuple[ObjectChange, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """For a program."""
+        """Plain values."""
         return finite(
             {
                 "runs": self.labels,
@@ -94,14 +96,14 @@ class Comparison:
         return out
 
     def to_markdown(self) -> str:
-        """For people."""
+        """The comparison as Markdown."""
         a, b = (escaped(label) for label in self.labels)
         kinds = [c.kind for c in self.changes]
         lines = [
             f"# {a} → {b}",
             "",
             f"{self.objects} objects in both, {self.left_out} in one only; "
-            f"{kinds.count('mended')} mended, {kinds.count('broken')} broken, "
+            f"{kinds.count('mended')} fixed, {kinds.count('broken')} regressed, "
             f"{kinds.count('changed')} otherwise changed.",
             "",
         ]
@@ -111,7 +113,13 @@ class Comparison:
         lines += table(
             ("object", "category", "", "gone", "new"),
             [
-                (c.object_id, c.category or "unknown", c.kind, "; ".join(c.gone), "; ".join(c.new))
+                (
+                    c.object_id,
+                    c.category or "unknown",
+                    KIND_NAMES[c.kind],
+                    "; ".join(c.gone),
+                    "; ".join(c.new),
+                )
                 for c in self.changes
             ],
         )
@@ -119,10 +127,10 @@ class Comparison:
 
 
 def compare(before: Report, after: Report, *, seed: int = 0) -> Comparison:
-    """What changed from one run to another.
+    """Compare two runs on their common objects.
 
     Raises:
-        ConfigurationError: where they have no object in common.
+        ConfigurationError: where there is none.
     """
     first = {s.object_id: s for s in before.scores}
     second = {s.object_id: s for s in after.scores}
@@ -131,8 +139,8 @@ def compare(before: Report, after: Report, *, seed: int = 0) -> Comparison:
         raise ConfigurationError("the two runs have no object in common; compare runs on one set")
     a, b = [first[i] for i in common], [second[i] for i in common]
     changes = [c for x, y in zip(a, b, strict=True) if (c := _change(x, y)) is not None]
-    order = {"broken": 0, "mended": 1, "changed": 2}
-    changes.sort(key=lambda c: (order[c.kind], c.object_id))
+    order = list(KIND_NAMES)
+    changes.sort(key=lambda c: (order.index(c.kind), c.object_id))
     return Comparison(
         labels=(before.label, after.label),
         objects=len(common),

@@ -1,4 +1,4 @@
-"""Ground truth as a scanner would see it: turned, one-sided, noisy clouds."""
+"""Simulated scans of ground truth: rotated, one-sided, noisy clouds."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Corruption:
-    """What is done to an object before it is predicted.
+    """Changes of an object before it is predicted.
 
     Attributes:
-        yaw: turn about +z (rad); None draws one at random for each object.
-        scan: replace the meshes by a cloud as seen from one side.
-        view: azimuth of the scanner (rad, from +x), before the turn; PartNet-Mobility's objects
+        yaw: rotation about +z (rad); None draws one for each object.
+        scan: replace the meshes by a cloud scanned from one side.
+        view: azimuth of the scanner (rad, from +x), before the rotation; PartNet-Mobility's objects
             face -x, which is pi.
         elevation: of the scanner (rad).
         noise: standard deviation over the object's diagonal.
@@ -40,7 +40,7 @@ class Corruption:
 
 
 def corrupt(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> GroundTruth:
-    """The same object, corrupted; its joints turn along."""
+    """Corrupt an object; its joints are rotated, too."""
     out = _scanned(truth, how, rng) if how.scan else truth
     yaw = float(rng.uniform(-math.pi, math.pi)) if how.yaw is None else how.yaw
     return _turned(out, yaw) if yaw else out
@@ -74,7 +74,7 @@ def _turned(truth: GroundTruth, yaw: float) -> GroundTruth:
 
 
 def _scanned(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> GroundTruth:
-    """Clouds of what is visible; a part that is hidden keeps a few of its points."""
+    """Clouds of the visible points; a hidden part keeps a few of its points."""
     parts = truth.object.parts
     bounds = np.stack([p.bounds for p in parts])
     low, high = bounds[:, 0].min(0), bounds[:, 1].max(0)
@@ -86,9 +86,9 @@ def _scanned(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> G
         share = float(np.linalg.norm(extent)) / diagonal
         count = int(np.clip(6 * how.points * share**1.5, 600, 6 * how.points))
         dense.append(sample_surface(p.mesh, count, rng)[0].points.astype(np.float64))
-    seen = visible(np.concatenate(dense), (low + high) / 2, diagonal, how.view, how.elevation)
-    split = np.split(seen, np.cumsum([len(d) for d in dense])[:-1])
-    keep = min(1.0, how.points / max(1, int(seen.sum())))
+    in_view = visible(np.concatenate(dense), (low + high) / 2, diagonal, how.view, how.elevation)
+    split = np.split(in_view, np.cumsum([len(d) for d in dense])[:-1])
+    keep = min(1.0, how.points / max(1, int(in_view.sum())))
     out = []
     for p, points, mask in zip(parts, dense, split, strict=True):
         shown = points[mask]
@@ -106,7 +106,7 @@ def _scanned(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> G
 def visible(
     points: Array, center: Array, diagonal: float, azimuth: float, elevation: float
 ) -> npt.NDArray[np.bool_]:
-    """(N,) points that no other point hides, seen by a distant camera (a coarse depth image)."""
+    """(N,) points visible to a distant camera, by a coarse depth image."""
     ca, sa = math.cos(azimuth), math.sin(azimuth)
     ce, se = math.cos(elevation), math.sin(elevation)
     toward = np.array([ca * ce, sa * ce, se])

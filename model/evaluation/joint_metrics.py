@@ -37,7 +37,7 @@ from model.evaluation.part_matching import PartMatch
 from model.evaluation.tree_metrics import chain, parents, path, tree_edits
 
 ABSENT = ("missing", "unparseable")
-"""What stands for the type of a joint that isn't there, or couldn't be read."""
+"""Types of a missing joint, and of one that couldn't be read."""
 WORST_ANGLE = math.pi / 2
 """Axis error of a missing joint (rad): an unsigned angle can't be larger."""
 WORST_DISTANCE = 1.0
@@ -46,7 +46,7 @@ WORST_DISTANCE = 1.0
 
 @dataclass(frozen=True)
 class UsableLimits:
-    """What still counts as right for :attr:`JointScore.usable`.
+    """Tolerances of :attr:`JointScore.usable`.
 
     Attributes:
         axis: largest angle between the axis lines (rad), 0.1 is 5.7 degrees.
@@ -66,7 +66,7 @@ class UsableLimits:
 
 @dataclass(frozen=True)
 class JointScore:
-    """One true joint and what the prediction made of it.
+    """Score of one true joint.
 
     Attributes:
         child: the part that moves.
@@ -79,8 +79,8 @@ class JointScore:
         opd_part: the same over the moving part's diagonal (S2O).
         ald: mean error of the two limits (rad), revolute in both.
         dld: mean error of the two limits (m), prismatic in both.
-        still: the mean error of the two limits if the joint didn't move (rad or m); what a missing
-            joint counts in the means with missing ones. None for continuous joints.
+        still: mean error of the two limits if the joint didn't move (rad or m), which a missing
+            joint counts with. None for continuous joints.
         range_iou: overlap of the ranges, both limited and of one type.
         range_right, usable: see :class:`UsableLimits`.
         confidence: the predictor's, 0..1, or None.
@@ -124,15 +124,15 @@ class ObjectScore:
 
     Attributes:
         joints: one entry for each true joint that moves.
-        extra: moving joints of the prediction that are no true joint: child and type.
+        extra: predicted moving joints without a true joint: child and type.
         tree_right: every part has its true parent, and the root is the true root.
         problem: why there is no prediction, or "".
         diagonal: of the true object (m).
         tree_edits: see :func:`model.evaluation.tree_metrics.tree_edits`.
         part_iou: mean over the true parts, 0 for unmatched ones; None where parts were given.
-        parts, matched: how many true parts there are, and how many of them were found.
-        note: what was odd about the prediction, for people.
-        execution: what became of it when it was driven; None where that wasn't asked for.
+        parts, matched: number of true parts, and of those that were found.
+        note: remarks on reading the prediction, for people.
+        execution: result of driving the joints, or None.
     """
 
     object_id: str
@@ -171,14 +171,14 @@ def score_object(
 
     Args:
         truth: the object in its rest frame.
-        predicted: a tree with the truth's link names, in the same frame; None where there is none.
-        limits: what counts as usable.
+        predicted: a tree with the truth's link names, in the same frame, or None.
+        limits: tolerances.
         problem: recorded where ``predicted`` is None.
-        matches: which parts were found by geometry; None where the parts were given.
+        matches: parts matched by geometry; None where the parts were given.
         faulty: names of joints that couldn't be read.
         swapped: names of joints whose limits were written in the wrong order.
         confidence: child → 0..1.
-        unmatched_parts: predicted parts that are no true part.
+        unmatched_parts: number of predicted parts without a true part.
     """
     limits = limits or UsableLimits()
     parts = frozenset(p.link for p in truth.parts)
@@ -192,18 +192,18 @@ def score_object(
         found = () if part not in below else path(predicted, part, parts)[1]  # type: ignore[arg-type]
         rest = [j for j in found if j.moves]
         absent = "unparseable" if any(j.name in faulty for j in found) else "missing"
-        about = _About(
+        scorer = _PartScorer(
             part, below.get(part) == above[part], diagonal, _diagonal(truth, {part}), limits
         )
         for joint in true_chain:
             best = _best(rest, true_chain, joint)
             if best is None:
-                joints.append(about.none(joint, absent))
+                joints.append(scorer.missing(joint, absent))
                 continue
             rest.remove(best)
             used.add(best.name)
-            sure = (confidence or {}).get(part)
-            joints.append(about.score(joint, best, best.name in swapped, sure))
+            own = (confidence or {}).get(part)
+            joints.append(scorer.score(joint, best, best.name in swapped, own))
     moving = () if predicted is None else [j for j in predicted.joints if j.moves]
     ious = None if matches is None else sum(m.iou for m in matches) / max(1, len(parts))
     return ObjectScore(
@@ -227,15 +227,15 @@ def _diagonal(truth: ArticulatedObject, links: Collection[str]) -> float:
 
 
 def _best(rest: Sequence[Joint], true_chain: Sequence[Joint], joint: Joint) -> Joint | None:
-    """The predicted joint that stands for ``joint``: of its type, else one that no other needs."""
+    """The predicted joint for ``joint``: of its type, else of a type that no later one has."""
     later = {j.type for j in true_chain[true_chain.index(joint) + 1 :]}
     same = next((j for j in rest if j.type == joint.type), None)
     return same or next((j for j in rest if j.type not in later), None)
 
 
 @dataclass(frozen=True)
-class _About:
-    """What all joints of one part are scored by."""
+class _PartScorer:
+    """Scores the joints of one part."""
 
     part: str
     parent_right: bool
@@ -243,7 +243,7 @@ class _About:
     part_diagonal: float
     limits: UsableLimits
 
-    def none(self, true: Joint, absent: str) -> JointScore:
+    def missing(self, true: Joint, absent: str) -> JointScore:
         return JointScore(self.part, true.type, absent, self.parent_right, still=_still(true))
 
     def score(

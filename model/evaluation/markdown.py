@@ -21,7 +21,7 @@ MOST_FAULTS = 6
 
 
 def to_markdown(reports: Sequence[Report]) -> str:
-    """The table of all runs with the paper's rows, then each run's figures and failures."""
+    """Format the table of all runs with the paper's rows, then each run's figures and failures."""
     first = reports[0]
     lines = [f"# Evaluation on {escaped(first.dataset)}", ""]
     rows = [r.row() for r in reports] + paper_rows()
@@ -59,7 +59,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def escaped(text: str) -> str:
-    """``text`` on one line, with nothing that Markdown or HTML would act on."""
+    """Escape Markdown and HTML, on one line."""
     plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
     return re.sub(r"([\\`*\[\]|!#])", r"\\\1", plain)
 
@@ -83,7 +83,7 @@ def _run(report: Report) -> list[str]:
         "",
     ]
     lines += table(
-        ("figure", "value", "95 % interval", "unit", "what it is", "source"),
+        ("figure", "value", "95 % interval", "unit", "definition", "source"),
         [
             (
                 m.label,
@@ -108,9 +108,9 @@ def _run(report: Report) -> list[str]:
     failed = [o for o in report.scores if not o.usable]
     lines += ["", f"### Not usable: {len(failed)} objects", ""]
     for o in failed:
-        said = faults(o)
-        more = "; …" if len(said) > MOST_FAULTS else ""
-        shown = escaped("; ".join(said[:MOST_FAULTS]))
+        found = faults(o)
+        more = "; …" if len(found) > MOST_FAULTS else ""
+        shown = escaped("; ".join(found[:MOST_FAULTS]))
         lines.append(
             f"- {escaped(o.object_id)} ({escaped(o.category or 'unknown')}): {shown}{more}"
         )
@@ -126,9 +126,9 @@ def _execution(report: Report) -> list[str]:
     for _, run in stuck:
         for kind in run.kinds:
             kinds[kind] = kinds.get(kind, 0) + 1
-    said = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items(), key=lambda k: -k[1]))
+    counts = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items(), key=lambda k: -k[1]))
     lines = ["", f"### Not executable: {len(stuck)} of {len(driven)} objects", ""]
-    lines += [f"Objects by what is broken: {said}.", ""] if said else []
+    lines += [f"Objects by kind of error: {counts}.", ""] if counts else []
     return lines + [f"- {escaped(o.object_id)}: {escaped(run.why)}" for o, run in stuck]
 
 

@@ -1,14 +1,14 @@
-"""Which predicted part is which true part, by geometry and never by name.
+"""Match predicted to true parts, by geometry and never by name.
 
-The surfaces are compared: points are drawn evenly from each part, and a point belongs to those
-parts of the other side whose surface is nearest to it. With ``a`` the area of true part *i* that
+The surfaces are compared: points are sampled evenly on each part, and a point belongs to the parts
+of the other side with the nearest surface. With ``a`` the area of true part *i* that
 lies on predicted part *j*, and ``b`` the area of *j* that lies on *i*,
 
     IoU(i, j) = I / (A_i + B_j - I),  I = (a + b) / 2.
 
-The assignment with the largest sum of IoU is taken (Hungarian method); pairs below
-:data:`THRESHOLD` are none, as in S2O (Iliash et al., 2024), which takes boxes where this takes
-surfaces: a door and its cabinet's front have the same box.
+The assignment with the largest sum of IoU is chosen (Hungarian method), without pairs below
+:data:`THRESHOLD`, as in S2O (Iliash et al., 2024). S2O compares boxes instead of surfaces, but a
+door and its cabinet's front have the same box.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from model.kinematics.surface import Surface, surface_of
 THRESHOLD = 0.5
 """Smallest IoU of a matched pair."""
 POINTS = 12_000
-"""Samples of a whole object; every part has :data:`LEAST` at least."""
+"""Samples of an object; every part has at least :data:`LEAST`."""
 LEAST = 200
 TIE = 2e-4
-"""In diagonals: surfaces this much farther than the nearest count as nearest too."""
+"""Distance beyond the nearest surface that counts as nearest, in diagonals."""
 REACH = 0.02
-"""In diagonals: what is farther from every surface lies on none."""
+"""Largest distance of a point from its surface, in diagonals."""
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class PartMatch:
-    """A true part and the predicted one that it is.
+    """A true part and its predicted part.
 
     Attributes:
         part: link in the truth. link: link in the prediction. iou: of their surfaces, 0..1.
@@ -53,11 +53,11 @@ class PartMatch:
 
 @dataclass(frozen=True, eq=False)
 class SampledPart:
-    """A part as it is compared; metres, object frame.
+    """Samples of a part; metres, object frame.
 
     Attributes:
-        points: (N, 3) drawn evenly from its surface; a cloud's own points.
-        area: of its triangles, or of the discs that stand for a cloud (m²).
+        points: (N, 3) even samples of its surface; a cloud's own points.
+        area: of its triangles, or of a cloud's discs (m²).
     """
 
     link: str
@@ -67,7 +67,7 @@ class SampledPart:
 
 
 def sampled_parts(parts: Sequence[Part], *, seed: int = 0) -> list[SampledPart]:
-    """Parts that have a surface, with their samples; deterministic."""
+    """Sample parts that have a surface; deterministic."""
     found = [(p, s) for p in parts if (s := surface_of(p)) is not None]
     areas = [_area(s) for _, s in found]
     total = sum(areas) or 1.0
@@ -101,7 +101,7 @@ def match_parts(
     *,
     threshold: float = THRESHOLD,
 ) -> tuple[PartMatch, ...]:
-    """Pairs with an IoU of ``threshold`` at least, in the order of the true parts."""
+    """Match pairs with an IoU of at least ``threshold``, in the order of the true parts."""
     iou = part_ious(truth, predicted)
     kept = np.where(iou >= threshold, iou, 0.0)
     rows, columns = linear_sum_assignment(-kept)
@@ -113,7 +113,7 @@ def match_parts(
 
 
 def _shares(one: SampledPart, others: Sequence[SampledPart], diagonal: float) -> FloatArray:
-    """(len(others),) share of the samples of ``one`` that lie on each of the others."""
+    """(len(others),) share of the samples of ``one`` on each of the others."""
     reach = REACH * diagonal
     distance = np.full((len(one.points), len(others)), np.inf)
     for j, other in enumerate(others):

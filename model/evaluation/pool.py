@@ -1,4 +1,4 @@
-"""Work on many objects in parallel processes, where no object may end the run."""
+"""Process objects in parallel, where no object may end the run."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ A = TypeVar("A")
 
 
 class OutOfTimeError(Exception):
-    """An object took too long."""
+    """An object exceeded its time limit."""
 
 
 def robust_map(
     function: Callable[[A], T], ids: Sequence[A], jobs: int, method: str = "fork"
 ) -> Iterator[tuple[A, T | None]]:
-    """``function`` of each id as they are done; None for one whose process died.
+    """Yield each id with ``function`` of it as it completes; None where its process died.
 
     Args:
         function: can be pickled; must not raise.
-        ids: hashable, each one once.
-        jobs: processes; with one, everything runs in this process and a death is ours too.
-        method: how processes start, as of :func:`in_processes`.
+        ids: hashable and distinct.
+        jobs: processes; 1 runs everything in this process, without protection.
+        method: how processes start, see :func:`in_processes`.
     """
     if jobs <= 1:
         for i in ids:
@@ -48,7 +48,7 @@ def robust_map(
                     done.add(of_id[future])
                     yield of_id[future], result
         except BrokenProcessPool:
-            # A process died. Those not done are tried one by one; who dies alone is at fault.
+            # A process died: retry the remaining ids one by one to find the culprit.
             left = [i for i in batch if i not in done]
             if len(left) == 1:
                 done.add(left[0])
@@ -61,22 +61,22 @@ def robust_map(
 def in_processes(
     function: Callable[[A], T], tasks: Sequence[A], jobs: int, method: str = "fork"
 ) -> Iterator[list[Future[T]]]:
-    """``function`` of each task in processes that end with the block, whatever ends it.
+    """Run ``function`` of each task in processes that end with the block.
 
-    Ctrl+C goes to the whole process group. The workers don't hear it: the block does, and kills
-    them, so that nobody waits for tasks under way and none stays behind.
+    Ctrl+C reaches the whole process group. The workers ignore it; the block kills them, so that no
+    running task is waited for and no process stays behind.
 
     Args:
         function: can be pickled.
         tasks: the argument of each call.
         jobs: processes at most.
-        method: how they start. "fork" is 3 to 6 s quicker, as nothing is imported anew; it must not
-            be used where this process has threads that compute.
+        method: how they start. "fork" is 3 to 6 s faster, as nothing is imported again; it is not
+            safe while threads of this process compute.
     """
     context: Any = multiprocessing.get_context(method)
     pool = ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=context)
     try:
-        with _interrupts_held():
+        with _delayed_interrupts():
             futures = [pool.submit(function, task) for task in tasks]
         yield futures
     except BaseException:
@@ -86,10 +86,10 @@ def in_processes(
 
 
 def kill_pool(pool: ProcessPoolExecutor) -> None:
-    """End a pool and its processes at once, without waiting for the tasks under way.
+    """End a pool and its processes at once, without waiting for running tasks.
 
-    The pool's own thread is waited for, 5 s at most: where Python ends while the thread closes
-    its pipes, Python wakes it through one that is closed already (a traceback at exit).
+    The pool's manager thread is joined for at most 5 s: if Python exits while that closes its
+    pipes, Python writes to a closed one (a traceback at exit).
     """
     manager = cast("threading.Thread | None", pool._executor_manager_thread)
     for process in list((pool._processes or {}).values()):
@@ -100,10 +100,10 @@ def kill_pool(pool: ProcessPoolExecutor) -> None:
 
 
 def in_order(function: Callable[[A], T], tasks: Sequence[A], jobs: int) -> list[T]:
-    """``function`` of each task, in their order, in ``jobs`` new processes; with one, in this one.
+    """Return ``function`` of each task in order, in ``jobs`` new processes, or in this one for 1.
 
     Args:
-        function: can be pickled; what it raises is raised here.
+        function: can be pickled; its exceptions are raised here.
     """
     if jobs <= 1 or len(tasks) <= 1:
         return [function(task) for task in tasks]
@@ -112,20 +112,20 @@ def in_order(function: Callable[[A], T], tasks: Sequence[A], jobs: int) -> list[
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl+C is heard after the block, and never by processes that are started in it.
+def _delayed_interrupts() -> Iterator[None]:
+    """Delay Ctrl+C until after the block, and ignore it in processes started there.
 
-    Where Python forks, an interrupt can be raised in a place that swallows it.
+    While Python forks, an interrupt can be raised where it is swallowed.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield  # interrupts are none of its business
+        yield  # only the main thread handles interrupts
         return
-    resource_tracker.ensure_running()  # on its start it lets interrupts through again
-    heard: list[Any] = []
+    resource_tracker.ensure_running()  # its start unblocks interrupts
+    received: list[Any] = []
     before = signal.getsignal(signal.SIGINT)
     if callable(before):
-        # What this thread blocks may come by another one.
-        signal.signal(signal.SIGINT, lambda *how: heard.append(how))
+        # A signal blocked in this thread may arrive in another one.
+        signal.signal(signal.SIGINT, lambda *how: received.append(how))
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -133,15 +133,15 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         if callable(before):
             signal.signal(signal.SIGINT, before)
-    if heard and callable(before):
-        before(*heard[0])
+    if received and callable(before):
+        before(*received[0])
 
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
     """Raise :class:`OutOfTimeError` in this thread after ``seconds``.
 
-    Where the system or the thread has no alarm, nothing is limited.
+    Nothing is limited where the system or the thread has no alarm.
     """
 
     def ring(*_: object) -> None:

@@ -1,7 +1,7 @@
-"""Predictions from anybody: a folder of URDFs with meshes, read with patience.
+"""Read the predictions of another method: a folder of URDFs with meshes.
 
-A joint that can't be read stands as a fixed one, its part stays a part, and it is counted against
-the method; a URDF or a mesh that can't be read at all is an object without a prediction.
+A joint that can't be read becomes fixed, keeps its part, and counts against the method. A URDF or
+mesh that can't be read at all is an object without a prediction.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PREDICTION_JSON = "prediction.json"
 
 @dataclass(frozen=True, eq=False)
 class WrittenPrediction:
-    """One object as somebody wrote it, its rigid groups merged.
+    """One object as it was written, its rigid groups merged.
 
     Attributes:
         object: in the file's own frame.
@@ -52,7 +52,7 @@ class ResolvedPrediction:
     """A prediction with the truth's link names, in the truth's frame.
 
     Attributes:
-        tree: links that match no true part are called ``unmatched:…``.
+        tree: links without a true part are named ``unmatched:…``.
         object: the same with its geometry.
         matches: the pairs of parts.
         faulty, swapped, confidence: as in :class:`WrittenPrediction`, true link names.
@@ -122,7 +122,7 @@ def read_prediction(path: Path, root: Path) -> WrittenPrediction:
 def resolve(
     truth: ArticulatedObject, written: WrittenPrediction, frame: Frame
 ) -> ResolvedPrediction:
-    """Bring a prediction into the truth's frame and find out which part is which."""
+    """Transform a prediction to the truth's frame and match its parts."""
     similarity = fit(frame, outline(truth.parts), outline(written.object.parts))
     moved = similarity.object(written.object)
     matches = match_parts(sampled_parts(truth.parts), sampled_parts(moved.parts))
@@ -148,7 +148,7 @@ def outlines(
 
 
 def _confidence(path: Path) -> dict[str, float]:
-    """Of our own predictions; nothing where the file isn't there or is something else."""
+    """Confidences of our own predictions; empty where the file is missing or something else."""
     try:
         joints = json.loads(path.read_text(encoding="utf-8"))["joints"]
         found = {str(j["child"]): j.get("confidence") for j in joints}

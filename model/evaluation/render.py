@@ -1,4 +1,4 @@
-"""Pictures of articulated objects without a GPU or a window: depth-sorted points in numpy.
+"""Render articulated objects without a GPU or a window, as depth-sorted points in numpy.
 
 An orthographic camera looks down on the front. Surfaces are sampled densely enough that no hole
 shows at the picture's size; joints are drawn over them as arrows.

@@ -1,4 +1,4 @@
-"""The paper's table and more, as JSON; :mod:`model.evaluation.markdown` writes it for people."""
+"""Reports as JSON; :mod:`model.evaluation.markdown` and ``html_report`` format them."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Report:
     """Scores of one run.
 
     Attributes:
-        dataset, predictor: what was run. names: whether part names were given; None where written
-            predictions were scored.
+        dataset, predictor: their names. names: whether part names were given; None for written
+            predictions.
         settings: the whole configuration.
-        scores: one an object. seconds: of each prediction.
+        scores: one per object. seconds: of each prediction.
         wall_seconds: of this run.
-        frame: how written predictions were turned and scaled; None for a predictor.
+        frame: of written predictions; None for a predictor.
     """
 
     dataset: str
@@ -80,7 +80,7 @@ class Report:
 
     @property
     def label(self) -> str:
-        """What was run, for a table's row."""
+        """Label of the run in tables."""
         how = "" if self.names is None else f", {'with' if self.names else 'without'} names"
         return f"{self.predictor}{how} ({len(self.scores)} objects)"
 
@@ -89,7 +89,7 @@ class Report:
         return (self.label, *summary_cells(self.summary))
 
     def to_json(self) -> dict[str, Any]:
-        """All of it, with a format version; what isn't a number is null."""
+        """Plain values with a format version; NaN and infinity are null."""
         return {
             "format_version": FORMAT_VERSION,
             "dataset": self.dataset,
@@ -132,7 +132,7 @@ def read_report(path: Path) -> Report:
     """Read a ``report.json``, or the one in a folder.
 
     Raises:
-        InputFileError: where it isn't there, or no report of this version.
+        InputFileError: for a missing file or another version.
     """
     path = path / REPORT if path.is_dir() else path
     try:
@@ -175,7 +175,7 @@ def summary_cells(s: Summary) -> tuple[str, ...]:
 
 
 def show(metric: Metric, value: float) -> str:
-    """A figure as people read it: shares in per cent."""
+    """Format a figure; shares in per cent."""
     if metric.unit == "%":
         return _number(100 * value, 1)
     return _number(value, 3 if metric.unit in ("rad", "diagonals", "") else 4)
@@ -206,7 +206,7 @@ def summary_to_json(s: Summary) -> dict[str, Any]:
 
 
 def faults(score: ObjectScore) -> list[str]:
-    """What is wrong with a prediction, joint by joint, for people."""
+    """Describe the faults of a prediction, joint by joint."""
     if score.problem:
         return [score.problem]
     out = [f"{part} should not move ({kind})" for part, kind in score.extra]
@@ -230,7 +230,7 @@ def faults(score: ObjectScore) -> list[str]:
 
 
 def finite(value: Any) -> Any:
-    """The same with null for what is no finite number, and tuples as lists."""
+    """Replace numbers that aren't finite by None, and tuples by lists."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

@@ -33,29 +33,29 @@ FRAME_SAMPLE = 24
 """Objects that decide a method's frame."""
 LOG = "objects.jsonl"
 TRUTH = "truth"
-"""A predictor that answers with the truth: what the data set itself would get."""
+"""Name of the predictor that returns the truth: the score of the data set itself."""
 
 
 @dataclass(frozen=True)
 class EvaluationConfig:
-    """What is evaluated, and how.
+    """Configuration of an evaluation.
 
     Attributes:
         data: the data set. split: which of its objects, see :mod:`model.data.splits`.
-        predictor: name of the predictor (:data:`TRUTH` answers with the truth), or what
-            ``predictions`` is called in the report.
+        predictor: name of the predictor, :data:`TRUTH` for the truth; or the name of
+            ``predictions`` in the report.
         predictions: folder of URDFs to score instead of running a predictor.
-        frame: of these URDFs; found where it is None.
-        names: whether part names and the category are given to the predictor.
-        corruption: what is done to the objects first; not for ``predictions``.
+        frame: of these URDFs; None chooses one.
+        names: whether the predictor gets part names and the category.
+        corruption: of the objects before prediction; not for ``predictions``.
         jobs: processes.
-        limit: at most this many objects, spread over the whole set; all where None.
+        limit: most objects, spread over the whole set, or None.
         seed: of the predictor, the corruption and the split.
         timeout: seconds after which one object counts as failed.
-        execute: whether the joints of each prediction are driven as well.
-        limits: what counts as usable.
-        out: folder for ``objects.jsonl`` (a line an object, so that a stopped run goes on) and the
-            reports; nothing is written where None.
+        execute: whether the joints of each prediction are driven, too.
+        limits: tolerances of usable joints.
+        out: folder for the reports and ``objects.jsonl``, from which a stopped run resumes; None
+            writes nothing.
     """
 
     data: DatasetOptions
@@ -74,7 +74,7 @@ class EvaluationConfig:
     out: Path | None = None
 
     def key(self) -> dict[str, Any]:
-        """What must agree for results of an earlier run to be used again."""
+        """Settings that must agree for results of an earlier run to be reused."""
         out = asdict(self)
         for name in ("jobs", "limit", "out", "timeout", "split"):
             del out[name]
@@ -87,11 +87,11 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class ObjectResult:
-    """One object's score and what it took.
+    """One object's score and time.
 
     Attributes:
         score: against the truth.
-        seconds: of the prediction alone; of reading and matching for written predictions.
+        seconds: of the prediction alone, or of reading and matching a written one.
     """
 
     score: ObjectScore
@@ -103,7 +103,7 @@ class ScoredPrediction:
     """A prediction with its truth and its score.
 
     Attributes:
-        predicted: in the truth's frame and with its names; None where there is no prediction.
+        predicted: in the truth's frame, with its names, or None.
     """
 
     truth: GroundTruth
@@ -119,7 +119,7 @@ def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> R
     as failed and the run goes on.
 
     Raises:
-        ArtiworldError: for what is wrong with the configuration itself, before anything runs.
+        ArtiworldError: for a wrong configuration, before anything runs.
     """
     ids = chosen_ids(config)
     if config.execute:
@@ -160,10 +160,10 @@ def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> R
 
 
 def chosen_ids(config: EvaluationConfig) -> list[str]:
-    """The objects of the split, at most ``limit`` of them, spread over all.
+    """Return the objects of the split, at most ``limit`` of them, spread over all.
 
     Raises:
-        ArtiworldError: where the data set, the split or the limit can't be.
+        ArtiworldError: for an invalid data set, split or limit.
     """
     ids = select(open_dataset(config.data), config.split, seed=config.seed)
     if config.limit is not None and config.limit < 1:
@@ -172,28 +172,28 @@ def chosen_ids(config: EvaluationConfig) -> list[str]:
 
 
 def spread(ids: Sequence[str], most: int) -> list[str]:
-    """At most ``most`` of the ids, evenly over all of them."""
+    """Return at most ``most`` ids, evenly spread."""
     if most >= len(ids):
         return list(ids)
     return [ids[int(i)] for i in np.linspace(0, len(ids) - 1, most).round()]
 
 
 def require_predictor(name: str, jobs: int) -> None:
-    """Say before the run what is wrong with a predictor: its name, missing weights or libraries.
+    """Check a predictor before the run: its name, weights and libraries.
 
     Raises:
-        ConfigurationError: with the predictor's own words.
+        ConfigurationError: with the predictor's own message.
     """
     if name == TRUTH:
         return
     if name not in predictor_names():
-        load_predictor(name)  # raises, naming those that are there
+        load_predictor(name)  # raises, naming the known ones
     if name != DEFAULT:
-        # In a process of its own: what a network imports must not be there when we fork.
-        for _, said in robust_map(_cannot_load, [name], jobs):
-            if said != "":
+        # In its own process: a network's imports must not be loaded when we fork.
+        for _, problem in robust_map(_cannot_load, [name], jobs):
+            if problem != "":
                 raise ConfigurationError(
-                    said or f"loading the predictor {name!r} kills its process"
+                    problem or f"loading the predictor {name!r} kills its process"
                 )
 
 
@@ -207,7 +207,7 @@ def _cannot_load(name: str) -> str:
 
 
 def find_frame(config: EvaluationConfig, ids: list[str]) -> Frame:
-    """The frame that a method's files are written in, from some of its objects."""
+    """Find the frame of a method's files, from some of its objects."""
     assert config.predictions is not None
     there = set(PredictionFolder(config.predictions).files())
     some = spread([i for i in ids if i in there], FRAME_SAMPLE)
@@ -216,7 +216,7 @@ def find_frame(config: EvaluationConfig, ids: list[str]) -> Frame:
 
 
 def _costs(config: EvaluationConfig, object_id: str) -> FrameCosts | None:
-    """Of one object; None where it can't be read, which is told when it is scored."""
+    """Costs of one object; None where it can't be read, which its score reports."""
     assert config.predictions is not None
     try:
         with time_limit(config.timeout):
@@ -232,7 +232,7 @@ def _check_overlap(config: EvaluationConfig, ids: list[str], files: set[str]) ->
         there, wanted = ", ".join(sorted(files)[:5]), ", ".join(ids[:5])
         raise ConfigurationError(
             f"{config.predictions}: none of its objects ({there}, …) is in the data set "
-            f"({wanted}, …); call files or folders after the data set's objects"
+            f"({wanted}, …); name files or folders after the data set's objects"
         )
 
 
@@ -249,7 +249,7 @@ def evaluate_object(config: EvaluationConfig, object_id: str) -> ObjectResult:
             run = execute(scored.predicted, seed=config.seed, timeout=config.timeout)
             score = replace(score, execution=run)
         return ObjectResult(score, scored.seconds)
-    # The boundary of a job: whatever one object does to the predictor, the run goes on.
+    # The boundary of a job: the run continues whatever one object does to the predictor.
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
         kind = category[0] if category else None
@@ -257,7 +257,7 @@ def evaluate_object(config: EvaluationConfig, object_id: str) -> ObjectResult:
 
 
 def load_truth(config: EvaluationConfig, object_id: str) -> GroundTruth:
-    """The object as it is predicted and scored: read, and corrupted where that is asked for."""
+    """Read an object, and corrupt it by the configuration."""
     truth = _dataset(config.data).load(object_id)
     if config.predictions is not None:
         return truth
@@ -266,10 +266,10 @@ def load_truth(config: EvaluationConfig, object_id: str) -> GroundTruth:
 
 
 def score_prediction(config: EvaluationConfig, truth: GroundTruth) -> ScoredPrediction:
-    """Predict, or read what was predicted, and score it.
+    """Predict, or read a written prediction, and score it.
 
     Raises:
-        ArtiworldError: where a written prediction isn't there or can't be read.
+        ArtiworldError: where a written prediction is missing or can't be read.
     """
     start = time.perf_counter()
     if config.predictions is not None:
@@ -358,7 +358,7 @@ def _finished(config: EvaluationConfig, ids: Iterable[str]) -> dict[str, ObjectR
 
 
 def _open_log(config: EvaluationConfig, results: dict[str, ObjectResult]) -> IO[str] | None:
-    """The log, with what an earlier run left in it: its other objects stay too."""
+    """Open the log; objects of an earlier run stay in it."""
     if config.out is None:
         return None
     out = Path(config.out)
@@ -366,7 +366,7 @@ def _open_log(config: EvaluationConfig, results: dict[str, ObjectResult]) -> IO[
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputFileError(
-            out, f"can't be written ({error.strerror or error})", "give a folder of your own"
+            out, f"can't be written ({error.strerror or error})", "give a writable folder"
         ) from error
     kept = {**_finished(config, open_dataset(config.data).ids()), **results}
     lines = [json.dumps({"settings": config.key()})]

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from model.evaluation.compare import KIND_NAMES, Comparison
 from model.evaluation.report import COLUMNS, Report, paper_rows
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from model.evaluation.compare import Comparison
-
 WIDTH = 150
-"""Columns of a file or a pipe, which have none of their own."""
+"""Columns of output to a file or a pipe."""
 
 
 def print_reports(reports: Sequence[Report]) -> None:
@@ -49,7 +48,7 @@ def print_comparison(comparison: Comparison) -> None:
     console = _console()
     console.print(table)
     for c in comparison.changes:
-        parts = [f"{c.kind} {c.object_id}:"]
+        parts = [f"{KIND_NAMES[c.kind]} {c.object_id}:"]
         parts += [f"gone: {'; '.join(c.gone)}."] if c.gone else []
         parts += [f"new: {'; '.join(c.new)}."] if c.new else []
         console.print(Text(" ".join(parts)))
