@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from app.server.tasks import arrays_of, asset_of
 from model.core.lru_cache import LruCache
-from model.geometry.crop import largest_piece
+from model.geometry.crop import largest_component
 from model.geometry.picking import Picker
 from model.geometry.strokes import Stroke
 
@@ -85,7 +85,7 @@ def select_box(
     )
     cloud = asset_of(folder).cloud
     if one_piece and cloud is not None and len(chosen):
-        chosen = chosen[largest_piece(cloud.points[chosen])]
+        chosen = chosen[largest_component(cloud.points[chosen])]
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)
 
 

@@ -21,9 +21,9 @@ from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split_faces
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
-from model.segmentation.tools.all_parts import propose, without_leftovers
+from model.segmentation.tools.all_parts import absorb_small_components, propose_parts
 from model.segmentation.tools.connected import connected, grow
-from model.segmentation.tools.cuts import Cut, line_cut, pieces
+from model.segmentation.tools.cuts import Cut, connected_components, line_cut
 from model.segmentation.tools.rectangles import rectangle_cut, surface_frame
 from model.segmentation.tools.similar import mirrored, same_shape
 from sessions.tool_commands import FaceCut
@@ -182,7 +182,7 @@ def use_tool(
 
 
 def _propose(given: _Input) -> list[RegionOffer]:
-    labels = propose(given.encoded, progress=given.progress).labels
+    labels = propose_parts(given.encoded, progress=given.progress).labels
     # Existing parts stay; a proposal counts where most of it is unassigned.
     taken = given.labels > BASE
     out: list[RegionOffer] = []
@@ -258,7 +258,7 @@ def _shrink(given: _Input) -> list[RegionOffer]:
 def _split(given: _Input) -> list[RegionOffer]:
     least = _MIN_PIECE * given.mask.sum()
     out: list[RegionOffer] = []
-    for piece in pieces(given.encoded, given.mask)[1:]:
+    for piece in connected_components(given.encoded, given.mask)[1:]:
         if piece.sum() >= least:
             out += given.offer(piece, NEW_PART)
     return out
@@ -332,7 +332,7 @@ def _merge(given: _Input) -> list[RegionOffer]:
 
 
 def _leftovers(given: _Input) -> list[RegionOffer]:
-    clean = without_leftovers(given.encoded, given.labels)
+    clean = absorb_small_components(given.encoded, given.labels)
     moved = clean != given.labels
     out: list[RegionOffer] = []
     for part in np.unique(clean[moved]):

@@ -1,4 +1,4 @@
-"""Cutting an object out of a scan: floor, walls and outliers go, the rest stays."""
+"""Cut an object out of a scan: floor, walls and outliers go, the rest stays."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ ROOM_METRES = 2.5
 """A scan that is wider than this may be a room."""
 
 MOST_THICKNESS = 0.06
-"""Metres: more is no unevenness of a wall."""
+"""Largest unevenness of a wall in metres."""
 GAP = 0.06
-"""Metres between points of a scan that still belong together."""
+"""Metres between points of a scan that still connect."""
 
 _SAMPLE = 20_000
 _PLANES = 8
@@ -28,10 +28,8 @@ _BEYOND = 0.04
 
 
 def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool:
-    """(E,) elements that float far from the rest.
-
-    Those whose mean distance to their ``neighbors`` is more than ``deviations`` robust standard
-    deviations above the median.
+    """(E,) elements whose mean distance to their ``neighbors`` is more than ``deviations`` robust
+    standard deviations above the median.
     """
     centers = asset.element_centers
     if len(centers) <= neighbors:
@@ -43,39 +41,40 @@ def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool
     return mean > middle + deviations * spread
 
 
-def largest_piece(points: npt.NDArray[np.floating], gap: float = GAP) -> Bool:
-    """(N,) the points of a scan that hang together with most others: what a box round an object
-    caught of the things before and behind it isn't among them.
+def largest_component(points: npt.NDArray[np.floating], gap: float = GAP) -> Bool:
+    """(N,) the points of a scan's largest connected component.
+
+    Leaves out what a box around an object caught of the things before and behind it.
 
     Args:
         points: (N, 3) metres.
-        gap: metres between points that still hang together.
+        gap: metres between points that still connect.
     """
     if len(points) < 2:
         return np.ones(len(points), bool)
-    cells = np.floor((points - points.min(0)) / (gap / 3)).astype(np.int64)
-    _, of = np.unique(cells, axis=0, return_inverse=True)
+    voxels = np.floor((points - points.min(0)) / (gap / 3)).astype(np.int64)
+    _, of = np.unique(voxels, axis=0, return_inverse=True)
     of = of.ravel()
     held = np.bincount(of)
     centers = np.stack([np.bincount(of, x) for x in points.T], axis=1) / held[:, None]
     near = KDTree(centers).query_pairs(gap, output_type="ndarray")
     links = coo_matrix((np.ones(len(near), np.int8), near.T), shape=(len(held), len(held)))
-    _, piece = connected_components(links, directed=False)
-    mine = piece[of]
+    _, component = connected_components(links, directed=False)
+    mine = component[of]
     return np.asarray(mine == np.bincount(mine).argmax())
 
 
 def floor_and_walls(asset: Asset, share: float = 0.03, thickness: float = 0.01) -> Bool:
     """(E,) elements on the floor, the ceiling and upright walls.
 
-    A level or upright plane counts as one of them where it holds ``share`` of the elements and
-    nearly nothing lies beyond it. In scans that are narrower than a room it must also reach out
-    farther than the rest: the sides of a lone box are no walls.
+    A horizontal or vertical plane is one of them if it holds ``share`` of the elements and nearly
+    nothing lies beyond it. In scans narrower than a room it must also extend farther than the rest:
+    the sides of a single box are no walls.
 
     Args:
         share: of all elements.
-        thickness: half the thickness of a plane in parts of the bounding box's diagonal, at most
-            ``MOST_THICKNESS``; planes that are smoother take less.
+        thickness: half the thickness of a plane in diagonals of the bounding box, at most
+            ``MOST_THICKNESS``; smoother planes take less.
     """
     centers = asset.element_centers
     out = np.zeros(len(centers), bool)
@@ -101,9 +100,9 @@ def floor_and_walls(asset: Asset, share: float = 0.03, thickness: float = 0.01) 
 def _border_plane(
     points: npt.NDArray[np.float64], left: Bool, band: float, share: float, room: bool
 ) -> tuple[npt.NDArray[np.float64], float] | None:
-    """The best supported level or upright plane with nearly nothing beyond it.
+    """The best supported horizontal or vertical plane with nearly nothing beyond it.
 
-    Rooms have level floors and upright walls, so the normals are few enough to try them all.
+    Such normals are few enough to try them all.
     """
     if left.sum() < 3:
         return None
@@ -134,7 +133,7 @@ def _border_plane(
 def _reaches_out(
     points: npt.NDArray[np.float64], near: Bool, normal: npt.NDArray[np.float64]
 ) -> bool:
-    """Whether the plane's points span 1.2 times what the rest spans, along one of its axes."""
+    """Whether along one of its axes the plane spans more than 1.2 times what the rest spans."""
     if near.all():
         return True
     side = np.cross(normal, [0.0, 0.0, 1.0]) if abs(normal[2]) < 0.5 else np.array([1.0, 0, 0])
@@ -151,7 +150,7 @@ def crop(asset: Asset, keep: Bool) -> Asset:
     """The asset with only the elements in ``keep``.
 
     Raises:
-        GeometryError: where nothing is kept.
+        GeometryError: if nothing is kept.
     """
     keep = np.asarray(keep, bool)
     if keep.shape != (asset.element_count,) or not keep.any():

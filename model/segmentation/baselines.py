@@ -1,22 +1,22 @@
-"""Three plain segmenters: nearest click, region growing, random walk.
+"""Three simple segmenters: nearest click, region growing, random walk.
 
-They are honest and quick, and the yardstick that ``artiworld bench segment`` holds beside the
-default segmenter.
+``artiworld bench segment`` measures them beside the default segmenter.
 """
 
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
+from operator import attrgetter
 
 import numpy as np
-import numpy.typing as npt
+from cachetools import LRUCache, cachedmethod
 from scipy.sparse import diags
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
+from model.segmentation.arrays import Bool, Float32, Int16
 from model.segmentation.encode.edge_strength import edge_strength, edge_weight
 from model.segmentation.encode.graph import Graph, adjacency, build_graph
 from model.segmentation.encode.nodes import Nodes, nodes_of_asset
@@ -29,7 +29,7 @@ _COLUMNS = 256
 
 
 class _Session:
-    """Nodes, graph and strengths; subclasses score the parts."""
+    """Nodes, graph and edge strengths; subclasses score the parts."""
 
     def __init__(self, name: str, asset: Asset, progress: Progress) -> None:
         self.asset = asset
@@ -44,7 +44,7 @@ class _Session:
         progress(1.0, "ready")
 
     def _prepare(self) -> None:
-        """What a subclass computes once."""
+        """Compute what a subclass needs once."""
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
         """See :class:`~model.segmentation.protocol.SegmentationSession`."""
@@ -63,20 +63,18 @@ class _Session:
             labels = enforce(to_elements(first), steps, to_elements(second))
         return PartSegmentation(labels, self._name, time.perf_counter() - begin)
 
-    def candidates(self, prompts: Prompts, part: int) -> list[npt.NDArray[np.bool_]]:
-        """None: the baselines have one answer."""
+    def candidates(self, prompts: Prompts, part: int) -> list[Bool]:
+        """None: baselines have one answer."""
         return []
 
-    def _scores(
-        self, clicks: list[ClickStep]
-    ) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.float32]]:
-        """(P,) part ids with the base, and (P, N) scores, higher is nearer."""
+    def _scores(self, clicks: list[ClickStep]) -> tuple[Int16, Float32]:
+        """(P,) part ids with the base, and (P, N) scores; the highest wins."""
         raise NotImplementedError
 
 
 def _seeds(clicks: list[ClickStep]) -> dict[int, list[int]]:
-    """Seed nodes of each part; a refused part counts for the base; later beats earlier."""
-    owner: OrderedDict[int, int] = OrderedDict()
+    """Seed nodes of each part; a negative click is a seed of the base; later beats earlier."""
+    owner: dict[int, int] = {}
     for click in clicks:
         owner[click.node] = click.part if click.positive else BASE
     seeds: dict[int, list[int]] = {BASE: []}
@@ -86,9 +84,7 @@ def _seeds(clicks: list[ClickStep]) -> dict[int, list[int]]:
 
 
 class _NearestSession(_Session):
-    def _scores(
-        self, clicks: list[ClickStep]
-    ) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.float32]]:
+    def _scores(self, clicks: list[ClickStep]) -> tuple[Int16, Float32]:
         seeds = _seeds(clicks)
         points = self._nodes.points
         reach = 0.25 * self.asset.diagonal
@@ -108,9 +104,7 @@ class _GrowingSession(_Session):
         cost = graph.length / np.float32(graph.spacing) * 0.02 + self._strength + 1e-4
         self._cost = adjacency(graph.node_count, graph.a, graph.b, cost)
 
-    def _scores(
-        self, clicks: list[ClickStep]
-    ) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.float32]]:
+    def _scores(self, clicks: list[ClickStep]) -> tuple[Int16, Float32]:
         seeds = _seeds(clicks)
         scores = []
         for part, nodes in seeds.items():
@@ -135,22 +129,15 @@ class _WalkSession(_Session):
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        self._columns: OrderedDict[int, npt.NDArray[np.float32]] = OrderedDict()
+        self._columns: LRUCache = LRUCache(_COLUMNS)
 
-    def _column(self, node: int) -> npt.NDArray[np.float32]:
-        found = self._columns.get(node)
-        if found is None:
-            unit = np.zeros(self._graph.node_count)
-            unit[node] = 1
-            found = self._factor.solve(unit).astype(np.float32)
-            self._columns[node] = found
-            if len(self._columns) > _COLUMNS:
-                self._columns.popitem(last=False)
-        return found
+    @cachedmethod(attrgetter("_columns"))
+    def _column(self, node: int) -> Float32:
+        unit = np.zeros(self._graph.node_count)
+        unit[node] = 1
+        return self._factor.solve(unit).astype(np.float32)
 
-    def _scores(
-        self, clicks: list[ClickStep]
-    ) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.float32]]:
+    def _scores(self, clicks: list[ClickStep]) -> tuple[Int16, Float32]:
         seeds = _seeds(clicks)
         nodes = [n for group in seeds.values() for n in group]
         green = np.stack([self._column(n) for n in nodes], axis=1)
@@ -161,7 +148,7 @@ class _WalkSession(_Session):
         wanted = (owner[:, None] == np.arange(len(ids))).astype(np.float64)
         scores = (green @ np.linalg.solve(inner, wanted)).T
         if not seeds[BASE]:
-            # Nothing said about the base: what the walk reaches with less than a tenth is its.
+            # Without a click on it, the base gets what the walk reaches with less than a tenth.
             scores[int(np.nonzero(ids == BASE)[0][0])] = 0.1
         return ids, scores.astype(np.float32)
 
@@ -179,7 +166,7 @@ class _Baseline:
 
 
 def nearest_click() -> _Baseline:
-    """Each element goes to the nearest click, the base beyond a quarter of the diagonal."""
+    """Each element goes to the nearest click; to the base beyond a quarter of the diagonal."""
     return _Baseline("nearest", _NearestSession)
 
 
@@ -189,7 +176,7 @@ def region_growing() -> _Baseline:
 
 
 def random_walk() -> _Baseline:
-    """Each element goes to the click that a random walk from it most likely meets first.
+    """Each element goes to the click that a random walk from it most likely reaches first.
 
     Grady, *Random Walks for Image Segmentation*, 2006, on the node graph with hand-set weights.
     """

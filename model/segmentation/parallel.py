@@ -1,4 +1,4 @@
-"""Two cores for what numpy and scipy do without Python's lock: the answers stay the same."""
+"""Two threads for numpy and scipy, which release Python's lock; results don't depend on them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ B = TypeVar("B")
 
 
 def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
-    """``function`` of each item, in order, on two threads."""
+    """``function`` of each item in order, on two threads."""
     waiting = list(items)
     if len(waiting) < 2:
         return [function(item) for item in waiting]
@@ -22,7 +22,7 @@ def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
 
 
 def together(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]:
-    """The answers of two functions that run side by side."""
+    """The results of two functions that run side by side."""
     with ThreadPoolExecutor(1) as pool:
         other = pool.submit(second)
         return first(), other.result()

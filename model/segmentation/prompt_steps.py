@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, MutableMapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.errors import PromptError
+from model.segmentation.arrays import Bool, Float64, Int, Int16, Int32, Int64
 from model.segmentation.encode.nodes import Nodes
 from model.segmentation.prompts import BASE, UNASSIGNED, Click, Prompts, Region
 
@@ -35,8 +35,8 @@ class RegionStep:
 
     part: int
     positive: bool
-    elements: npt.NDArray[np.int64]
-    nodes: npt.NDArray[np.int32]
+    elements: Int64
+    nodes: Int32
 
 
 Step = ClickStep | RegionStep
@@ -66,9 +66,7 @@ def locate(
     return element, node
 
 
-def _nearest_element(
-    asset: Asset, nodes: Nodes, at: npt.NDArray[np.float64], near: npt.NDArray[np.integer]
-) -> int:
+def _nearest_element(asset: Asset, nodes: Nodes, at: Float64, near: Int) -> int:
     around = nodes.elements.elements_of(near)
     if asset.mesh is None:
         assert asset.cloud is not None
@@ -85,8 +83,8 @@ def resolve(
     asset: Asset,
     nodes: Nodes,
     prompts: Prompts,
-    known: dict[Click, ClickStep] | None = None,
-    first_of: npt.NDArray[np.int64] | None = None,
+    known: MutableMapping[Click, ClickStep] | None = None,
+    first_of: Int64 | None = None,
 ) -> tuple[Step, ...]:
     """Tie each prompt to elements and nodes.
 
@@ -110,9 +108,7 @@ def resolve(
     return tuple(steps)
 
 
-def _click_step(
-    asset: Asset, nodes: Nodes, click: Click, first_of: npt.NDArray[np.int64] | None
-) -> ClickStep:
+def _click_step(asset: Asset, nodes: Nodes, click: Click, first_of: Int64 | None) -> ClickStep:
     element, node = locate(asset, nodes, click.position, click.element)
     if first_of is not None and first_of[element] != element:
         element, node = locate(asset, nodes, click.position, int(first_of[element]))
@@ -140,9 +136,7 @@ def surface_steps(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     return tuple(out)
 
 
-def _region_step(
-    asset: Asset, nodes: Nodes, item: Region, first_of: npt.NDArray[np.int64] | None
-) -> RegionStep:
+def _region_step(asset: Asset, nodes: Nodes, item: Region, first_of: Int64 | None) -> RegionStep:
     if len(item.elements) and item.elements[-1] >= asset.element_count:
         raise PromptError(
             f"{asset.name}: no {asset.element_kind} {int(item.elements[-1])}; "
@@ -157,11 +151,8 @@ def _region_step(
 
 
 def enforce(
-    labels: npt.NDArray[np.int16],
-    steps: tuple[Step, ...],
-    instead: npt.NDArray[np.int16],
-    released: dict[int, npt.NDArray[np.bool_]] | None = None,
-) -> npt.NDArray[np.int16]:
+    labels: Int16, steps: tuple[Step, ...], instead: Int16, released: dict[int, Bool] | None = None
+) -> Int16:
     """Give clicked elements and regions exactly the part that the prompts demand.
 
     Args:

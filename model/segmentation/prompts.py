@@ -1,4 +1,4 @@
-"""What a person says about the parts: clicks and regions, and the labels that follow."""
+"""Prompts (clicks and regions), and the labels that answer them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.asset import MAX_PARTS
 from model.core.errors import PromptError
+from model.segmentation.arrays import Int16, Int64
 
 BASE = 0
-"""Part 0 is the base: what no prompt claims belongs to it."""
+"""Part 0 is the base: elements that no prompt claims."""
 
 UNASSIGNED = -1
 
@@ -29,7 +29,7 @@ class Click:
         position: (x, y, z) metres, object frame.
         part: part id, 0 is the base.
         positive: True where the point belongs to the part, False where it does not.
-        element: the clicked face or point, where the picker knew it; exact beats nearest.
+        element: the clicked face or point, if known; otherwise the nearest one counts.
     """
 
     position: tuple[float, float, float]
@@ -45,7 +45,7 @@ class Click:
             raise PromptError(f"positive must be True or False, got {self.positive!r:.80}")
         if self.element is not None:
             object.__setattr__(self, "element", _whole(self.element, "a click's element"))
-        # Plain numbers, as keys are made of their text.
+        # Plain numbers, as keys are made from their text.
         object.__setattr__(self, "position", tuple(float(v) for v in given))
         object.__setattr__(self, "part", _part(self.part, "a click's part"))
         object.__setattr__(self, "positive", bool(self.positive))
@@ -53,15 +53,15 @@ class Click:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Elements chosen by box, lasso, brush or a merge of parts; they count exactly.
+    """Elements chosen by box, lasso, brush or a merge of parts; labels follow them exactly.
 
     Attributes:
-        part: the part they belong to (positive) or don't (negative: back to the other parts).
+        part: the part that they belong to, or don't (they return to the other parts then).
         elements: (K,) int64 sorted unique element indices.
     """
 
     part: int
-    elements: npt.NDArray[np.int64]
+    elements: Int64
     positive: bool = True
 
     def __post_init__(self) -> None:
@@ -78,7 +78,7 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class Prompts:
-    """Everything said so far, in the order it was said (later beats earlier where they clash)."""
+    """All prompts in order; where two contradict each other, the later one counts."""
 
     items: tuple[Click | Region, ...] = ()
 
@@ -89,7 +89,7 @@ class Prompts:
 
     @property
     def parts(self) -> tuple[int, ...]:
-        """Ids of all the parts named by a prompt, and the base, ascending."""
+        """Ids of all parts with prompts, and the base, ascending."""
         return tuple(sorted({BASE, *(p.part for p in self.items)}))
 
     def key(self) -> str:
@@ -109,12 +109,12 @@ class PartSegmentation:
     """One label for each element of an asset. -1 is unassigned; label i is ``link_i``.
 
     Attributes:
-        labels: (E,) int16, read-only; any integers from -1 to ``MAX_PARTS`` - 1 are taken.
-        segmenter: who answered.
-        seconds: how long it took.
+        labels: (E,) int16, read-only, from -1 to ``MAX_PARTS`` - 1; any integer type is accepted.
+        segmenter: its name.
+        seconds: computing time.
     """
 
-    labels: npt.NDArray[np.int16]
+    labels: Int16
     segmenter: str = ""
     seconds: float = field(default=0.0, compare=False)
 
@@ -136,7 +136,7 @@ class PartSegmentation:
 
     @property
     def parts(self) -> tuple[int, ...]:
-        """Ids of the parts that own at least one element, ascending, without -1."""
+        """Ids of the parts with at least one element, ascending, without -1."""
         return tuple(int(i) for i in np.unique(self.labels) if i >= 0)
 
 

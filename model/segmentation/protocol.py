@@ -1,37 +1,35 @@
-"""The port that every segmenter fits: ours, and networks that others published."""
+"""The port of segmenters: the default one, baselines, adapters of published networks, plug-ins."""
 
 from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-import numpy.typing as npt
-
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
+from model.segmentation.arrays import Bool
 from model.segmentation.prompts import PartSegmentation, Prompts
 
 
 @runtime_checkable
 class SegmentationSession(Protocol):
-    """An asset encoded once. Lives in the worker process; holds caches, never decisions."""
+    """An asset encoded once. It lives in the worker process and holds caches, never decisions."""
 
     asset: Asset
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
         """Labels for all elements.
 
-        The answer depends on ``prompts`` alone (same prompts, same labels, whatever was asked
-        before), so undo is asking again with one prompt less. Every clicked element is on the
-        side where it was clicked. Without prompts everything belongs to the base.
+        They depend on ``prompts`` only, whatever was asked before: undo is asking again with one
+        prompt less. Every clicked element has the part that its click demands. Without prompts
+        everything belongs to the base.
 
         Raises:
-            PromptError: where a prompt doesn't fit the asset.
+            PromptError: if a prompt doesn't fit the asset.
         """
         ...
 
-    def candidates(self, prompts: Prompts, part: int) -> list[npt.NDArray[np.bool_]]:
-        """Other sensible masks for ``part``, (E,) each, best first; may be empty."""
+    def candidates(self, prompts: Prompts, part: int) -> list[Bool]:
+        """Other masks (E,) for the latest click of ``part``, best first; may be empty."""
         ...
 
 
@@ -42,5 +40,5 @@ class Segmenter(Protocol):
     name: str
 
     def encode(self, asset: Asset, progress: Progress = no_progress) -> SegmentationSession:
-        """Do once what doesn't depend on prompts. May take seconds; reports progress."""
+        """Compute everything that doesn't depend on prompts. May take seconds; reports progress."""
         ...

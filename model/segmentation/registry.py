@@ -32,7 +32,7 @@ def check_segmenter(name: str) -> None:
     """
     SEGMENTERS.check(name)
     if name.startswith(f"{POINT_SAM}:"):
-        SEGMENTERS.load(name)  # it looks for its file and reads nothing yet
+        SEGMENTERS.load(name)  # checks that its file exists, and reads nothing yet
 
 
 def segmenter_names() -> list[str]:
@@ -45,6 +45,6 @@ def load_segmenter(name: str = DEFAULT) -> Segmenter:
 
     Raises:
         ConfigurationError: for an unknown name, or a plug-in that can't be loaded.
-        InputFileError: where there are no weights at PATH.
+        InputFileError: if there are no weights at PATH.
     """
     return SEGMENTERS.load(name)

@@ -1,18 +1,16 @@
 """Simulated clicks, by the field's protocol.
 
 The first click is the part's deepest point (or a random one); each next one is the deepest point
-of the larger of what is missing and what is too much (Zhou et al., *Point-SAM*, 2024), or, with
-many parts, of the largest error cluster by pair of true and given part (Yue et al., *AGILE3D*,
-2024).
+of the larger error, missing or extra (Zhou et al., *Point-SAM*, 2024), or, with many parts, of the
+largest error cluster by pair of true and given part (Yue et al., *AGILE3D*, 2024).
 """
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import KDTree
 
-Bool = npt.NDArray[np.bool_]
+from model.segmentation.arrays import Bool, Float, Int
 
 _QUERIES = 4000
 
@@ -23,7 +21,7 @@ def iou(answer: Bool, truth: Bool) -> float:
     return float((answer & truth).sum() / union) if union else 1.0
 
 
-def deepest(points: npt.NDArray[np.floating], region: Bool) -> int:
+def deepest(points: Float, region: Bool) -> int:
     """The point of ``region`` that is farthest from any point outside it.
 
     Large regions are searched at 4000 evenly chosen points.
@@ -47,10 +45,8 @@ def deepest(points: npt.NDArray[np.floating], region: Bool) -> int:
     return int(asked[distance.argmax()])
 
 
-def central(
-    points: npt.NDArray[np.floating], region: Bool, rng: np.random.Generator, tries: int = 4
-) -> int:
-    """The deepest of some random points of ``region``: where a person in a hurry clicks."""
+def central(points: Float, region: Bool, rng: np.random.Generator, tries: int = 4) -> int:
+    """The deepest of ``tries`` random points of ``region``, as of a hasty person."""
     inside, outside = np.nonzero(region)[0], np.nonzero(~region)[0]
     tried = rng.choice(inside, tries)
     if not len(outside):
@@ -59,10 +55,8 @@ def central(
     return int(tried[(apart**2).sum(2).min(1).argmax()])
 
 
-def next_click(
-    points: npt.NDArray[np.floating], truth: Bool, answer: Bool
-) -> tuple[int, bool] | None:
-    """Where to click next and whether positively; None where the answer is perfect."""
+def next_click(points: Float, truth: Bool, answer: Bool) -> tuple[int, bool] | None:
+    """The next point to click and whether positively; None if the answer is perfect."""
     missing, extra = truth & ~answer, answer & ~truth
     if not missing.any() and not extra.any():
         return None
@@ -70,12 +64,8 @@ def next_click(
     return deepest(points, missing if positive else extra), positive
 
 
-def next_part_click(
-    points: npt.NDArray[np.floating],
-    truth: npt.NDArray[np.integer],
-    answer: npt.NDArray[np.integer],
-) -> tuple[int, int] | None:
-    """Point and true part of the largest error cluster; None where all is right."""
+def next_part_click(points: Float, truth: Int, answer: Int) -> tuple[int, int] | None:
+    """Point and true part of the largest error cluster; None if there is no error."""
     wrong = np.nonzero(truth != answer)[0]
     if not len(wrong):
         return None

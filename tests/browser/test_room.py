@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from app.server import tasks
 from app.viewer.words.review import FIXES
-from model.geometry.crop import largest_piece
+from model.geometry.crop import largest_component
 from model.geometry.picking import Picker
 from model.io.open_asset import open_asset
 from model.segmentation.simulated_clicks import iou, next_click
@@ -53,7 +53,9 @@ class RoomTab(SceneTab):
     @property
     def origin(self) -> np.ndarray:
         """Of the open object's frame in the room; it isn't turned there."""
-        return self.desk.world_from_copy(self.desk.items[self.scene.edit.inside])[:3, 3]
+        return self.scene_workspace.world_from_copy(
+            self.scene_workspace.items[self.scene.edit.inside]
+        )[:3, 3]
 
     def press(self, text: str) -> None:
         button = self.button(text).locator("visible=true").first
@@ -118,7 +120,7 @@ class RoomTab(SceneTab):
         asset = tasks.asset_of(self.object.asset.folder)
         self.points = asset.element_centers + self.origin
         wanted = ((self.points >= low) & (self.points <= high)).all(1)
-        wanted[np.flatnonzero(wanted)[~largest_piece(self.points[wanted])]] = False
+        wanted[np.flatnonzero(wanted)[~largest_component(self.points[wanted])]] = False
         self.wanted = wanted
         self.seen = Picker(asset).select_box(self.app.queries.camera(), *BETWEEN_PANELS)
 
@@ -203,7 +205,7 @@ class RoomTab(SceneTab):
         accept.click()
         if report.severity == Severity.WARNING:  # it is shown first
             self.clicks += 1
-            wait_until(lambda: self.app.review.gate.looked_at(obj), "it was shown")
+            wait_until(lambda: self.app.review.validation_list.looked_at(obj), "it was shown")
             self.wait_seen()
             accept.click()
         self.clicks += 4
@@ -224,7 +226,7 @@ def test_two_objects_come_out_of_a_real_room(
     room = tmp_path / "kitchen.ply"  # without the labels that lie beside it there
     shutil.copyfile(scan, room)
     tab = open_tab(start(scene=room, predictor="geometric"), kind=RoomTab)
-    assert list(tab.desk.items) == ["room"] and tab.status("room") == "static"
+    assert list(tab.scene_workspace.items) == ["room"] and tab.status("room") == "static"
 
     tab.open_room(EYES[0], np.mean(REFRIGERATOR, axis=0))
     tab.aim(*REFRIGERATOR)
@@ -250,7 +252,7 @@ def test_two_objects_come_out_of_a_real_room(
     assert tab.status(first) == tab.status(second) == "accepted"
     tab.press("Save scene")
     assert tab.clicks <= 36
-    saved = wait_until(lambda: tab.desk.document.saved, "the room is saved", SLOW)
+    saved = wait_until(lambda: tab.scene_workspace.document.saved, "the room is saved", SLOW)
     out = Path(saved.folder)
 
     said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}

@@ -1,4 +1,4 @@
-"""Families with flat fronts: cabinets, tables, appliances, doors, boxes, keypads."""
+"""Assemblies with flat fronts: cabinets, tables, appliances, doors, boxes, keypads."""
 
 from __future__ import annotations
 
@@ -51,24 +51,24 @@ def shell(b: Builder, part: int, low, high, thick: float, open_front: bool = Tru
         b.add(part, block(*board), color)
 
 
-def _split(b: Builder, cell, depth: int) -> list:
-    x0, z0, x1, z1 = cell
+def _split(b: Builder, rect, depth: int) -> list:
+    x0, z0, x1, z1 = rect
     if depth == 0 or b.chance(0.15):
-        return [cell]
+        return [rect]
     if (x1 - x0) * b.uniform(0.6, 1.6) > z1 - z0:
         n = int(b.rng.integers(2, 4))
         cuts = np.linspace(x0, x1, n + 1)
-        cells = [(cuts[i], z0, cuts[i + 1], z1) for i in range(n)]
+        rects = [(cuts[i], z0, cuts[i + 1], z1) for i in range(n)]
     else:
         n = int(b.rng.integers(2, 5))
         cuts = np.linspace(z0, z1, n + 1)
-        cells = [(x0, cuts[i], x1, cuts[i + 1]) for i in range(n)]
-    return [leaf for c in cells for leaf in _split(b, c, depth - 1)]
+        rects = [(x0, cuts[i], x1, cuts[i + 1]) for i in range(n)]
+    return [leaf for c in rects for leaf in _split(b, c, depth - 1)]
 
 
-def front(b: Builder, part: int, cell, y: float, thick: float, framed: bool) -> None:
+def front(b: Builder, part: int, rect, y: float, thick: float, framed: bool) -> None:
     """A door's or drawer's front panel from (x0, z0) to (x1, z1), standing before ``y``."""
-    x0, z0, x1, z1 = cell
+    x0, z0, x1, z1 = rect
     color = b.color(0.6)
     if framed and min(x1 - x0, z1 - z0) > 0.12:
         w = b.uniform(0.12, 0.25) * min(x1 - x0, z1 - z0)
@@ -93,12 +93,12 @@ def cabinet(b: Builder) -> None:
     inset = b.chance(0.4)
     m = t if inset or b.chance(0.3) else 0.0
     framed, handles = b.chance(0.4), b.chance(0.85)
-    for cell in _split(b, (m, m, w - m, h - m), int(b.rng.integers(1, 3))):
-        x0, z0, x1, z1 = cell[0] + gap, cell[1] + gap, cell[2] - gap, cell[3] - gap
+    for rect in _split(b, (m, m, w - m, h - m), int(b.rng.integers(1, 3))):
+        x0, z0, x1, z1 = rect[0] + gap, rect[1] + gap, rect[2] - gap, rect[3] - gap
         if min(x1 - x0, z1 - z0) < 0.05:
             continue
         if b.chance(0.5):
-            b.add(0, block((cell[0], t, cell[1] - t / 3), (cell[2], d, cell[1] + t / 3)))
+            b.add(0, block((rect[0], t, rect[1] - t / 3), (rect[2], d, rect[1] + t / 3)))
         kind = b.rng.random()
         if kind < 0.15:
             continue
@@ -153,8 +153,8 @@ def flush_front(b: Builder) -> None:
             b.add(0, block((frame, 0, z), (w - frame, t, z + frame)), body)
     color, handles, framed = b.color(0.8), b.chance(0.8), b.chance(0.25)
     size, at_side = b.uniform(0.04, 0.16), b.chance(0.6)
-    for cell in _split(b, (frame, frame, w - frame, h - frame), int(b.rng.integers(1, 3))):
-        x0, z0, x1, z1 = cell[0] + gap, cell[1] + gap, cell[2] - gap, cell[3] - gap
+    for rect in _split(b, (frame, frame, w - frame, h - frame), int(b.rng.integers(1, 3))):
+        x0, z0, x1, z1 = rect[0] + gap, rect[1] + gap, rect[2] - gap, rect[3] - gap
         if min(x1 - x0, z1 - z0) < 0.05:
             continue
         part = 0 if b.chance(0.1) else b.new_part()
@@ -223,16 +223,16 @@ def appliance(b: Builder) -> None:
     for i in range(n):
         part = b.new_part()
         start = len(b.solids)
-        cell = (door[0], cuts[i] + gap, door[2], cuts[i + 1] - gap)
+        rect = (door[0], cuts[i] + gap, door[2], cuts[i + 1] - gap)
         thick = b.uniform(0.02, 0.06)
-        front(b, part, cell, -0.001, thick, b.chance(0.6))
-        length = b.uniform(0.3, 0.8) * min(cell[2] - cell[0], cell[3] - cell[1])
-        z = cell[3] - 0.06 if b.chance(0.5) else (cell[1] + cell[3]) / 2
-        handle(b, part, ((cell[0] + cell[2]) / 2 if z > cell[3] - 0.1 else cell[2] - 0.05,
+        front(b, part, rect, -0.001, thick, b.chance(0.6))
+        length = b.uniform(0.3, 0.8) * min(rect[2] - rect[0], rect[3] - rect[1])
+        z = rect[3] - 0.06 if b.chance(0.5) else (rect[1] + rect[3]) / 2
+        handle(b, part, ((rect[0] + rect[2]) / 2 if z > rect[3] - 0.1 else rect[2] - 0.05,
                          -thick, z), length)  # fmt: skip
         if b.chance(0.3):
             flap = b.chance(0.5)
-            origin = (0, 0, cell[1]) if flap else (cell[0], 0, 0)
+            origin = (0, 0, rect[1]) if flap else (rect[0], 0, 0)
             b.turn_since(start, (1, 0, 0) if flap else (0, 0, -1), b.uniform(0.3, 1.5), origin)
     along = np.linspace(0.15, 0.85, int(b.rng.integers(2, 7)))
     px, pz = panel[2] - panel[0], panel[3] - panel[1]
@@ -260,16 +260,16 @@ def house_door(b: Builder) -> None:
     for i in range(len(cuts) - 1):
         part = b.new_part()
         start = len(b.solids)
-        cell = (cuts[i] + 0.004, 0.005, cuts[i + 1] - 0.004, h - 0.004)
-        front(b, part, cell, 0.05, t, b.chance(0.6))
-        x = cell[0] + 0.07 if i else cell[2] - 0.07
+        rect = (cuts[i] + 0.004, 0.005, cuts[i + 1] - 0.004, h - 0.004)
+        front(b, part, rect, 0.05, t, b.chance(0.6))
+        x = rect[0] + 0.07 if i else rect[2] - 0.07
         lever = b.new_part() if b.chance(0.4) else part
         for s in (-1, 1):
             y = 0.05 - t if s < 0 else 0.05
             b.add(lever, rod((x, y, 1), (x, y + s * 0.05, 1), 0.012), b.palette[3])
             b.add(lever, rod((x, y + s * 0.05, 1), (x - 0.1, y + s * 0.05, 1), 0.01), b.palette[3])
         if b.chance(0.5):
-            hinge = (cell[2] if i else cell[0], 0.05, 0)
+            hinge = (rect[2] if i else rect[0], 0.05, 0)
             b.turn_since(start, (0, 0, 1 if i else -1), b.uniform(0.1, 1.5), hinge)
 
 
@@ -324,9 +324,9 @@ def clamshell(b: Builder) -> None:
         b.add(0, rod((x, d, t), (x + 0.1 * w, d, t), 0.4 * t), b.palette[1])
 
 
-def pads(b: Builder, cell, at: float, axis: str, parts: bool) -> None:
+def pads(b: Builder, rect, at: float, axis: str, parts: bool) -> None:
     """A grid of keys or buttons on the plane z = ``at`` (or y = -``at`` for axis y)."""
-    x0, y0, x1, y1 = cell
+    x0, y0, x1, y1 = rect
     columns, rows = int(b.rng.integers(2, 13)), int(b.rng.integers(1, 6))
     fill = b.uniform(0.6, 0.92)
     px, py = (x1 - x0) / columns, (y1 - y0) / rows

@@ -1,4 +1,4 @@
-"""Families with round or free forms: bottles, pots, faucets, scissors, chairs, composites."""
+"""Assemblies with round or free forms: bottles, pots, faucets, scissors, chairs, composites."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Relief on the flat sides of made objects: panels, frames, ribs, labels, vents, studs.
+"""Ornaments on the flat sides of procedural objects: panels, frames, ribs, labels, vents, studs.
 
 Real furniture and appliances have detail within their parts that plain boards lack, and a click on
-a door means the door, not its panel. Pieces that look alike get the same ornament, as a row of
-drawers does.
+a door means the door, not its panel. Sides of equal size get the same ornament, as in a row of
+drawers.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from model.geometry.casting import Caster
 Float = npt.NDArray[np.float64]
 
 _LEAST = 0.04
-"""Shortest side of what gets an ornament, in diagonals."""
+"""Least side of a rectangle that gets an ornament, in diagonals."""
 _RECTANGLE = 0.8
-"""Share of its bounding rectangle that a flat side fills."""
+"""Least share of its bounding rectangle that a flat side fills."""
 _MOST = 14
 _SAME_COLOR, _NEAR_COLOR = 0.55, 0.25
 _EVERY_SIDE = 0.6
@@ -35,8 +35,8 @@ class _Side:
     """A flat, rectangular side of a part.
 
     Attributes:
-        part: whose it is; face: one of its faces.
-        corner: (3,) metres; frame: (3, 3) unit rows along its sides and out of it.
+        part: that it belongs to; face: one of its faces.
+        corner: (3,) metres; frame: (3, 3) unit rows along its sides and outwards.
         size: (2,) metres along the first two.
     """
 
@@ -48,7 +48,7 @@ class _Side:
 
 
 def ornamented(shape: Shape, rng: np.random.Generator) -> Shape:
-    """``shape`` with relief on some of its flat sides; the parts stay what they are."""
+    """``shape`` with ornaments on some of its flat sides; the parts are unchanged."""
     diagonal = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
     sides = _sides(shape, _LEAST * diagonal)
     if not sides:
@@ -66,8 +66,8 @@ def ornamented(shape: Shape, rng: np.random.Generator) -> Shape:
         depth = float(of_kind.uniform(0.01, 0.06) * side.size.min())
         if _covered(caster, side, max(3 * depth, 0.01 * diagonal)):
             continue
-        relief = _KINDS[of_kind.integers(len(_KINDS))]
-        solids = relief(side.size, depth, of_kind)
+        ornament = _KINDS[of_kind.integers(len(_KINDS))]
+        solids = ornament(side.size, depth, of_kind)
         color = _color(shape.mesh, side.face, of_kind)
         made += [(s @ side.frame + side.corner, side.part, color) for s in solids]
     return _with(shape, made) if made else shape
@@ -78,7 +78,7 @@ def _wanted(rng: np.random.Generator) -> bool:
 
 
 def _sides(shape: Shape, least: float) -> list[_Side]:
-    """The flat sides of all parts that fill a rectangle of at least ``least`` metres a side."""
+    """The flat sides of all parts that nearly fill a rectangle of at least ``least`` metres."""
     mesh = shape.mesh
     corners = mesh.vertices[mesh.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -114,7 +114,7 @@ def _sides(shape: Shape, least: float) -> list[_Side]:
 
 
 def _covered(caster: Caster, side: _Side, reach: float) -> bool:
-    """Whether something stands close before a side: a shut drawer's tray is never looked at."""
+    """Whether something is close in front of a side: the tray of a closed drawer is hidden."""
     spots = np.array([(0.2, 0.2), (0.2, 0.8), (0.5, 0.5), (0.8, 0.2), (0.8, 0.8)]) * side.size
     start = side.corner + spots @ side.frame[:2] + 1e-4 * reach * side.frame[2]
     found = caster.cast(start, np.tile(side.frame[2], (len(start), 1)), colors=False)
@@ -137,7 +137,7 @@ def _with(shape: Shape, made: list[tuple[Triangles, int, tuple[int, int, int, in
     count = [len(t) for t, _, _ in made]
     vertices = np.concatenate([t.reshape(-1, 3) for t, _, _ in made])
     faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3) + len(mesh.vertices)
-    materials = tuple(Material(f"relief_{i}", c) for i, (_, _, c) in enumerate(made))
+    materials = tuple(Material(f"ornament_{i}", c) for i, (_, _, c) in enumerate(made))
     own = np.repeat(np.arange(len(made), dtype=np.int32), count) + len(mesh.materials)
     uv, color = mesh.uv, mesh.vertex_colors
     if uv is not None:
@@ -157,7 +157,7 @@ def _with(shape: Shape, made: list[tuple[Triangles, int, tuple[int, int, int, in
     return replace(shape, mesh=joint, part=part.astype(shape.part.dtype), object=None)
 
 
-# Reliefs: triangles on a rectangle (size) at z = 0 that stand out by about ``depth``. ------------
+# Triangles on a rectangle (size) at z = 0 that stand out by about ``depth``.
 
 
 def _bar(low: Sequence[float], high: Sequence[float], depth: float) -> Triangles:
@@ -193,7 +193,7 @@ def _framed_panel(size: Float, depth: float, rng: np.random.Generator) -> list[T
 
 
 def _ribs(size: Float, depth: float, rng: np.random.Generator) -> list[Triangles]:
-    """Bars side by side over all of the side, or over a vent in it."""
+    """Parallel bars over all of the side, or over a vent in it."""
     axis, number = int(rng.integers(2)), int(rng.integers(3, 14))
     low, high = np.zeros(2), np.array(size)
     if rng.random() < 0.5:
@@ -222,7 +222,7 @@ def _label(size: Float, depth: float, rng: np.random.Generator) -> list[Triangle
 
 
 def _studs(size: Float, depth: float, rng: np.random.Generator) -> list[Triangles]:
-    """Discs and domes, in a row, a grid or anywhere."""
+    """Discs and domes in a row, in a grid or at random."""
     radius = float(rng.uniform(0.02, 0.09) * size.min())
     top = float(rng.choice([0.6, 1.0]) * radius)
     stud = lathe([(0, -0.2 * depth), (radius, -0.2 * depth), (top, depth), (0, depth)], 20)

@@ -1,4 +1,4 @@
-"""Triangle soups of simple solids, and the builder that puts them together into parts."""
+"""Triangle soups of simple solids, and a builder that groups them into parts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Procedural rooms as a scanner that was carried through them saw them: which object each point is.
+"""Procedural rooms, scanned from within: which object each point belongs to.
 
-Furniture stands along walls and in the middle, small things stand on it, kitchens have runs of
-cabinets under one worktop, and doors and windows lie in the walls.
+Furniture stands along walls and in the middle with small objects on it; kitchens have runs of
+cabinets under one worktop; doors and windows lie in the walls.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ IN_WALLS = ("Door", "Door", "Window")
 ON_TOP = ("Microwave", "CoffeeMachine", "Kettle", "KitchenPot", "Box", "Printer", "Display",
           "Toaster", "Bottle", "Lamp", "Bucket", "Laptop")  # fmt: skip
 NOTHING = 0
-"""Label of floor, walls and what lies about; objects count from 1."""
+"""Label of floor and walls; objects count from 1."""
 
 _STEP_BACK = 0.25
 _FLUSH = -0.02
-"""Metres that neighbours in a run may stand in one another by rounding."""
+"""Negative gap in metres between neighbours in a run, against rounding."""
 
 
 @dataclass
 class _Plan:
-    """A room that is being furnished: meshes with their objects, and what the floor holds."""
+    """A room that is being furnished: meshes, the object of each, and occupied floor."""
 
     rng: np.random.Generator
     width: float
@@ -56,12 +56,12 @@ class _Plan:
         return self.objects
 
     def add(self, mesh: Mesh, label: int) -> None:
-        """Put a mesh where it stands already."""
+        """Add a mesh at its place."""
         self.meshes.append(mesh)
         self.of_mesh.append(label)
 
     def blocked(self, low: Array, high: Array, margin: float = 0.05) -> bool:
-        """Whether something stands between two corners (x, y) of the floor."""
+        """Whether an object stands between two corners (x, y) of the floor."""
         return any((low < h + margin).all() and (high > b - margin).all() for b, h in self.standing)
 
     def family(self, names: tuple[str, ...]) -> Mesh:
@@ -85,7 +85,7 @@ def _solid(low: npt.ArrayLike, high: npt.ArrayLike, color: Array) -> Mesh:
 
 
 def _moved(mesh: Mesh, quarters: int, offset: npt.ArrayLike) -> Mesh:
-    """Turned about +z by quarters of a turn, then shifted."""
+    """The mesh turned about +z by quarters, then shifted."""
     cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters % 4]
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], float)
     return replace(mesh, vertices=mesh.vertices @ turn.T + np.asarray(offset, float))
@@ -93,10 +93,10 @@ def _moved(mesh: Mesh, quarters: int, offset: npt.ArrayLike) -> Mesh:
 
 @dataclass(frozen=True)
 class _Wall:
-    """One side of the room, walked along from the left as seen from inside.
+    """One side of the room, from left to right as seen from inside.
 
     Attributes:
-        quarters: that turn an object whose back is at +y to have it at this wall.
+        quarters: of a turn that bring an object with its back at +y to this wall.
         length: metres.
     """
 
@@ -112,7 +112,7 @@ class _Wall:
         return _moved(replace(mesh, vertices=mesh.vertices + local), self.quarters, (0, 0, 0))
 
     def stand(self, mesh: Mesh, label: int, margin: float = 0.05) -> bool:
-        """Add it where the floor is free, with a margin (metres) round it."""
+        """Add it if the floor is free, with a margin in metres."""
         low, high = mesh.vertices[:, :2].min(0), mesh.vertices[:, :2].max(0)
         if self.room.blocked(low, high, margin):
             return False
@@ -226,7 +226,7 @@ def _middle(room: _Plan) -> None:
 
 
 def _eyes(room: _Plan) -> Array:
-    """(E, 3) where the scanner was: over free floor, at the height of a person's hands."""
+    """(E, 3) positions of the scanner: over free floor, at the height of a person's hands."""
     rng = room.rng
     eyes: list[Array] = []
     for _ in range(200):
@@ -240,7 +240,7 @@ def _eyes(room: _Plan) -> Array:
 
 
 def furnished(seed: int) -> tuple[_Plan, Array]:
-    """A room, and the places it is scanned from."""
+    """A room, and the positions (E, 3) it is scanned from."""
     rng = np.random.default_rng([seed, 5])
     room = _Plan(rng, *rng.uniform(2.8, 6.0, 2), height=float(rng.uniform(2.2, 2.6)))
     sides = [_Wall(k, room.depth if k % 2 else room.width, room) for k in range(4)]
@@ -253,18 +253,18 @@ def furnished(seed: int) -> tuple[_Plan, Array]:
 
 
 def scanned_room(seed: int, points: int = 90_000) -> LabelledCloud:
-    """A room as fused depth pictures show it: what no one saw is missing, edges are rounded.
+    """A room as fused depth images show it: hidden surfaces are missing, edges are rounded.
 
     Args:
-        points: about how many.
+        points: approximate number.
     """
     room, eyes = furnished(seed)
     rng = room.rng
     caster = Caster(room.meshes)
-    way = rng.standard_normal((len(eyes), 60_000, 3))
-    way /= np.linalg.norm(way, axis=2, keepdims=True)
-    start = np.repeat(eyes, way.shape[1], axis=0)
-    hits = caster.cast(start, way.reshape(-1, 3))
+    direction = rng.standard_normal((len(eyes), 60_000, 3))
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    start = np.repeat(eyes, direction.shape[1], axis=0)
+    hits = caster.cast(start, direction.reshape(-1, 3))
     label = np.array(room.of_mesh)[hits.part]
     inside = hits.points[:, 2] > -0.05
     keep = inside & (hits.distance < 5.0)
@@ -276,8 +276,8 @@ def scanned_room(seed: int, points: int = 90_000) -> LabelledCloud:
     )
 
 
-def bared(data: LabelledCloud) -> LabelledCloud:
-    """A room without its floor, walls and stray points, as it is shown to pick objects from."""
+def cropped_room(data: LabelledCloud) -> LabelledCloud:
+    """A room without floor, walls and outliers, as the app shows it for picking objects."""
     asset = Asset("room", cloud=data.cloud)
     kept = np.flatnonzero(~outliers(asset))
     kept = kept[~floor_and_walls(Asset("room", cloud=data.cloud.take(kept)))]
@@ -292,16 +292,16 @@ def _fused(
     wanted: int,
     rng: np.random.Generator,
 ) -> LabelledCloud:
-    """One point a voxel, shifted by a smooth error and a little noise, and turned."""
+    """One point per voxel, shifted by a smooth error and noise, and turned."""
     size = float(np.sqrt(len(np.unique(np.floor(points / 0.02), axis=0)) / wanted)) * 0.02
-    cell = np.floor(points / max(size, 0.012)).astype(np.int64)
-    _, first, back = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+    voxel = np.floor(points / max(size, 0.012)).astype(np.int64)
+    _, first, back = np.unique(voxel, axis=0, return_index=True, return_inverse=True)
     back = back.ravel()
     held = np.bincount(back)
     mean = np.stack([np.bincount(back, v) for v in points.T], axis=1) / held[:, None]
     color = np.stack([np.bincount(back, v) for v in colors.T.astype(float)], axis=1)
     color /= held[:, None]
-    # Pictures taken from many places blur into one another.
+    # Images from many places blur into each other.
     patch = np.floor(mean / rng.uniform(0.03, 0.09)).astype(np.int64)
     _, of_patch = np.unique(patch, axis=0, return_inverse=True)
     of_patch = of_patch.ravel()

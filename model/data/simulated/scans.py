@@ -1,7 +1,7 @@
-"""Procedural objects sampled into labelled clouds: clean, noisy, one-sided, seen by a camera.
+"""Procedural objects sampled into labelled clouds: clean, noisy, one-sided, by depth cameras.
 
-Half of the objects are the data set's families and composites, half are plain assemblies of
-simple solids that look less tidy. The families of ``HELD_OUT`` are never trained on.
+Half of the objects are the data set's families and composites, half are assemblies of simple solids
+that look less tidy. The families of ``HELD_OUT`` are never trained on.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _CAMERA_SHARE = 0.12
 
 @dataclass(frozen=True, eq=False)
 class LabelledCloud:
-    """A cloud with the true part of each point (-1: stray); ``family`` says what was built."""
+    """A cloud with the true part of each point, -1 for outliers, and the object's family."""
 
     cloud: PointCloud
     labels: npt.NDArray[np.int16]
@@ -56,7 +56,7 @@ class LabelledCloud:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A mesh and the (F,) part of each of its faces; ``object`` where a family made it."""
+    """A mesh and the (F,) part of each face; ``object`` if a family of the data set made it."""
 
     mesh: Mesh
     part: npt.NDArray[np.int16]
@@ -65,7 +65,7 @@ class Shape:
 
 
 def build(seed: int, families: tuple[str, ...] | None = None) -> Shape:
-    """A random object of a random kind, or of ``families``, stretched and turned a little."""
+    """A random object, of ``families`` if given, slightly stretched and turned."""
     rng = np.random.default_rng(seed)
     if families is not None:
         name = str(rng.choice(families))
@@ -88,7 +88,7 @@ def _family(rng: np.random.Generator) -> str:
 
 
 def family_shape(name: str, seed: int) -> Shape:
-    """An object of the data set's family ``name``, as it is made."""
+    """An object of the data set's family ``name``, unchanged."""
     made = make(name, seed).object
     mesh, part = joined(made)
     return Shape(mesh, part.astype(np.int16), name, made)
@@ -114,30 +114,30 @@ def _assembly(name: str, rng: np.random.Generator) -> Shape:
 
 
 def visible_from(
-    points: npt.NDArray, directions: npt.NDArray[np.float64], cell: float
+    points: npt.NDArray, directions: npt.NDArray[np.float64], pixel: float
 ) -> npt.NDArray[np.float64]:
-    """(N,) how many of the directions see each point, by depth buffers."""
-    seen = np.zeros(len(points))
+    """(N,) number of directions that see each point, by depth buffers with pixels in metres."""
+    visible = np.zeros(len(points))
     for w in directions:
         helper = np.array([1.0, 0, 0]) if abs(w[0]) < 0.8 else np.array([0, 1.0, 0])
         u = np.cross(w, helper)
         u /= np.linalg.norm(u)
         local = points @ np.stack([u, np.cross(w, u), w], axis=1)
-        grid = np.floor((local[:, :2] - local[:, :2].min(0)) / cell).astype(np.int64)
+        grid = np.floor((local[:, :2] - local[:, :2].min(0)) / pixel).astype(np.int64)
         key = grid[:, 0] * (grid[:, 1].max() + 1) + grid[:, 1]
         top = np.full(int(key.max()) + 1, -np.inf)
         np.maximum.at(top, key, local[:, 2])
-        seen += local[:, 2] > top[key] - 1.5 * cell
-    return seen
+        visible += local[:, 2] > top[key] - 1.5 * pixel
+    return visible
 
 
 def scan(shape: Shape, count: int, mode: Mode, noise: float, seed: int) -> LabelledCloud:
     """Sample ``shape``.
 
     Args:
-        count: points wanted; fewer come back where little is visible.
-        mode: all surfaces, those seen from around, or those seen from two near views.
-        noise: standard deviation along all axes, in parts of the bounding box's diagonal.
+        count: of points; fewer if little is visible.
+        mode: all surfaces, those visible from all around, or those visible from two near views.
+        noise: standard deviation along all axes, in diagonals of the bounding box.
     """
     rng = np.random.default_rng(seed)
     low, high = shape.mesh.vertices.min(0), shape.mesh.vertices.max(0)
@@ -156,14 +156,15 @@ def scan(shape: Shape, count: int, mode: Mode, noise: float, seed: int) -> Label
             directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(2, up)], axis=1)
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         area = diagonal**2 / len(points)
-        seen = visible_from(points, directions, 1.2 * np.sqrt(area)) > 0
+        visible = visible_from(points, directions, 1.2 * np.sqrt(area)) > 0
         if mode == "one-sided":
             facing = np.abs(normal @ directions.T).max(1)
-            seen &= rng.random(len(points)) < facing
+            visible &= rng.random(len(points)) < facing
             for _ in range(int(rng.integers(0, 4))):
                 hole = points[rng.integers(len(points))]
-                seen &= np.linalg.norm(points - hole, axis=1) > rng.uniform(0.01, 0.05) * diagonal
-        keep = np.nonzero(seen)[0][:count]
+                apart = np.linalg.norm(points - hole, axis=1)
+                visible &= apart > rng.uniform(0.01, 0.05) * diagonal
+        keep = np.nonzero(visible)[0][:count]
     colors = _painted(cloud.colors[keep], points[keep], normal[keep], diagonal, rng)
     noisy = points[keep] + rng.normal(0, noise * diagonal, (len(keep), 3))
     out = PointCloud(noisy.astype(np.float32), colors=None if rng.random() < 0.2 else colors)
@@ -177,7 +178,7 @@ def _painted(
     diagonal: float,
     rng: np.random.Generator,
 ) -> npt.NDArray[np.uint8]:
-    """Colours with grain, shading and sensor noise, so that flat colour is no sure sign."""
+    """Colours with texture, shading and sensor noise, so that flat colour tells little."""
     color = colors.astype(np.float64)
     wave = rng.normal(0, 1, 3) * rng.choice([3, 15, 60]) / diagonal
     color *= 1 + rng.choice([0, 0.05, 0.15]) * np.sin(points @ wave)[:, None]
@@ -191,11 +192,11 @@ def _painted(
 def _photographed(
     shape: Shape, count: int, noise: float, rng: np.random.Generator
 ) -> LabelledCloud:
-    """What one to four simulated depth cameras before the object saw."""
+    """The scan of one to four simulated depth cameras in front of the object."""
     assert shape.object is not None
     around = rng.uniform(-0.9, 0.9, rng.integers(1, 5))
-    seen = simulate_scan(shape.object, depth_cameras(shape, around, count, noise, rng), rng)
-    return LabelledCloud(seen.cloud, seen.part.astype(np.int16), shape.family)
+    found = simulate_scan(shape.object, depth_cameras(shape, around, count, noise, rng), rng)
+    return LabelledCloud(found.cloud, found.part.astype(np.int16), shape.family)
 
 
 def depth_cameras(
@@ -205,7 +206,7 @@ def depth_cameras(
     noise: float,
     rng: np.random.Generator,
 ) -> ScanSettings:
-    """Depth cameras at some heights before a shape.
+    """Depth cameras at random heights in front of a shape.
 
     Args:
         around: (cameras,) azimuths in radians.

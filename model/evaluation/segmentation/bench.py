@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
+import tyro
+from rich.console import Console
+from rich.table import Table
 
 from model.core.progress import Progress, no_progress
 from model.data.registry import DatasetOptions, open_dataset
@@ -24,13 +26,14 @@ from model.evaluation.segmentation.bench_data import (
     procedural_objects,
     room_objects,
 )
-from model.evaluation.segmentation.visible_clicks import clicked_as_seen, picture_of
+from model.evaluation.segmentation.visible_clicks import picture_of, visible_click_ious
+from model.segmentation.arrays import Bool, Int16
 from model.segmentation.default import DefaultSession
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.protocol import SegmentationSession
 from model.segmentation.registry import DEFAULT, load_segmenter
 from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
-from model.segmentation.tools.all_parts import propose
+from model.segmentation.tools.all_parts import propose_parts
 
 DataSet = Literal["partnet", "partnet-one-sided", "partnet-scan", "partnet-mesh",
                   "procedural", "procedural-noisy", "procedural-one-sided", "room",
@@ -40,8 +43,9 @@ DataSet = Literal["partnet", "partnet-one-sided", "partnet-scan", "partnet-mesh"
 MARKS = (1, 3, 5, 10)
 TARGETS = (0.80, 0.85, 0.90)
 TABS = (1, 2, 5)
-"""Other masks that are looked at after the first click."""
-_SPEAK = 100_000
+"""Numbers of alternatives after the first click."""
+_SHOWN = 100_000
+"""Points among which the next click is searched."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +55,18 @@ class BenchConfig:
     Attributes:
         data: folder with ``partnet_mobility`` and ``scans/scannet``, or one of these two; for the
             sets of URDFs, of MJCFs and of PhysXNet the folder of those.
-        sets: which data sets.
-        segmenters: names in the table of segmenters.
+        sets: data sets.
+        segmenters: registered names.
         limit: objects of each set, 0 for all (40 procedural ones).
-        offset: which object the subset begins with, but of rooms and procedural ones; other
-            offsets, other objects.
+        offset: first object of the subset, except of rooms and procedural ones; other offsets give
+            other objects.
         points: of each cloud.
-        parts: asked for in each object at most.
-        least: elements that a part needs to be asked for.
+        parts: asked for in each object, at most.
+        least: elements of a part that is asked for.
         cap: clicks at most.
-        first: where the first click goes.
-        competing: also let all parts compete, one to three clicks each, and on meshes by clicks on
-            what is seen of them.
+        first: place of the first click.
+        competing: also let all parts compete, one to three clicks each, by deepest points and by
+            the visible-click protocol.
         json_path: where to write the report.
     """
 
@@ -82,18 +86,19 @@ class BenchConfig:
 
 @dataclass
 class BenchRow:
-    """Figures of one segmenter on one data set.
+    """Figures of one segmenter on one data set; written to the report under these names.
 
-    ``curves`` holds the IoU after each click, ``offered`` that of the first click's answer and of
-    the other masks which the segmenter offers for it (Tab), in their order. ``proposed`` holds
-    the best IoU of each part with a part of the proposal or its base, ``guesses`` for each object
-    how many parts are proposed, how many of these overlap with one that moves by over a half, how
-    many parts move, and how many of those are found so.
-    ``seen`` holds, for each object and round of clicks on what is seen, the IoU there and of all.
-    ``reachable`` holds the best IoU of each part that any choice of the encoding's cells gives;
-    small parts, which are answered element by element, may get beyond it.
-    ``moves`` tells the parts from the bases, for which nobody clicks: they get what is left.
-    ``left_out`` says which objects could not be read, and why.
+    Attributes:
+        curves: IoU after each click.
+        offered: IoU of the first click's answer and of its alternatives (Tab), in order.
+        proposed: best IoU of each part with a part of *All parts*, or its base.
+        guesses: for each object, proposed parts, those with an IoU over a half with a moving part,
+            moving parts, and those found so.
+        seen: for each object and round of visible clicks, the IoU of visible pixels and of all.
+        reachable: best IoU of each part that any choice of superpoints gives; local refinement
+            may exceed it.
+        moves: whether each part moves; bases don't.
+        left_out: which objects could not be read, and why.
     """
 
     segmenter: str
@@ -149,7 +154,7 @@ class BenchRow:
         out["encode s"] = _quantile(self.encode_seconds, 0.5)
         out["click p50 ms"] = 1000 * _quantile(self.click_seconds, 0.5)
         out["click p95 ms"] = 1000 * _quantile(self.click_seconds, 0.95)
-        # Processor time says what the machine's other work hides.
+        # Processor time doesn't depend on the machine's other work.
         out["encode cpu s"] = _quantile(self.encode_cpu, 0.5)
         out["click cpu p50 ms"] = 1000 * _quantile(self.click_cpu, 0.5)
         out["click cpu p95 ms"] = 1000 * _quantile(self.click_cpu, 0.95)
@@ -173,9 +178,6 @@ class BenchReport:
 
     def print_table(self) -> None:
         """Print the summaries."""
-        from rich.console import Console
-        from rich.table import Table
-
         table = Table(title="Segmentation by simulated clicks")
         table.add_column("figure")
         for row in self.rows:
@@ -192,7 +194,7 @@ class BenchReport:
 
 
 def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
-    """Measure; the same settings give the same figures but for the times."""
+    """Measure; the same settings give the same figures, except times."""
     rows = []
     for name in config.segmenters:
         segmenter = load_segmenter(name)
@@ -208,7 +210,7 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
                 _one_against_the_rest(session, item, config, row, number)
                 if config.competing and item.whole:
                     _all_competing(session, item, row)
-                    _as_seen(session, item, row)
+                    _visible_clicks(session, item, row)
                 if isinstance(session, DefaultSession):
                     _reachable(session, item, row)
                     if item.whole:
@@ -243,9 +245,9 @@ def _objects(config: BenchConfig, data: DataSet, left_out: list[str]) -> Iterato
 
 
 class _Pointer:
-    """Turns elements into clicks, and thins very large clouds for finding the next one.
+    """Turns elements into clicks, and thins large clouds for finding the next one.
 
-    Elements that are part of nothing (a scan's stray points) are neither clicked nor counted.
+    Elements of no part (a scan's outliers) are neither clicked nor counted.
     """
 
     def __init__(self, item: BenchObject) -> None:
@@ -255,7 +257,7 @@ class _Pointer:
             if item.asset.mesh is not None
             else np.ones(len(self.centers))
         ) * (item.labels >= 0)
-        step = max(len(self.centers) // _SPEAK, 1)
+        step = max(len(self.centers) // _SHOWN, 1)
         self.shown = np.arange(0, len(self.centers), step)
         self.shown = self.shown[item.labels[self.shown] >= 0]
         self.points = self.centers[self.shown]
@@ -265,7 +267,7 @@ class _Pointer:
         x, y, z = self.centers[element]
         return Click((float(x), float(y), float(z)), part, positive, element)
 
-    def iou(self, answer: npt.NDArray[np.bool_], truth: npt.NDArray[np.bool_]) -> float:
+    def iou(self, answer: Bool, truth: Bool) -> float:
         """By area on meshes, by points on clouds."""
         union = self.weight[answer | truth].sum()
         return float(self.weight[answer & truth].sum() / max(union, 1e-12))
@@ -277,8 +279,8 @@ def _one_against_the_rest(
     pointer = _Pointer(item)
     rng = np.random.default_rng([seed, 11])
     if isinstance(session, DefaultSession):
-        # Nobody clicks the base to have it; this protocol does, and does not say when.
-        session = session.of_anything()
+        # This protocol asks for the base, too, which people don't click.
+        session = session.including_base()
     for part in item.parts:
         truth = item.labels == part
         small = truth[pointer.shown]
@@ -316,7 +318,7 @@ def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRo
     pointer = _Pointer(item)
     truth = item.labels[pointer.shown]
     parts = list(item.parts)
-    # Parts that are not asked for stand for the base: nobody clicks them.
+    # Parts that aren't asked for count as base.
     truth = np.where(np.isin(truth, parts), truth, 0)
     full = np.where(np.isin(item.labels, parts), item.labels, 0)
     clicks = [pointer.click(deepest(pointer.points, truth == p), p) for p in parts]
@@ -333,21 +335,21 @@ def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRo
     row.competing.append(result)
 
 
-def _as_seen(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
-    """The same by what a person sees; nobody clicks the base."""
+def _visible_clicks(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
+    """All parts by the visible-click protocol."""
     picture, weight = picture_of(item.asset, item.front), _Pointer(item).weight
-    rounds = clicked_as_seen(session, picture, item.labels, weight)
+    rounds = visible_click_ious(session, picture, item.labels, weight)
     if rounds:
         row.seen.append(rounds)
 
 
 def _reachable(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:
-    """How far the cells go: those of which a part has most, as many as its IoU gains from."""
+    """Best IoU by superpoints: those most of which a part has, as many as its IoU gains from."""
     encoding, weight = session.encoding, _Pointer(item).weight
-    cell = encoding.superpoints.of_node[encoding.nodes.elements.node_of_element]
-    size = np.bincount(cell, weight, len(encoding.superpoints))
+    superpoint = encoding.superpoints.of_node[encoding.nodes.elements.node_of_element]
+    size = np.bincount(superpoint, weight, len(encoding.superpoints))
     for part in item.parts:
-        own = np.bincount(cell, weight * (item.labels == part), len(size))
+        own = np.bincount(superpoint, weight * (item.labels == part), len(size))
         if own.sum() > 0:
             order = np.argsort(-own / np.maximum(size, 1e-12), kind="stable")
             inside, taken = np.cumsum(own[order]), np.cumsum(size[order])
@@ -355,11 +357,11 @@ def _reachable(session: DefaultSession, item: BenchObject, row: BenchRow) -> Non
 
 
 def _proposal(session: DefaultSession, item: BenchObject, row: BenchRow) -> None:
-    """What *All parts* says before any click."""
-    pointer, labels = _Pointer(item), propose(session).labels
-    said = [labels == p for p in np.unique(labels)]
+    """*All parts* before any click."""
+    pointer, labels = _Pointer(item), propose_parts(session).labels
+    proposed = [labels == p for p in np.unique(labels)]
     for part in item.parts:
-        row.proposed.append(max(pointer.iou(m, item.labels == part) for m in said))
+        row.proposed.append(max(pointer.iou(m, item.labels == part) for m in proposed))
     moving = [item.labels == p for p in np.unique(item.labels[item.labels > BASE])]
     guesses = [labels == p for p in np.unique(labels[labels > BASE])]
     overlap = np.array([pointer.iou(m, link) for m in guesses for link in moving])
@@ -370,7 +372,7 @@ def _proposal(session: DefaultSession, item: BenchObject, row: BenchRow) -> None
 
 def _timed(
     session: SegmentationSession, clicks: list[Click], seconds: list[float], cpu: list[float]
-) -> npt.NDArray[np.int16]:
+) -> Int16:
     begin, busy = time.perf_counter(), time.process_time()
     labels = session.segment(Prompts(tuple(clicks))).labels
     seconds.append(time.perf_counter() - begin)
@@ -408,8 +410,6 @@ def _quantile(values: list[float], q: float) -> float:
 
 def main() -> None:
     """``python -m model.evaluation.segmentation.bench --help``."""
-    import tyro
-
     run(tyro.cli(BenchConfig, description=__doc__)).print_table()
 
 

@@ -8,29 +8,35 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.data.partnet_mobility import PartNetMobility
 from model.data.protocol import Dataset
+from model.data.simulated.depth_camera import ScanSettings, simulate_scan
+from model.data.simulated.depth_camera import View as Camera
+from model.data.simulated.scans import build, scan, visible_from
 from model.evaluation.segmentation.visible_clicks import FRONT, picture_of
+from model.geometry.sampling import sample_surface
+from model.io.open_asset import open_asset
+from model.segmentation.arrays import Float32, Int, Int16, Int64
 
 View = Literal["all", "one-sided", "mesh", "scan"]
-"""All surfaces as points; those seen from the front, with noise; the mesh; what depth cameras in
-front of it see, with all their faults."""
+"""A cloud of all surfaces; of those visible from the front, with noise; the mesh; a simulated scan
+by depth cameras in front of it."""
 Direction = tuple[float, float, float]
 
 _CAMERAS = ((-0.6, 0.25), (-0.2, 0.5), (0.2, 0.25), (0.6, 0.5))
-"""Radians beside and above the front: somebody walks past with a scanner."""
+"""Radians beside and above the front: a person walks past with a scanner."""
 _DEPTH_NOISE, _MISALIGNED = 0.001, 0.0003
-"""Of a scan, in diagonals."""
+"""Noise and misalignment of a scan, in diagonals."""
 _SIDES: tuple[Direction, ...] = (FRONT, (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 ROOM_CLASSES = {2: "cabinet", 7: "door", 14: "refrigerator"}
-"""ScanNet's 20 classes, counted from 0, that a person would pick out of a room."""
+"""Those of ScanNet's 20 classes, counted from 0, that a person would pick out of a room."""
 
 _BENCH_SEED = 900_000
 
@@ -40,24 +46,22 @@ class BenchObject:
     """An asset with the true part of every element.
 
     Attributes:
-        labels: (E,) int16; 0 is the base, -1 what is part of nothing.
+        labels: (E,) int16; 0 is the base, -1 no part.
         parts: the parts to ask for, one against the rest.
-        whole: whether the parts together cover the object, so that they can all compete.
-        front: the direction that it looks to.
+        whole: whether the parts cover the object, so that they can all compete.
+        front: the direction that it faces.
     """
 
     name: str
     dataset: str
     asset: Asset
-    labels: npt.NDArray[np.int16]
+    labels: Int16
     parts: tuple[int, ...]
     whole: bool = True
     front: Direction = FRONT
 
 
-def asked_parts(
-    labels: npt.NDArray[np.integer], least: int, most: int, seed: int
-) -> tuple[int, ...]:
+def asked_parts(labels: Int, least: int, most: int, seed: int) -> tuple[int, ...]:
     """At most ``most`` of the parts that have ``least`` elements, chosen by ``seed``."""
     ids, counts = np.unique(labels, return_counts=True)
     ids = ids[(counts >= least) & (ids >= 0)]
@@ -80,15 +84,15 @@ def dataset_objects(
 ) -> Iterator[BenchObject]:
     """Objects of a data set, each link a part, the tree's root the base.
 
-    ``limit`` takes every n-th object, so that all kinds are there, and ``offset`` says with which
-    to begin: other offsets give other objects. Clouds have colours and no normals.
+    ``limit`` takes every n-th object, beginning with ``offset``, so that all kinds are there.
+    Clouds have colours and no normals.
 
     Args:
-        front: where all objects look to; None for the side that shows most of the moving parts.
-        left_out: takes a line for each object that can't be read; without it that is an error.
+        front: direction that all objects face; None for the side that shows most moving parts.
+        left_out: gets a line for each object that can't be read; None makes that an error.
 
     Raises:
-        ArtiworldError: where an object can't be read and there is no ``left_out``.
+        ArtiworldError: if an object can't be read and ``left_out`` is None.
     """
     ids = source.ids()
     step = max(len(ids) // limit, 1) if limit else 1
@@ -119,30 +123,21 @@ def partnet_objects(
     root: Path, view: View, points: int, limit: int, least: int, most: int, offset: int = 0
 ) -> Iterator[BenchObject]:
     """PartNet-Mobility objects, see :func:`dataset_objects`."""
-    from model.data.partnet_mobility import PartNetMobility
-
     source = PartNetMobility(root)
     return dataset_objects(source, view, points, limit, least, most, offset, front=FRONT)
 
 
 def _front_of(pieces: list[tuple[int, Mesh]]) -> Direction:
-    """The side from which most of the moving parts is seen."""
+    """The side from which most of the moving parts is visible."""
     mesh, labels = _joined(pieces)
     asset = Asset("sides", mesh=mesh)
-    seen = [int((picture_of(asset, side).of(labels) > 0).sum()) for side in _SIDES]
-    return _SIDES[int(np.argmax(seen))]
+    visible = [int((picture_of(asset, side).of(labels) > 0).sum()) for side in _SIDES]
+    return _SIDES[int(np.argmax(visible))]
 
 
 def _assembled(
-    name: str,
-    pieces: list[tuple[int, Mesh]],
-    view: View,
-    points: int,
-    seed: int,
-    front: Direction,
-) -> tuple[Asset, npt.NDArray[np.int16]]:
-    from model.geometry.sampling import sample_surface
-
+    name: str, pieces: list[tuple[int, Mesh]], view: View, points: int, seed: int, front: Direction
+) -> tuple[Asset, Int16]:
     if view == "mesh":
         mesh, labels = _joined(pieces)
         return Asset(name, mesh=mesh), labels
@@ -172,53 +167,45 @@ def _assembled(
 
 def _scanned(
     truth: ArticulatedObject, number: dict[str, int], points: int, front: Direction
-) -> tuple[Asset, npt.NDArray[np.int16]]:
-    """What simulated depth cameras see; points on no surface are labelled -1.
+) -> tuple[Asset, Int16]:
+    """A scan by simulated depth cameras; points on no surface are labelled -1.
 
     Args:
         number: the label of each link.
     """
-    from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan
-
     there = replace(truth, parts=tuple(p for p in truth.parts if p.mesh is not None))
     bounds = np.concatenate([p.bounds for p in there.parts])
     diagonal = float(np.linalg.norm(bounds.max(0) - bounds.min(0)))
     ahead = float(np.arctan2(front[0], -front[1]))
-    views = tuple(View(ahead + aside, above, 1.6 * diagonal) for aside, above in _CAMERAS)
+    views = tuple(Camera(ahead + aside, above, 1.6 * diagonal) for aside, above in _CAMERAS)
     settings = ScanSettings(
         views,
         points,
         depth_noise=_DEPTH_NOISE * diagonal / (1.6 * diagonal) ** 2,
         misalignment=_MISALIGNED * diagonal,
     )
-    scan = simulate_scan(there, settings, np.random.default_rng(len(there.parts)))
+    found = simulate_scan(there, settings, np.random.default_rng(len(there.parts)))
     links = np.array([number[p.link] for p in there.parts], np.int16)
-    labels = np.where((scan.part < 0) | scan.smeared, np.int16(-1), links[scan.part])
-    return Asset(truth.name, cloud=scan.cloud), labels
+    labels = np.where((found.part < 0) | found.smeared, np.int16(-1), links[found.part])
+    return Asset(truth.name, cloud=found.cloud), labels
 
 
 def _seen_from_the_front(
-    xyz: npt.NDArray[np.float32],
-    normal: npt.NDArray[np.float32],
-    rng: np.random.Generator,
-    points: int,
-    front: Direction,
-) -> npt.NDArray[np.int64]:
-    """Two views from the front and above, as a person would hold the scanner."""
-    from model.data.simulated.scans import visible_from
-
+    xyz: Float32, normal: Float32, rng: np.random.Generator, points: int, front: Direction
+) -> Int64:
+    """(K,) points visible from two views in front and above, as a person holds the scanner."""
     azimuth = np.arctan2(front[1], front[0]) + rng.uniform(-0.4, 0.4) + np.array([-0.4, 0.4])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.full(2, 0.5)], axis=1)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     diagonal = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    seen = visible_from(xyz, directions, 1.2 * diagonal / np.sqrt(len(xyz))) > 0
-    seen &= rng.random(len(xyz)) < np.abs(normal @ directions.T).max(1)
-    keep = np.nonzero(seen)[0]
+    visible = visible_from(xyz, directions, 1.2 * diagonal / np.sqrt(len(xyz))) > 0
+    visible &= rng.random(len(xyz)) < np.abs(normal @ directions.T).max(1)
+    keep = np.nonzero(visible)[0]
     return keep if len(keep) <= points else np.sort(rng.choice(keep, points, replace=False))
 
 
-def _joined(pieces: list[tuple[int, Mesh]]) -> tuple[Mesh, npt.NDArray[np.int16]]:
-    """One mesh of all pieces; colours go to the vertices, textures are left out."""
+def _joined(pieces: list[tuple[int, Mesh]]) -> tuple[Mesh, Int16]:
+    """One mesh of all pieces, without textures, and the part of each face."""
     vertices, faces, material, materials, labels = [], [], [], [], []
     offset = 0
     for part, mesh in pieces:
@@ -240,9 +227,7 @@ def _joined(pieces: list[tuple[int, Mesh]]) -> tuple[Mesh, npt.NDArray[np.int16]
 def procedural_objects(
     view: View, points: int, limit: int, least: int, most: int, noise: float = 0.0
 ) -> Iterator[BenchObject]:
-    """Our own procedural objects that no network was trained on."""
-    from model.data.simulated.scans import build, scan
-
+    """Procedural objects that no network was trained on."""
     mode = "one-sided" if view == "one-sided" else "outside"
     name = f"procedural {mode}{' noisy' if noise else ''}"
     made = 0
@@ -265,21 +250,19 @@ def room_objects(folder: Path) -> Iterator[BenchObject]:
     cabinets, doors and refrigerators are picked one by one.
 
     Raises:
-        InputFileError: where there is no such pair, or the labels don't fit the scan.
+        InputFileError: if there is no such pair, or the labels don't fit the scan.
     """
-    from model.io.open_asset import open_asset
-
     pairs = [
-        (scan, truth)
+        (path, truth)
         for truth in sorted(folder.glob("*_labels.npz"))
-        if (scan := truth.with_name(truth.name.replace("_labels.npz", ".ply"))).is_file()
+        if (path := truth.with_name(truth.name.replace("_labels.npz", ".ply"))).is_file()
     ]
     if not pairs:
         raise InputFileError(
-            folder, "no labelled scan in it", "put <name>.ply and <name>_labels.npz there"
+            folder, "holds no labelled scan", "put <name>.ply and <name>_labels.npz there"
         )
-    for scan, truth in pairs:
-        asset = open_asset(scan)
+    for path, truth in pairs:
+        asset = open_asset(path)
         with np.load(truth) as data:
             instance, kind = data["instance"].astype(np.int16), data["segment20"]
         if len(instance) != asset.element_count:
@@ -292,4 +275,4 @@ def room_objects(folder: Path) -> Iterator[BenchObject]:
             if np.bincount(members[members >= 0], minlength=20).argmax() in ROOM_CLASSES:
                 parts.append(int(i) + 1)
         labels = (instance + 1).astype(np.int16)
-        yield BenchObject(scan.stem, "room", asset, labels, tuple(parts), whole=False)
+        yield BenchObject(path.stem, "room", asset, labels, tuple(parts), whole=False)

@@ -1,9 +1,8 @@
-"""Clicks as a person makes them: on what is seen, all moving parts, nobody clicks the base.
+"""The visible-click protocol: clicks on what a person sees, all moving parts, never the base.
 
-The field's protocol clicks the deepest point of a part wherever that is, inside a shut drawer too.
-Whoever looks at a mesh or a scan on a screen clicks the middle of the piece of the part that is
-seen, then the middle of the largest piece that looks wrong: as the part that it is, or with Shift
-where it is too much.
+The field's protocol clicks the deepest point of a part wherever that is, inside a closed drawer
+too. A person clicks the middle of the largest visible component of a part, then the middle of the
+largest visible error: for the part that it belongs to, or with Shift where it is too much.
 """
 
 from __future__ import annotations
@@ -18,40 +17,39 @@ from scipy.spatial import KDTree
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.geometry.casting import Caster, camera_rays, look_at
+from model.segmentation.arrays import Bool, Float, Float64, Int64, Labels
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.protocol import SegmentationSession
 
-Bool = npt.NDArray[np.bool_]
-Labels = npt.NDArray[np.int16]
-Points = npt.NDArray[np.float64]
+Points = Float64
 
 _ROWS, _COLUMNS = 200, 240
 _FOV = 0.6
 LEAST_PIXELS = 12
-"""Pixels that a part or an error has to have to be clicked."""
+"""Least pixels of a part or an error that is clicked."""
 _NOTHING = -1
 _SOME, _AROUND = 2000, 6
-"""Points of a cloud, and neighbours of each, that tell how far it lies apart."""
+"""Points of a cloud, and neighbours of each, that give its spacing."""
 _LARGEST_DOT = 5.0
-"""Pixels: radius of a point's dot where the points lie far apart."""
+"""Largest radius of a point's dot in pixels."""
 FRONT = (-1.0, 0.0, 0.0)
-"""Where PartNet-Mobility's objects and those made like them look to."""
+"""Direction that PartNet-Mobility's objects face."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is seen of an object from its front, the side and above.
+    """The visible elements of an object, seen from its front, the side and above.
 
     Attributes:
-        element: (R, C) int64 the element in each pixel, -1 where there is none.
-        position: (R, C, 3) metres, where it is hit.
+        element: (R, C) int64 the element in each pixel, -1 for none.
+        position: (R, C, 3) metres, the visible point.
     """
 
-    element: npt.NDArray[np.int64]
-    position: npt.NDArray[np.float64]
+    element: Int64
+    position: Float64
 
     def of(self, labels: Labels) -> Labels:
-        """(R, C) the part in each pixel, -1 where there is nothing."""
+        """(R, C) the part in each pixel, -1 for none."""
         return np.where(self.element < 0, np.int16(_NOTHING), labels[self.element])
 
     def click(self, pixel: tuple[int, int], part: int, positive: bool = True) -> Click:
@@ -61,12 +59,12 @@ class Picture:
 
 
 def picture_of(asset: Asset, front: npt.ArrayLike = FRONT) -> Picture:
-    """What a person sees of ``asset`` when it is opened, 240 by 200 pixels.
+    """The picture of ``asset`` that a person sees first, 240 by 200 pixels.
 
-    A mesh is seen as it is, a cloud as dots that are large enough to close its surfaces.
+    The points of a cloud are dots that are large enough to close its surfaces.
 
     Args:
-        front: (3,) the direction that it looks to.
+        front: (3,) the direction that it faces.
     """
     mesh, cloud = asset.mesh, asset.cloud
     if mesh is not None:
@@ -78,7 +76,7 @@ def picture_of(asset: Asset, front: npt.ArrayLike = FRONT) -> Picture:
 
 
 def _camera(low: Points, high: Points, front: npt.ArrayLike) -> tuple[Points, Points]:
-    """(3,) eye, and what it looks at."""
+    """(3,) positions of the eye and of its target."""
     middle = (low + high) / 2
     ahead = np.asarray(front, np.float64)
     toward = ahead + 0.5 * np.cross(ahead, (0.0, 0.0, 1.0)) + (0.0, 0.0, 0.45)
@@ -125,8 +123,8 @@ def _of_points(points: Points, eye: Points, middle: Points) -> Picture:
     return Picture(element.reshape(_ROWS, _COLUMNS), position.reshape(_ROWS, _COLUMNS, 3))
 
 
-def largest_piece(region: Bool) -> tuple[Bool, int]:
-    """The largest connected piece of a region, and how many pixels it has."""
+def largest_component(region: Bool) -> tuple[Bool, int]:
+    """The largest connected component of a region, and its number of pixels."""
     number = np.zeros(region.shape, np.int32)
     label(region, output=number)
     size = np.bincount(number.ravel())[1:]
@@ -135,27 +133,28 @@ def largest_piece(region: Bool) -> tuple[Bool, int]:
     return number == 1 + size.argmax(), int(size.max())
 
 
-def depths(piece: Bool) -> Points:
-    """(R, C) pixels from each pixel to the piece's outline, 0 outside."""
-    return np.asarray(distance_transform_edt(np.pad(piece, 1)))[1:-1, 1:-1]
+def depths(component: Bool) -> Points:
+    """(R, C) distance of each pixel to the component's outline in pixels, 0 outside."""
+    return np.asarray(distance_transform_edt(np.pad(component, 1)))[1:-1, 1:-1]
 
 
-def middle_of(piece: Bool) -> tuple[int, int]:
-    """Row and column of the pixel that is farthest from the piece's outline."""
-    depth = depths(piece)
+def middle_of(component: Bool) -> tuple[int, int]:
+    """Row and column of the pixel that is farthest from the component's outline."""
+    depth = depths(component)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     return int(row), int(column)
 
 
 @dataclass(frozen=True, eq=False)
 class VisibleRounds:
-    """What a round of clicks after another gave.
+    """A session by the visible-click protocol.
 
     Attributes:
-        parts: moving parts that are seen.
+        parts: visible moving parts.
         labels: (E,) after the last click.
-        iou: mean over the parts of what is seen, after each round.
-        clicks, drops: how many, and how many lowered that mean by more than :data:`DROP`.
+        iou: mean IoU of the parts' visible pixels, after each round.
+        clicks, drops: corrective clicks, and those that lowered that mean by more than ``DROP``.
+        after_rounds: (E,) labels after each round.
     """
 
     parts: tuple[int, ...]
@@ -163,6 +162,7 @@ class VisibleRounds:
     iou: tuple[float, ...]
     clicks: int = 0
     drops: int = 0
+    after_rounds: tuple[Labels, ...] = ()
 
 
 DROP = 0.05
@@ -172,8 +172,12 @@ DROP = 0.05
 def visible_rounds(
     session: SegmentationSession, picture: Picture, truth: Labels, rounds: int = 3
 ) -> VisibleRounds:
-    """Click every moving part that is seen once, then the largest visible errors, as often each
-    round; see :func:`clicked_as_seen`."""
+    """Click every visible moving part once, then in each round the largest visible errors.
+
+    Args:
+        truth: (E,) the true part of each element, 0 the base, -1 for none.
+        rounds: of as many clicks as there are parts.
+    """
     true = picture.of(truth)
     parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= LEAST_PIXELS]
     if not parts:
@@ -184,9 +188,9 @@ def visible_rounds(
         shown = picture.of(labels)
         return float(np.mean([_iou(shown == p, true == p, one) for p in parts]))
 
-    clicks = [picture.click(middle_of(largest_piece(true == p)[0]), p) for p in parts]
+    clicks = [picture.click(middle_of(largest_component(true == p)[0]), p) for p in parts]
     labels = session.segment(Prompts(tuple(clicks))).labels
-    iou, drops = [mean(labels)], 0
+    iou, after, drops = [mean(labels)], [labels], 0
     for _ in range(rounds - 1):
         now = iou[-1]
         for _ in parts:
@@ -198,61 +202,35 @@ def visible_rounds(
             before, now = now, mean(labels)
             drops += now < before - DROP
         iou.append(now)
-    return VisibleRounds(tuple(parts), labels, tuple(iou), len(clicks) - len(parts), drops)
+        after.append(labels)
+    corrective = len(clicks) - len(parts)
+    return VisibleRounds(tuple(parts), labels, tuple(iou), corrective, drops, tuple(after))
 
 
-def clicked_as_seen(
-    session: SegmentationSession,
-    picture: Picture,
-    truth: Labels,
-    weight: npt.NDArray[np.floating],
-    rounds: int = 3,
+def visible_click_ious(
+    session: SegmentationSession, picture: Picture, truth: Labels, weight: Float, rounds: int = 3
 ) -> list[tuple[float, float]]:
-    """Mean IoU of the moving parts that are seen, after each round of a click a part.
-
-    Args:
-        truth: (E,) the true part of each element, 0 the base, -1 where it is part of nothing.
-        weight: (E,) area of each element, 0 there.
-
-    Returns:
-        For each round the IoU of what is seen, and by area of all elements; nothing where no moving
-        part is seen.
+    """After each of the :func:`visible_rounds`, the mean IoU of visible pixels, and of all elements
+    by their ``weight`` (E,), 0 for those of no part; empty if no moving part is visible.
     """
-    true = picture.of(truth)
-    parts = [int(p) for p in np.unique(true[true > BASE]) if (true == p).sum() >= LEAST_PIXELS]
-    if not parts:
-        return []
-    middles = [middle_of(largest_piece(true == part)[0]) for part in parts]
-    clicks = [picture.click(at, part) for at, part in zip(middles, parts, strict=True)]
-    labels = session.segment(Prompts(tuple(clicks))).labels
-    out: list[tuple[float, float]] = []
-    for number in range(rounds):
-        for _ in parts if number else ():
-            more = _next(picture, true, picture.of(labels), parts)
-            if more is None:
-                break
-            clicks.append(more)
-            labels = session.segment(Prompts(tuple(clicks))).labels
-        shown, one = picture.of(labels), (true >= BASE).astype(float)
-        out.append(
-            (
-                float(np.mean([_iou(shown == p, true == p, one) for p in parts])),
-                float(np.mean([_iou(labels == p, truth == p, weight) for p in parts])),
-            )
-        )
-    return out
+    found = visible_rounds(session, picture, truth, rounds)
+    whole = [
+        float(np.mean([_iou(labels == p, truth == p, weight) for p in found.parts]))
+        for labels in found.after_rounds
+    ]
+    return list(zip(found.iou, whole, strict=True))
 
 
 def _next(picture: Picture, true: Labels, shown: Labels, parts: list[int]) -> Click | None:
-    """The click on the largest piece of one true part that looks wrong; None where all is right."""
-    pieces = [(largest_piece((true == p) & (shown != p)), p) for p in [BASE, *parts]]
-    (piece, size), part = max(pieces, key=lambda found: found[0][1])
+    """The click on the largest visible error within one true part; None without any."""
+    errors = [(largest_component((true == p) & (shown != p)), p) for p in [BASE, *parts]]
+    (error, size), part = max(errors, key=lambda found: found[0][1])
     if size < LEAST_PIXELS:
         return None
-    at = middle_of(piece)
+    at = middle_of(error)
     wanted = part != BASE
     return picture.click(at, part if wanted else int(shown[at]), wanted)
 
 
-def _iou(answer: Bool, truth: Bool, weight: npt.NDArray[np.floating]) -> float:
+def _iou(answer: Bool, truth: Bool, weight: Float) -> float:
     return float(weight[answer & truth].sum() / max(weight[answer | truth].sum(), 1e-12))

@@ -1,4 +1,4 @@
-"""Networks that others published, as segmenters.
+"""Networks published by others, as segmenters.
 
-How to write another one: see :mod:`model.segmentation.adapters.example`.
+How to write another adapter: see :mod:`model.segmentation.adapters.example`.
 """

@@ -1,18 +1,17 @@
-"""A whole plug-in, as short as one can be: a ball around each click.
+"""A complete plug-in, as short as possible: a ball around each click.
 
-To make one of your own network, write the two classes below in a package of yours, import the
-network's libraries inside ``encode`` (so that nothing is loaded before it is needed), and name the
-segmenter in your package's ``pyproject.toml``::
+To plug in your own network, write the two classes below in your package, import the network's
+libraries inside ``encode`` (so that nothing is loaded before it is needed), and name the segmenter
+in your package's ``pyproject.toml``::
 
     [project.entry-points."artiworld.segmenters"]
     balls = "your_package:BallSegmenter"
 
 ``artiworld serve --segmenter balls`` then answers clicks with it, in the worker process, and
-``artiworld bench segment --segmenter balls`` measures it. What every segmenter must do stands in
+``artiworld bench segment --segmenter balls`` measures it. The contract of segmenters is
 :mod:`model.segmentation.protocol`; ``tests/model/segmentation/test_contract.py`` checks it. Two
 functions do the hard part: :func:`~model.segmentation.prompt_steps.resolve` ties prompts to
-elements, :func:`~model.segmentation.prompt_steps.enforce` puts each on the side where it was said
-to be.
+elements, :func:`~model.segmentation.prompt_steps.enforce` makes labels agree with them exactly.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 
 RADIUS = 0.1
-"""Of a ball, in parts of the bounding box's diagonal."""
+"""Of a ball, in diagonals of the bounding box."""
 
 
 class BallSession:

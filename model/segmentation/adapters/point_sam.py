@@ -1,29 +1,30 @@
-"""Point-SAM behind the segmenter protocol: encode once, prompt many; weights from a path.
+"""Point-SAM behind the segmenter protocol: encode once, prompt many times; weights from a path.
 
 The architecture is that of the published code (``PointCloudSAM`` with an EVA-02 Large encoder), and
-a checkpoint must fit it name by name and shape by shape. It was tested here with random weights
-alone: the published ones were not run, so nothing is claimed about their answers.
+a checkpoint must match it name by name and shape by shape. It was only tested with random weights,
+so nothing is claimed about the published ones.
 
-A part's prompts are given one after the other, each with the mask before it, as the published demo
-does; the other parts' clicks are its negative ones. Where several parts want a point, the one with
-the highest logit gets it. PyTorch is imported when an asset is encoded, not before.
+A part's prompts are given one after the other, each with the mask before it, as in the published
+demo; other parts' clicks are its negative ones. A point that several parts claim goes to the one
+with the highest logit. PyTorch is imported when an asset is encoded, not before.
 """
 
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from cachetools import LRUCache
 from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.progress import Progress, no_progress
+from model.segmentation.arrays import Bool, Float32, Float64
 from model.segmentation.encode.nodes import Nodes, nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
@@ -33,13 +34,14 @@ if TYPE_CHECKING:
 
 NAME = "point-sam"
 POINTS = 30_000
-"""Points that the network sees; the published model was trained with 10,000 to 30,000."""
-_KEPT = 200
+"""Points that the network gets; the published model was trained with 10,000 to 30,000."""
+_CACHED = 200
+"""Prompts whose masks are cached."""
 _IMAGE_PARTS = tuple(
     f"pc_encoder.transformer.{part}"
     for part in ("cls_token", "pos_embed", "patch_embed.", "rope.", "head.")
 )
-"""What the published checkpoint may hold of EVA-02 for images; no cloud passes through it."""
+"""Parts of EVA-02 for images that the published checkpoint may hold; clouds don't need them."""
 _REMEDY = "give model.safetensors of Point-SAM (github.com/zyc00/Point-SAM), ViT-L"
 
 Key = tuple[tuple[int, bool], ...]
@@ -50,10 +52,10 @@ class PointSamSegmenter:
 
     Args:
         checkpoint: a ``.safetensors`` file, or the state dict of a ``.pt`` or ``.pth`` file.
-        device: None takes the GPU where there is one.
+        device: None for the GPU if there is one.
 
     Raises:
-        InputFileError: where there is no such file.
+        InputFileError: if there is no such file.
     """
 
     name = NAME
@@ -69,8 +71,8 @@ class PointSamSegmenter:
         """Encode ``asset``.
 
         Raises:
-            ConfigurationError: where PyTorch is not installed.
-            InputFileError: where the checkpoint is damaged or of another architecture.
+            ConfigurationError: if PyTorch is not installed.
+            InputFileError: if the checkpoint is damaged or of another architecture.
         """
         progress(0.02, "Loading Point-SAM")
         if self._network is None:
@@ -91,6 +93,7 @@ def load_network(checkpoint: Path, device: str | None = None) -> Any:
         raise ConfigurationError(
             "Point-SAM needs PyTorch and safetensors: pip install torch safetensors"
         ) from error
+    # Imports torch at its top.
     from model.segmentation.adapters.point_sam_network import PointSamNetwork
 
     state = _read_state(checkpoint)
@@ -109,7 +112,7 @@ def _read_state(path: Path) -> dict[str, Any]:
     try:
         # Only tensors: a pickled checkpoint must not run code.
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many kinds for a file that is none
+    except Exception as error:  # torch raises many kinds for other files
         raise InputFileError(
             path, f"is no checkpoint that can be read ({error})", _REMEDY
         ) from error
@@ -122,12 +125,12 @@ def _read_state(path: Path) -> dict[str, Any]:
 
 
 def _config_of(state: dict[str, Any], path: Path) -> PointSamConfig:
-    """The sizes that a checkpoint's tensors have.
+    """The network's sizes, from a checkpoint's tensors.
 
     Raises:
-        InputFileError: where tensors that tell the sizes are missing.
+        InputFileError: if tensors of a known name are missing.
     """
-    from model.segmentation.adapters.point_sam_network import PointSamConfig
+    from model.segmentation.adapters.point_sam_network import PointSamConfig  # imports torch
 
     blocks = "pc_encoder.transformer.blocks."
     try:
@@ -170,7 +173,7 @@ class PointSamSession:
             self._cloud: Encoded = network.encode(
                 self._tensor(self._normalised(points[chosen])), self._tensor(shown)
             )
-        self._logits: OrderedDict[Key, tuple[npt.NDArray[np.float32], ...]] = OrderedDict()
+        self._logits: LRUCache[Key, tuple[Float32, ...]] = LRUCache(_CACHED)
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
         """Labels for all elements; see the protocol."""
@@ -182,7 +185,7 @@ class PointSamSession:
         if not parts:
             labels = enforce(zero, steps, zero)
         else:
-            # The base wins where no part's logit is above 0.
+            # The base wins if no part's logit is above 0.
             wanted = [np.zeros(len(self._near), np.float32)]
             wanted += [self._answer(clicks, p)[0][self._near] for p in parts]
             order = np.argsort(-np.stack(wanted), axis=0, kind="stable")[:2]
@@ -191,8 +194,8 @@ class PointSamSession:
             labels = enforce(to_elements(ids[order[0]]), steps, to_elements(ids[order[1]]))
         return PartSegmentation(labels, NAME, time.perf_counter() - begin)
 
-    def candidates(self, prompts: Prompts, part: int) -> list[npt.NDArray[np.bool_]]:
-        """The other masks that the network gives for a part with one prompt."""
+    def candidates(self, prompts: Prompts, part: int) -> list[Bool]:
+        """The other masks of the network for a part with one prompt."""
         steps = resolve(self.asset, self._nodes, prompts)
         clicks = [s for s in steps if isinstance(s, ClickStep)]
         if not any(s.part == part and s.positive for s in clicks) or part == BASE:
@@ -206,28 +209,25 @@ class PointSamSession:
             out.append(mask)
         return out
 
-    def _answer(self, clicks: list[ClickStep], part: int) -> tuple[npt.NDArray[np.float32], ...]:
-        """(N,) logits of the best mask, then of the others, after all that concerns ``part``."""
+    def _answer(self, clicks: list[ClickStep], part: int) -> tuple[Float32, ...]:
+        """(N,) logits of the best mask, then of the others, after all prompts for ``part``."""
         key: Key = ()
         mask: Any = None
-        found: tuple[npt.NDArray[np.float32], ...] = ()
+        found: tuple[Float32, ...] = ()
         for click in clicks:
             positive = click.positive and click.part == part
             if not positive and not click.positive and click.part != part:
-                continue  # not another part: says nothing about this one
+                continue  # refused for another part: no prompt for this one
             if not key and not positive:
-                continue  # a mask begins with a positive prompt
+                continue  # a mask starts with a positive prompt
             key = (*key, (click.node, positive))
             if key not in self._logits:
                 self._logits[key] = self._prompt(key, mask)
-                while len(self._logits) > _KEPT:
-                    self._logits.popitem(last=False)
-            self._logits.move_to_end(key)
             found = self._logits[key]
             mask = found[0]
         return found
 
-    def _prompt(self, key: Key, mask: Any) -> tuple[npt.NDArray[np.float32], ...]:
+    def _prompt(self, key: Key, mask: Any) -> tuple[Float32, ...]:
         import torch
 
         nodes = np.array([node for node, _ in key])
@@ -240,7 +240,7 @@ class PointSamSession:
         best_first = torch.argsort(-scores, stable=True)
         return tuple(logits[i].float().cpu().numpy() for i in best_first)
 
-    def _normalised(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def _normalised(self, points: Float64) -> Float64:
         return np.clip((points - self._shift) / self._scale, -1.0, 1.0)
 
     def _tensor(self, values: npt.NDArray[Any]) -> Any:

@@ -52,8 +52,8 @@ class Encoded:
     Attributes:
         points: (N, 3) in [-1, 1].
         centers: (G, 3); neighbors: (G, K) points of each patch.
-        tokens: (G, D) the encoder's answer.
-        index, weight: (N, 3) how a point mixes the tokens of its nearest centres.
+        tokens: (G, D) the encoder's output.
+        index, weight: (N, 3) the nearest centres of each point, and weights of their tokens.
     """
 
     points: Tensor
@@ -95,7 +95,7 @@ class PointSamNetwork(nn.Module):
 
         Args:
             places: (P, 3) clicked places in [-1, 1]; positive: (P,) booleans.
-            mask: (N,) logits of the answer before, or None for the first prompt.
+            mask: (N,) logits of the mask before, or None for the first prompt.
 
         Returns:
             (M, N) logits and (M,) expected IoUs: three masks for a first prompt, else one.
@@ -282,7 +282,7 @@ class _FeedForward(nn.Module):
 
 
 class _TwoWayBlock(nn.Module):
-    """Prompts look at themselves and at the cloud, then the cloud looks at the prompts."""
+    """Prompts attend to themselves and to the cloud, then the cloud attends to the prompts."""
 
     def __init__(self, config: PointSamConfig, first: bool) -> None:
         super().__init__()

@@ -1,31 +1,28 @@
-"""How deep the deepest spot of a mask is: people click into the middle of what they mean."""
+"""Find the depth of the deepest point of masks: people click in the middle of what they mean."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from model.segmentation.arrays import Float, Int, Uint64
 from model.segmentation.encode.nodes import voxel_keys
-
-Float = npt.NDArray[np.floating]
-Int = npt.NDArray[np.integer]
 
 _FINENESS = (1.0, 2**0.5)
 _FIRST = 2.0
 """Radius of the smallest balls, in distances between neighbours."""
 _DENSE = 0.5
-"""Distance between the middles of neighbouring balls, in radii."""
+"""Distance between the centres of neighbouring balls, in radii."""
 _LEAST = 8
 _LARGEST = 0.5
 
 
 class Depths:
-    """Balls of doubling radii over points, each made of those half as large.
+    """Balls of doubling radii over points, each made of balls half as large.
 
-    A ball lies in a mask where all the smaller ones that make it up do, so all masks are tested
-    at once, a bit each. The two series of balls differ by the root of two; on real objects the
-    true depth is mostly 0.6 to 1.2 times what is found, enough to tell an edge from a middle.
+    A ball lies in a mask if all its smaller balls do, so all masks are tested at once, a bit each.
+    The two series of balls differ by the root of two. On real objects the true depth is mostly 0.6
+    to 1.2 times the result, exact enough to tell a border from the middle.
     """
 
     def __init__(self, x: Float) -> None:
@@ -49,8 +46,8 @@ class Depths:
                 below, radius, reach = here, reach, 2 * reach
             self._series.append(levels)
 
-    def __call__(self, words: npt.NDArray[np.uint64], number: int) -> Float:
-        """(H,) radius of the largest ball in each mask, 0 where not even the smallest fits.
+    def __call__(self, words: Uint64, number: int) -> Float:
+        """(H,) radius of the largest ball in each mask, 0 if not even the smallest fits.
 
         Args:
             words: (C, W) the bits of the masks at each point.

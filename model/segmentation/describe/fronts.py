@@ -1,20 +1,16 @@
-"""What a mask shows on the flat front that was clicked: lines along its sides and within it."""
+"""Describe masks on the flat front that was clicked: lines along their sides and within them."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
+from model.segmentation.arrays import Bool, Float, Float32, Int64
 from model.segmentation.encode.superpoints import Superpoints
-from model.segmentation.propose.fronts import (
-    CHANNELS,
-    NODES_A_SQUARE,
-    PIECES,
-    Front,
-    Rects,
-    support,
-)
+from model.segmentation.propose.box_grid import trimmed_range
+from model.segmentation.propose.front_picture import CHANNELS, Front, Rects
+from model.segmentation.propose.front_rectangles import PIECES, support
+from model.segmentation.propose.fronts import NODES_A_SQUARE
 
 FRONT_FEATURES = (
     "front", "front_share", "front_filled", "side_1", "side_2", "side_3", "side_4",
@@ -25,26 +21,23 @@ FRONT_FEATURES = (
     "split_upright", "split_level",
 )  # fmt: skip
 
-Bool = npt.NDArray[np.bool_]
-Float = npt.NDArray[np.floating]
 
-_TRIM = 0.01
-"""Share of what is held that may stick out at each end: a handle, crumbs."""
 _REACH = 2
+"""Squares by which a side may miss its line."""
 _KNOBS = 4
 _MARGIN, _UNEQUAL = 0.35, 3.0
-"""A frame's width at most, of the shorter side of what it frames, and how much wider one side of it
-is than another."""
+"""Largest width of a frame, of the shorter side of its content, and ratio of its two sides."""
 _NONE = -3.0
 _CUTS = np.array([(k, pieces) for pieces in PIECES for k in range(1, pieces)])
-"""Where a rectangle is cut into equal pieces, and at which of these each number of them begins."""
+"""Cuts of a rectangle into equal pieces: the number of each, and of the pieces."""
 _FIRST_CUTS = np.cumsum([0, *(pieces - 1 for pieces in PIECES[:-1])])
+"""Where in ``_CUTS`` those into each number of pieces begin."""
 
 
 def front_features(
     masks: Bool, superpoints: Superpoints, axes: Float, front: Front | None
-) -> npt.NDArray[np.float32]:
-    """(H, F) features, in the order of ``FRONT_FEATURES``; zeros where there is no front.
+) -> Float32:
+    """(H, F) features, in the order of ``FRONT_FEATURES``; zeros without a front.
 
     Args:
         masks: (H, C). axes: (3, 3) the object's main directions, in rows.
@@ -52,22 +45,9 @@ def front_features(
     out = np.zeros((len(masks), len(FRONT_FEATURES)), np.float32)
     if front is None:
         return out
-    at = superpoints.center @ axes.T
-    layer = np.flatnonzero(np.abs(front.outward * at[:, front.axis] - front.depth) < front.reach)
-    flat = (at[layer][:, list(front.across)] - front.low) / front.side
-    size = superpoints.size[layer].astype(np.float32)
-    if not len(layer):
-        return out
-    half = 0.5 * float(np.sqrt(np.median(size))) / NODES_A_SQUARE
-    held = masks[:, layer] * size
-    own = held.sum(1)
-    there = np.flatnonzero(own > 0)
+    there, own, rects = _on_front(masks, superpoints, axes, front)
     if not len(there):
         return out
-    held, own = held[there], own[there]
-    rects = np.concatenate(
-        [_bounds(held, flat[:, k], half, front.shape[k]) for k in (0, 1)], axis=1
-    )
     total = masks[there].astype(np.float32) @ superpoints.size.astype(np.float32)
     whole = np.array(front.bounds)
     wide, high = whole[1] + 1 - whole[0], whole[3] + 1 - whole[2]
@@ -92,9 +72,28 @@ def front_features(
     return out
 
 
+def _on_front(
+    masks: Bool, superpoints: Superpoints, axes: Float, front: Front
+) -> tuple[Int64, Float, Rects]:
+    """(T,) the masks that lie on a front, (T,) their nodes and (T, 4) rectangles there."""
+    at = superpoints.center @ axes.T
+    layer = np.flatnonzero(np.abs(front.outward * at[:, front.axis] - front.depth) < front.reach)
+    flat = (at[layer][:, list(front.across)] - front.low) / front.side
+    size = superpoints.size[layer].astype(np.float32)
+    held = masks[:, layer] * size
+    own = held.sum(1)
+    there = np.flatnonzero(own > 0)
+    if not len(there):
+        return there, own[:0], np.zeros((0, 4), np.int64)
+    half = 0.5 * float(np.sqrt(np.median(size))) / NODES_A_SQUARE
+    held = held[there]
+    bounds = [_bounds(held, flat[:, k], half, front.shape[k]) for k in (0, 1)]
+    return there, own[there], np.concatenate(bounds, axis=1)
+
+
 def _framing(rects: Rects, worth: Float, filled: Bool) -> tuple[Float, Float]:
-    """(R,) of each rectangle the worth of the best one that frames it, and of the best one that it
-    frames: a door's panel is no part of its own.
+    """(R,) support of the best rectangle that frames each one, and of the best one that each
+    frames: the panel of a door is no part of its own.
     """
     low, high = rects[:, ::2], rects[:, 1::2]
     before, after = low[:, None] - low[None], high[None] - high[:, None]
@@ -109,25 +108,25 @@ def _framing(rects: Rects, worth: Float, filled: Bool) -> tuple[Float, Float]:
 
 
 def _repeats(front: Front, rects: Rects) -> tuple[Float, Float]:
-    """(R,) how clearly the two best neighbours of the same size end: doors come in rows."""
+    """(R,) evidence of the far ends of the two best equal neighbours: doors come in rows."""
     whole, found = front.bounds, []
     for axis in (0, 1):
         length = rects[:, 2 * axis + 1] + 1 - rects[:, 2 * axis]
-        for way in (-1, 1):
+        for direction in (-1, 1):
             beside = rects.copy()
-            beside[:, 2 * axis : 2 * axis + 2] += way * length[:, None]
+            beside[:, 2 * axis : 2 * axis + 2] += direction * length[:, None]
             inside = beside[:, 2 * axis] >= whole[2 * axis] - _REACH
             inside &= beside[:, 2 * axis + 1] <= whole[2 * axis + 1] + _REACH
             beside = np.clip(beside, np.repeat(whole[::2], 2), np.repeat(whole[1::2], 2))
-            far = front.lines(beside, 2 * axis + (way > 0), _REACH)
+            far = front.lines(beside, 2 * axis + (direction > 0), _REACH)
             found.append(np.where(inside, far, -1.0))
     ordered = np.sort(np.stack(found), axis=0)
     return ordered[-1], ordered[-2]
 
 
 def _splits(front: Front, rects: Rects) -> tuple[Float, Float]:
-    """(R,) how clearly upright, and level, lines cut each rectangle into equal pieces: a row of
-    drawers is not one.
+    """(R,) evidence of vertical and horizontal lines that cut each rectangle into equal pieces: a
+    row of drawers is no single part.
     """
     best = []
     for axis in (0, 1):
@@ -143,25 +142,15 @@ def _uneven(times: Float) -> Float:
     return np.abs(times - np.round(times))
 
 
-def _bounds(
-    held: npt.NDArray[np.float32], at: Float, half: float, most: int
-) -> npt.NDArray[np.int64]:
-    """(H, 2) first and last square along one direction, but for a hundredth at each end.
+def _bounds(held: Float32, at: Float, half: float, most: int) -> Int64:
+    """(H, 2) first and last square along one direction, without a hundredth at each end.
 
     Args:
-        held: (H, L) nodes of each superpoint; at: (L,) squares; half: squares that a superpoint reaches beyond
-            its middle.
+        held: (H, L) nodes of each superpoint. at: (L,) squares.
+        half: squares from a superpoint's middle to its border.
     """
     where = np.clip(at.astype(np.int64), 0, most - 1)
     bins = csr_matrix((np.ones(len(at), np.float32), (where, np.arange(len(at)))), (most, len(at)))
-    first, last = trimmed((bins @ held.T).T)
+    first, last = trimmed_range((bins @ held.T).T)
     bounds = np.stack([first + 0.5 - half, last + 0.5 + half], axis=1)
     return np.clip(np.floor(bounds), 0, most - 1).astype(np.int64)
-
-
-def trimmed(held: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """First and last bin along the last axis of what they hold, but for a hundredth at each end."""
-    passed = np.cumsum(held, axis=-1)
-    total = passed[..., -1:]
-    first = (passed > _TRIM * total).argmax(-1)
-    return first, (passed >= (1 - _TRIM) * total * (1 - 1e-6)).argmax(-1)

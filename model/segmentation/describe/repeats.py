@@ -1,15 +1,15 @@
-"""How often a shape comes again: keys, knobs and drawers are seldom alone.
+"""Count how often a shape is repeated: keys, knobs and drawers seldom occur once.
 
 Every region of the merge trees is described by its size and its spread along the axes; a mask's
-repeats are the regions elsewhere that look like it. Copies that are turned differently are missed.
+repeats are similar regions elsewhere. Copies at another angle are missed.
 """
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from model.segmentation.arrays import Float
 from model.segmentation.encode.hierarchy import Hierarchy
 from model.segmentation.encode.superpoints import Superpoints
 
@@ -18,13 +18,11 @@ _MOST_SHARE = 0.35
 _ALIKE = 0.18
 _MOST = 40
 _ORIGIN = 1 << 20
-"""Makes places, in radii, positive: 21 bits hold each coordinate."""
-
-Float = npt.NDArray[np.floating]
+"""Added to places, in radii, to make them positive: 21 bits hold each coordinate."""
 
 
 class Repeats:
-    """The regions of an object's merge trees, ready to be looked up by shape."""
+    """Looks up the regions of an object's merge trees by shape."""
 
     def __init__(self, superpoints: Superpoints, hierarchy: Hierarchy, x: Float) -> None:
         """``x`` (C, 3): centres of the superpoints, the object's diagonal being 1."""
@@ -43,7 +41,7 @@ class Repeats:
         self._tree = KDTree(shape) if len(shape) else None
 
     def __call__(self, sums: Float) -> Float:
-        """(H,) log of 1 + the number of like regions elsewhere.
+        """(H,) log of 1 + the number of similar regions elsewhere.
 
         Args:
             sums: (H, 7) share of the surface, and its first and second moments about the origin.

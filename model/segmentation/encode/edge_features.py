@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
+from model.segmentation.arrays import Float, Int32, Uint8
 from model.segmentation.encode.graph import Graph
 from model.segmentation.encode.nodes import Nodes
 from model.segmentation.parallel import mapped, together
-
-Float = npt.NDArray[np.floating]
 
 FEATURE_NAMES = (
     "length", "rough_angle",
@@ -30,7 +29,7 @@ _NEAR = 12
 class _Diffusion:
     """Averages over graph neighbours, repeated: 0.3 of itself, 0.7 of the neighbours' mean."""
 
-    def __init__(self, neighbors: npt.NDArray[np.int32]) -> None:
+    def __init__(self, neighbors: Int32) -> None:
         count, k = neighbors.shape
         self._matrix = csr_matrix(
             (
@@ -47,7 +46,7 @@ class _Diffusion:
         return values
 
 
-def lab_colors(colors: npt.NDArray[np.uint8]) -> Float:
+def lab_colors(colors: Uint8) -> Float:
     """(N, 3) CIE Lab (D65) of sRGB colours."""
     c = np.arange(256, dtype=np.float32) / 255
     linear = np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92).astype(np.float32)

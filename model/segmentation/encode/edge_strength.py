@@ -8,13 +8,13 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.resources import static_assets
+from model.segmentation.arrays import Float32
 from model.segmentation.encode.edge_features import FEATURE_NAMES, edge_features
 from model.segmentation.encode.graph import Graph
 from model.segmentation.encode.nodes import Nodes
-from model.segmentation.score.mlp import Mlp, load_mlp
+from model.segmentation.models.mlp import Mlp, load_mlp
 
 WEIGHTS = "segmentation/edges.npz"
 MAX_STRENGTH = 9.0
@@ -32,7 +32,7 @@ def shipped_edge_model() -> Mlp | None:
     return load_mlp(path, FEATURE_NAMES) if path.is_file() else None
 
 
-def hand_set_strength(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def hand_set_strength(features: Float32) -> Float32:
     """(M,) strength from angle, convexity and colour, without any training."""
     column = {name: features[:, i] for i, name in enumerate(FEATURE_NAMES)}
     angle = column["angle_1"]
@@ -42,7 +42,7 @@ def hand_set_strength(features: npt.NDArray[np.float32]) -> npt.NDArray[np.float
     return np.clip(crease + color, 0, MAX_STRENGTH).astype(np.float32)
 
 
-def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[np.float32]:
+def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> Float32:
     """(M,) strength of each edge by ``model``; None stands for the hand-set rule."""
     if not len(graph.a):
         return np.zeros(0, np.float32)
@@ -64,7 +64,7 @@ def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> npt.NDArray[
     return strength
 
 
-def edge_weight(strength: npt.NDArray[np.float32], graph: Graph) -> npt.NDArray[np.float32]:
+def edge_weight(strength: Float32, graph: Graph) -> Float32:
     """(M,) conductance of each edge for the random walk."""
     reach = np.minimum(graph.length / np.float32(graph.spacing), 8)
     return np.exp(-strength - 0.1 * reach**2)

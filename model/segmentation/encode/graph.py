@@ -10,6 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from model.segmentation.arrays import Bool, Float, Float32, Int, Int32
 from model.segmentation.encode.nodes import Nodes, distinct
 from model.segmentation.encode.normals import orient_outwards, plane_normals, smooth_normals
 
@@ -33,15 +34,15 @@ class Graph:
         variation: (N,) float32 surface variation.
     """
 
-    a: npt.NDArray[np.int32]
-    b: npt.NDArray[np.int32]
-    length: npt.NDArray[np.float32]
-    bridge: npt.NDArray[np.bool_]
-    neighbors: npt.NDArray[np.int32]
+    a: Int32
+    b: Int32
+    length: Float32
+    bridge: Bool
+    neighbors: Int32
     spacing: float
-    normals: npt.NDArray[np.float32]
-    rough_normals: npt.NDArray[np.float32]
-    variation: npt.NDArray[np.float32]
+    normals: Float32
+    rough_normals: Float32
+    variation: Float32
 
     @property
     def node_count(self) -> int:
@@ -83,9 +84,7 @@ def build_graph(nodes: Nodes) -> Graph:
     return Graph(a, b, length, bridge, near, spacing, normals, rough, variation)
 
 
-def _undirected(
-    near: npt.NDArray[np.int32],
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def _undirected(near: Int32) -> tuple[Int32, Int32]:
     count = len(near)
     i = np.repeat(np.arange(count, dtype=np.int64), near.shape[1])
     j = near.ravel().astype(np.int64)
@@ -94,17 +93,15 @@ def _undirected(
     return (key // count).astype(np.int32), (key % count).astype(np.int32)
 
 
-def components(count: int, a: npt.NDArray, b: npt.NDArray) -> tuple[int, npt.NDArray[np.int32]]:
+def components(count: int, a: npt.NDArray, b: npt.NDArray) -> tuple[int, Int32]:
     """Number of connected components over edges ``a``-``b``, and (count,) the one of each node."""
     links = coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(count, count))
     return connected_components(links, directed=False)
 
 
-def _bridges(
-    points: npt.NDArray[np.float32], a: npt.NDArray[np.int32], b: npt.NDArray[np.int32]
-) -> npt.NDArray[np.int32]:
+def _bridges(points: Float32, a: Int32, b: Int32) -> Int32:
     """(K, 2) node pairs that connect each component with near ones until there is only one."""
-    found: list[npt.NDArray[np.int32]] = []
+    found: list[Int32] = []
     for _ in range(12):
         number, label = components(len(points), a, b)
         if number == 1:
@@ -143,12 +140,7 @@ def _bridges(
     return np.concatenate(found) if found else np.zeros((0, 2), np.int32)
 
 
-def adjacency(
-    count: int,
-    a: npt.NDArray[np.integer],
-    b: npt.NDArray[np.integer],
-    weight: npt.NDArray[np.floating],
-) -> csr_matrix:
+def adjacency(count: int, a: Int, b: Int, weight: Float) -> csr_matrix:
     """Symmetric sparse matrix of edge weights."""
     rows = np.concatenate([a, b])
     columns = np.concatenate([b, a])

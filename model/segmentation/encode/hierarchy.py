@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from model.segmentation.arrays import Float, Float32, Int8, Int32, Int64
 from model.segmentation.encode.graph import components
 from model.segmentation.encode.nodes import distinct
 from model.segmentation.encode.superpoints import Links, Superpoints, totals
@@ -21,8 +21,6 @@ from model.segmentation.encode.superpoints import Links, Superpoints, totals
 LEVELS = 44
 TREES = ("contact", "absorb", "patch")
 _ROUNDS = 3
-
-Float = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +34,12 @@ class Hierarchy:
         height: (L,) float32 the level's cost threshold.
     """
 
-    labels: npt.NDArray[np.int32]
-    tree: npt.NDArray[np.int8]
-    height: npt.NDArray[np.float32]
+    labels: Int32
+    tree: Int8
+    height: Float32
 
     @cached_property
-    def offset(self) -> npt.NDArray[np.int64]:
+    def offset(self) -> Int64:
         """(L + 1,) number of the first region of each level, counting all levels; the total."""
         return np.concatenate([[0], np.cumsum(self.labels.max(1).astype(np.int64) + 1)])
 
@@ -56,7 +54,7 @@ class _Regions:
     normal: Float
     color: Float
 
-    def merge(self, group: npt.NDArray[np.int32], number: int) -> _Regions:
+    def merge(self, group: Int32, number: int) -> _Regions:
         inner = self.links.count * (group[self.links.a] == group[self.links.b])
         lost = totals(self.links.a, inner, len(self.size))
         outline = totals(group, self.perimeter - 2 * lost, number)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
@@ -21,6 +20,7 @@ from model.geometry.crop import ROOM_METRES
 from model.geometry.outliers import outlier_points
 from model.geometry.sampling import sample_surface
 from model.geometry.topology import coincident_faces, connected_shells
+from model.segmentation.arrays import Float32, Int, Int16, Int32, Int64, Uint8
 
 TARGET_NODES = 100_000
 """Nodes per asset: 6 mm apart on a 1 m cabinet."""
@@ -41,14 +41,14 @@ class ElementMap:
         outliers: (S,) int32 ascending, elements on no surface; they follow their nearest node.
     """
 
-    node_of_element: npt.NDArray[np.int32]
-    vote_element: npt.NDArray[np.int32]
-    vote_node: npt.NDArray[np.int32]
+    node_of_element: Int32
+    vote_element: Int32
+    vote_node: Int32
     node_count: int
-    outliers: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    outliers: Int32 = field(default_factory=lambda: np.zeros(0, np.int32))
 
     @cached_property
-    def _by_node(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
+    def _by_node(self) -> tuple[Int32, Int]:
         own = np.arange(len(self.node_of_element), dtype=np.int32)
         if len(self.outliers):  # last, so that none represents a node
             own = np.concatenate([np.delete(own, self.outliers), self.outliers])
@@ -59,7 +59,7 @@ class ElementMap:
         return element[order], start
 
     @property
-    def element_of_node(self) -> npt.NDArray[np.int32]:
+    def element_of_node(self) -> Int32:
         """(N,) one of the elements that each node stands for."""
         element, start = self._by_node
         return element[start[:-1]]
@@ -73,7 +73,7 @@ class ElementMap:
         at = int(np.searchsorted(self.outliers, element))
         return at < len(self.outliers) and int(self.outliers[at]) == element
 
-    def elements_of(self, nodes: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+    def elements_of(self, nodes: Int) -> Int32:
         """(K,) unique elements that the nodes stand for."""
         element, start = self._by_node
         if not len(nodes):
@@ -81,10 +81,10 @@ class ElementMap:
         return np.unique(np.concatenate([element[start[n] : start[n + 1]] for n in nodes]))
 
     @cached_property
-    def _multi(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.integer]]:
+    def _multi(self) -> tuple[Int32, Int]:
         return np.unique(self.vote_element, return_inverse=True)
 
-    def to_elements(self, labels: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
+    def to_elements(self, labels: Int16) -> Int16:
         """(E,) labels from (N,) node labels >= 0; a large face takes its nodes' majority."""
         out = labels[self.node_of_element]
         if len(self.vote_element):
@@ -94,7 +94,7 @@ class ElementMap:
             out[faces] = votes.reshape(len(faces), width).argmax(1)
         return out
 
-    def nodes_of(self, elements: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+    def nodes_of(self, elements: Int) -> Int32:
         """Nodes more than half of whose elements are among ``elements``."""
         inside = np.zeros(len(self.node_of_element), bool)
         inside[elements] = True
@@ -118,11 +118,11 @@ class Nodes:
         of_mesh: whether they were sampled from a mesh's faces.
     """
 
-    points: npt.NDArray[np.float32]
-    normals: npt.NDArray[np.float32] | None
-    colors: npt.NDArray[np.uint8] | None
-    shell: npt.NDArray[np.int32]
-    material: npt.NDArray[np.int32]
+    points: Float32
+    normals: Float32 | None
+    colors: Uint8 | None
+    shell: Int32
+    material: Int32
     elements: ElementMap
     of_mesh: bool = False
 
@@ -135,7 +135,7 @@ class Nodes:
         return KDTree(self.points)
 
 
-def distinct(values: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
+def distinct(values: Int) -> Int:
     """Sorted distinct values; ``np.unique`` hashes them, which takes ten times as long."""
     ordered = np.sort(values)
     return ordered[np.r_[True, ordered[1:] != ordered[:-1]]] if len(ordered) else ordered
@@ -176,15 +176,13 @@ def _without_outliers(nodes: Nodes) -> Nodes:
     return Nodes(nodes.points[kept], normals, colors, zero, zero, elements)
 
 
-def voxel_keys(
-    points: npt.NDArray[np.float32], low: npt.NDArray[np.float32], size: float
-) -> npt.NDArray[np.int64]:
+def voxel_keys(points: Float32, low: Float32, size: float) -> Int64:
     """(N,) key of each point's voxel of edge ``size``; ``low`` (3,) is the grid's corner."""
     voxel = np.floor((points - low) / np.float32(size)).astype(np.int64)
     return (voxel[:, 0] << 42) | (voxel[:, 1] << 21) | voxel[:, 2]
 
 
-def _voxel_size(points: npt.NDArray[np.float32], target: int) -> float:
+def _voxel_size(points: Float32, target: int) -> float:
     """Edge length at which about ``target`` voxels are occupied."""
     low = points.min(0)
     extent = float((points.max(0) - low).max())
@@ -250,7 +248,7 @@ def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
     return replace(nodes, elements=_repeated(nodes.elements, row))
 
 
-def _repeated(elements: ElementMap, row: npt.NDArray[np.int64]) -> ElementMap:
+def _repeated(elements: ElementMap, row: Int64) -> ElementMap:
     """``elements`` where each element (E,) takes the nodes of the one in ``row``."""
     count, votes = len(elements.node_of_element), len(elements.vote_node)
     at = (elements.vote_element, np.arange(votes))
@@ -263,12 +261,12 @@ def _repeated(elements: ElementMap, row: npt.NDArray[np.int64]) -> ElementMap:
     )
 
 
-def _nodes_of_mesh(mesh: Mesh, shells: npt.NDArray[np.integer], target: int) -> Nodes:
+def _nodes_of_mesh(mesh: Mesh, shells: Int, target: int) -> Nodes:
     rng = np.random.default_rng(0)
     cloud, face = sample_surface(mesh, target, rng)
     face = np.asarray(face)
     parts: list[PointCloud] = [cloud]
-    faces: list[npt.NDArray[np.integer]] = [face]
+    faces: list[Int] = [face]
     # A button of a large object may have got no sample: give each shell a few.
     samples = np.bincount(shells[face], minlength=shells.max() + 1)
     poor = np.nonzero(samples[shells] < _MIN_SHELL_NODES)[0]
@@ -297,9 +295,7 @@ def _nodes_of_mesh(mesh: Mesh, shells: npt.NDArray[np.integer], target: int) -> 
     return Nodes(points, normals, colors, shell, material, elements, of_mesh=True)
 
 
-def _nearest_colors(
-    cloud: PointCloud, face: npt.NDArray[np.integer], keep: npt.NDArray[np.integer], mesh: Mesh
-) -> npt.NDArray[np.uint8]:
+def _nearest_colors(cloud: PointCloud, face: Int, keep: Int, mesh: Mesh) -> Uint8:
     """Colours for face centres: the material's, or its vertices'."""
     if mesh.vertex_colors is not None:
         return mesh.vertex_colors[mesh.faces[keep]][..., :3].mean(1).astype(np.uint8)
@@ -313,12 +309,7 @@ def _nearest_colors(
     return out
 
 
-def _nodes_of_faces(
-    mesh: Mesh,
-    points: npt.NDArray[np.float32],
-    face: npt.NDArray[np.int32],
-    shells: npt.NDArray[np.integer],
-) -> npt.NDArray[np.int32]:
+def _nodes_of_faces(mesh: Mesh, points: Float32, face: Int32, shells: Int) -> Int32:
     """(F,) a node for each face: on it, else near it and if possible of the same shell."""
     node_of = np.full(len(mesh.faces), -1, np.int32)
     node_of[face[::-1]] = np.arange(len(face) - 1, -1, -1, dtype=np.int32)

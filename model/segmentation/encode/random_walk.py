@@ -10,18 +10,16 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
-import numpy.typing as npt
 from cachetools import LRUCache
 from scipy.sparse import diags
 from scipy.sparse.linalg import splu
 
+from model.segmentation.arrays import Bool, Float, Int
 from model.segmentation.encode.graph import adjacency
 from model.segmentation.encode.superpoints import Superpoints
 
 LEAKS = (1e-4, 2e-2, 2e-1)
 _COLUMNS = 512
-
-Float = npt.NDArray[np.floating]
 
 
 class RandomWalk:
@@ -72,7 +70,7 @@ class RandomWalk:
         unit[superpoint] = 1
         return self._factors[reach].solve(unit).astype(np.float32)
 
-    def sweep(self, field: Float, most: int = 5) -> npt.NDArray[np.bool_]:
+    def sweep(self, field: Float, most: int = 5) -> Bool:
         """Level sets of a field through whose border the walk leaks least, at several sizes.
 
         The sweep cut of local spectral clustering (Andersen, Chung, Lang 2006), with the leak
@@ -110,9 +108,7 @@ class RandomWalk:
         good = good[np.argsort(low[good], kind="stable")][:most]
         return rank[None] <= at[good][:, None]
 
-    def fields(
-        self, prior: Float, seeds: npt.NDArray[np.integer], values: Float, reach: int
-    ) -> Float:
+    def fields(self, prior: Float, seeds: Int, values: Float, reach: int) -> Float:
         """Fields that keep to their priors far from the seeds and take ``values`` at them.
 
         Args:

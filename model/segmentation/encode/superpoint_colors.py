@@ -9,9 +9,8 @@ colours, so scans gain nothing.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Float = npt.NDArray[np.floating]
+from model.segmentation.arrays import Float, Int, Int64, Uint8
 
 _LEAST_STEP = 10.0
 """Least Lab distance of two colours: about four just noticeable differences."""
@@ -24,15 +23,13 @@ _FLAT = 0.5
 _NEAR = 6
 
 
-def has_flat_colors(colors: npt.NDArray[np.uint8], neighbors: npt.NDArray[np.integer]) -> bool:
+def has_flat_colors(colors: Uint8, neighbors: Int) -> bool:
     """Whether most colours (N, 3) equal that of one of their (N, K) neighbours."""
     same = (colors[neighbors[:, :_NEAR]] == colors[:, None]).all(axis=2).any(axis=1)
     return bool(same.mean() > _FLAT)
 
 
-def split_by_color(
-    of_node: npt.NDArray[np.integer], lab: Float, number: int
-) -> tuple[npt.NDArray[np.int64], int]:
+def split_by_color(of_node: Int, lab: Float, number: int) -> tuple[Int64, int]:
     """Split superpoints whose nodes have two to four colours.
 
     Args:
@@ -43,7 +40,7 @@ def split_by_color(
     Returns:
         (N,) the new superpoint of each node, and the new number.
     """
-    superpoints: npt.NDArray[np.int64] = of_node.astype(np.int64)
+    superpoints: Int64 = of_node.astype(np.int64)
     for _ in range(_ROUNDS):
         side, step, spread, fewer = _two_colors(superpoints, lab, number)
         cut = (step > _LEAST_STEP) & (step > _CLEAR * spread) & (fewer >= _LEAST_NODES)
@@ -56,9 +53,7 @@ def split_by_color(
     return superpoints, number
 
 
-def _two_colors(
-    of_node: npt.NDArray[np.int64], lab: Float, number: int
-) -> tuple[npt.NDArray[np.int64], Float, Float, npt.NDArray[np.int64]]:
+def _two_colors(of_node: Int64, lab: Float, number: int) -> tuple[Int64, Float, Float, Int64]:
     """Two-means clustering of each superpoint's colours.
 
     Returns:
@@ -76,7 +71,7 @@ def _two_colors(
         first = at[np.r_[True, np.diff(of_node[order][at]) != 0]]
         return lab[order[first]]
 
-    def means(group: npt.NDArray[np.int64], count: int) -> Float:
+    def means(group: Int64, count: int) -> Float:
         size = np.maximum(np.bincount(group, minlength=count), 1)
         return np.stack([np.bincount(group, v, count) for v in lab.T], axis=1) / size[:, None]
 

@@ -11,18 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from model.segmentation.arrays import Float, Float32, Float64, Int, Int32, Int64
 from model.segmentation.encode.edge_features import lab_colors
 from model.segmentation.encode.graph import Graph, components
 from model.segmentation.encode.nodes import Nodes
 from model.segmentation.encode.superpoint_colors import has_flat_colors, split_by_color
 
 TARGET_SUPERPOINTS = 12_000
-_MAX_NODES = 40
+_MAX_NODES, _MAX_STRENGTH = 40, 3.0
+"""Most nodes of a cluster, and strongest mean of the edges that it dissolves."""
 
 
-def totals(
-    index: npt.NDArray[np.integer], values: npt.NDArray, number: int
-) -> npt.NDArray[np.float64]:
+def totals(index: Int, values: npt.NDArray, number: int) -> Float64:
     """(number,) sums of ``values`` by ``index``."""
     return np.asarray(np.bincount(index, values, number), np.float64)
 
@@ -38,13 +38,13 @@ class Links:
         conductance: (M,) float64 sum of their weights.
     """
 
-    a: npt.NDArray[np.int32]
-    b: npt.NDArray[np.int32]
-    strength: npt.NDArray[np.float64]
-    count: npt.NDArray[np.float64]
-    conductance: npt.NDArray[np.float64]
+    a: Int32
+    b: Int32
+    strength: Float64
+    count: Float64
+    conductance: Float64
 
-    def contract(self, group: npt.NDArray[np.integer], number: int) -> Links:
+    def contract(self, group: Int, number: int) -> Links:
         """The links between groups of clusters."""
         a, b = group[self.a].astype(np.int64), group[self.b].astype(np.int64)
         keep = a != b
@@ -59,7 +59,7 @@ class Links:
             totals(back, self.conductance[keep], size),
         )
 
-    def cheapest(self, cost: npt.NDArray[np.floating], number: int) -> npt.NDArray[np.int64]:
+    def cheapest(self, cost: Float, number: int) -> Int64:
         """(number,) index of each cluster's cheapest link, -1 where it has none."""
         best = np.full(number, np.inf)
         np.minimum.at(best, self.a, cost)
@@ -85,49 +85,54 @@ class Superpoints:
         color: (C, 3) mean Lab, zeros without colours.
     """
 
-    of_node: npt.NDArray[np.int32]
+    of_node: Int32
     links: Links
-    size: npt.NDArray[np.float64]
-    center: npt.NDArray[np.float64]
-    normal: npt.NDArray[np.float64]
-    color: npt.NDArray[np.float64]
+    size: Float64
+    center: Float64
+    normal: Float64
+    color: Float64
 
     def __len__(self) -> int:
         return len(self.size)
 
 
 def build_superpoints(
-    nodes: Nodes,
-    graph: Graph,
-    strength: npt.NDArray[np.float32],
-    weight: npt.NDArray[np.float32],
-    target: int = TARGET_SUPERPOINTS,
+    nodes: Nodes, graph: Graph, strength: Float32, weight: Float32, target: int = TARGET_SUPERPOINTS
 ) -> Superpoints:
     """Merge pairs along the weakest edges until about ``target`` clusters are left.
 
     On clouds with flat colours, clusters of two colours are then split; see
     :mod:`.superpoint_colors`. Meshes have their shells and materials instead.
     """
-    count = len(nodes)
-    of_node = np.arange(count, dtype=np.int32)
-    reach = np.minimum(graph.length / np.float32(graph.spacing), 8)
-    links = edges = Links(
+    links = Links(
         graph.a,
         graph.b,
         strength.astype(np.float64),
         np.ones(len(graph.a)),
         weight.astype(np.float64),
     )
-    size = np.ones(count)
-    far = reach.astype(np.float64)
-    number = count
+    of_node, merged, number = _merged_pairs(links, graph, target)
+    colors = None if nodes.of_mesh else nodes.colors
+    if colors is not None and has_flat_colors(colors, graph.neighbors):
+        of_node, after = split_by_color(of_node, lab_colors(colors), number)
+        if after > number:
+            number, merged = after, links.contract(of_node, after)
+    return _describe(nodes, graph, of_node.astype(np.int32), merged, number)
+
+
+def _merged_pairs(links: Links, graph: Graph, target: int) -> tuple[Int, Links, int]:
+    """(N,) the cluster of each node, the links between clusters, and their number."""
+    number = graph.node_count
+    of_node: Int = np.arange(number, dtype=np.int32)
+    size = np.ones(number)
+    far = np.minimum(graph.length / np.float32(graph.spacing), 8).astype(np.float64)
     while number > target and len(links.a):
         mean = links.strength / links.count
         joint = size[links.a] + size[links.b]
         cost = mean + 0.05 * joint + 0.1 * far
         # With equal costs every superpoint would choose its lowest neighbour, and none a pair.
         cost += 0.05 * np.random.default_rng(number).random(len(cost))
-        cost[(joint > _MAX_NODES) | (mean > 3.0)] = np.inf
+        cost[(joint > _MAX_NODES) | (mean > _MAX_STRENGTH)] = np.inf
         best = links.cheapest(cost, number)
         rows = np.nonzero(best >= 0)[0]
         rows = rows[np.isfinite(cost[best[rows]])]
@@ -144,20 +149,13 @@ def build_superpoints(
         links = links.contract(group, left)
         far = np.zeros(len(links.a))
         number = left
-    colors = None if nodes.of_mesh else nodes.colors
-    if colors is not None and has_flat_colors(colors, graph.neighbors):
-        of_node, after = split_by_color(of_node, lab_colors(colors), number)
-        if after > number:
-            number, links = after, edges.contract(of_node, after)
-    return _describe(nodes, graph, of_node.astype(np.int32), links, number)
+    return of_node, links, number
 
 
-def _describe(
-    nodes: Nodes, graph: Graph, of_node: npt.NDArray[np.int32], links: Links, number: int
-) -> Superpoints:
+def _describe(nodes: Nodes, graph: Graph, of_node: Int32, links: Links, number: int) -> Superpoints:
     size = np.bincount(of_node, minlength=number).astype(np.float64)
 
-    def mean(values: npt.NDArray) -> npt.NDArray[np.float64]:
+    def mean(values: npt.NDArray) -> Float64:
         return np.stack([np.bincount(of_node, v, number) for v in values.T], axis=1) / size[:, None]
 
     color = np.zeros((number, 3))

@@ -1,28 +1,27 @@
-"""Which other masks a person is offered for a click: a few, that cover what may be meant."""
+"""Choose the other masks that a person is offered for a click: few that cover what may be meant."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Bool = npt.NDArray[np.bool_]
-Float = npt.NDArray[np.floating]
+from model.segmentation.arrays import Bool, Float
 
 ALTERNATIVES = 5
 _TEMPERATURE = 2.0
-"""Scores are surer than they should be; chosen of one to five by the best mask offered."""
+"""Of the softmax over scores, which are overconfident; chosen of one to five by the best mask
+offered."""
 _ALIKE = 0.9
-"""Masks that overlap by more look the same."""
+"""IoU above which two masks look the same."""
 
 
 def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
-    """How much every two masks have in common, and their IoU.
+    """Intersection and IoU of every two masks.
 
     Args:
-        masks: (H, C). size: (C,) how much each superpoint counts.
+        masks: (H, C). size: (C,) weight of each superpoint.
 
     Returns:
-        (H, H) each; the diagonal of the first is how large the masks are.
+        (H, H) each; the diagonal of the first holds the masks' sizes.
     """
     weighted = masks * np.sqrt(size).astype(np.float32)
     common = weighted @ weighted.T
@@ -31,10 +30,10 @@ def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
 
 
 def look_alike(one: Bool, other: Bool, size: Float) -> bool:
-    """Whether two masks (N,) overlap so much that a person would not tell them apart.
+    """Whether two masks (N,) overlap so much that a person can't tell them apart.
 
     Args:
-        size: (N,) how much each element counts.
+        size: (N,) weight of each element.
     """
     return float(size @ (one & other)) >= _ALIKE * float(size @ (one | other))
 
@@ -44,15 +43,15 @@ def offered(
 ) -> list[int]:
     """Masks such that one of them, or the one shown, is expected to overlap most with the part.
 
-    The highest scores often go to one mask with small changes; whoever presses Tab wants another
-    one. So each next mask is the one that adds most to the expected overlap of the best one with
-    the true one, where every hypothesis is the true one with the probability that its score gives
+    The highest scores often go to one mask with small changes, but people press Tab for another
+    one. So each next mask is the one that adds most to the expected overlap of the best mask with
+    the true one, where every proposal is the true one with the probability that its score gives
     (greedy for a submodular gain: Nemhauser, Wolsey and Fisher, 1978).
 
     Args:
-        masks: (H, C) hypotheses. scores: (H,) their log-odds. shown: (C,) the mask on the screen.
-        size: (C,) how much each superpoint counts.
-        most: masks at most.
+        masks: (H, C) proposals. scores: (H,) their log-odds. shown: (C,) the mask on the screen.
+        size: (C,) weight of each superpoint.
+        most: largest number of masks.
 
     Returns:
         Rows of ``masks``, the most useful first.

@@ -1,8 +1,7 @@
-"""What goes with a part of a modelled mesh though nobody clicked it: fittings and trays.
+"""Finish labels of a mesh: small shells that nobody clicked go to the part they are attached to.
 
-Small shells that the prompts leave to the base belong to the part that they are fastened to: a bar
-on two posts to the door under the posts, a tray to the front that it hangs on. What truly touches
-tells most; where nothing does, what lies beside it in the node graph.
+A bar on two posts goes with the door under the posts, a tray with the front that it hangs on.
+Contacts, measured to the triangles, decide first; without any, neighbours in the node graph.
 """
 
 from __future__ import annotations
@@ -11,90 +10,78 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.mesh import Mesh
+from model.geometry.topology import connected_shells
+from model.segmentation.arrays import Bool, Float, Float64, Int, Int32, Int64, Labels
 from model.segmentation.encode.graph import components
 from model.segmentation.finish.contacts import contacts_of
-from model.segmentation.finish.facets import Plates, small_shells_of
+from model.segmentation.finish.facets import FaceGroups, find_small_shells
 from model.segmentation.prompt_steps import Step
 from model.segmentation.prompts import BASE
 
-_LEAST_TOUCHES = 3
-_ALONE = 0.8
-_MOSTLY = 0.5
-_FITTING_SHARE = 0.3
-"""Of the part's area: what is larger is no handle."""
-
-_SPECK = 3e-4
-"""Of the mesh: what is smaller and fastened to a part is none of its own unless it is clicked."""
-
-_SPECK_OF_PART = 0.1
-"""What is smaller may be beside the part by mistake."""
-
+_LEAST_PAIRS = 3
+_ALONE, _MOSTLY = 0.8, 0.5
+"""Shares of its pairs that an assembly has with one part: by itself, and if nothing else touches
+it."""
+_ATTACHED_SHARE = 0.3
+"""Largest share of the part's area; more is no handle."""
+_TINY, _TINY_OF_PART = 3e-4, 0.1
+"""Shares of the mesh and of the part below which a shell is no part by itself unless clicked."""
 _BAR_SHARE = 0.01
-"""Of the mesh: a handle has no more."""
-_BAR_MOUNT, _BAR_PIECES = 4.0, 10.0
-"""How much more surface what a bar is mounted on has, and the largest of its pieces has than the
-one that was clicked, at most.
-"""
+"""Largest share of the mesh that a handle has."""
+_BAR_MOUNT, _BAR_SHELLS = 4.0, 10.0
+"""Least ratio of area between the shell behind a bar and the bar; largest between a bar's shells
+and the clicked one."""
 _BAR_LENGTH, _BAR_OUT, _BAR_THROUGH = 3.0, 0.8, 0.3
-"""How many times as long as wide a bar is; in its width, how far it stands out, and how thick what
-it is mounted on is at least.
-"""
+"""In a bar's width: its least length, how far it stands out, least thickness of the panel."""
 _ALONG = 0.9
 """Least cosine between the normals of a flat front."""
-
 _TRAY_OF_BASE = 0.4
-"""Of what is the base's: a larger piece behind a front is the carcass."""
+"""Share of the base's area above which an assembly behind a front is the carcass."""
 _FLAT = 0.5
-"""Of the shorter side: a front is no thicker than this, its handle included."""
+"""Largest ratio of a front's thickness, with its handle, to its shorter side."""
 _STANDS_OUT = 0.02
-"""Of the front's diagonal: how far a tray may stand out at its sides."""
-
-Bool = npt.NDArray[np.bool_]
-Labels = npt.NDArray[np.int16]
+"""How far a tray may stand out at the sides of its front, in the front's diagonal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Small shells and faces of other shells beside them.
+    """Small shells and faces of other shells next to them.
 
     Attributes:
         shell: (K,) the small shell.
         face: (K,) the face of another shell.
     """
 
-    shell: npt.NDArray[np.int64]
-    face: npt.NDArray[np.int32]
+    shell: Int64
+    face: Int32
 
 
 @dataclass(frozen=True, eq=False)
-class _Pieces:
-    """Idle shells that hang together, and the parts that they lie beside.
+class _Assemblies:
+    """Unclaimed shells that are connected, and the parts next to them.
 
     Attributes:
-        of_shell: (S,) the piece of each small shell.
+        of_shell: (S,) the assembly of each small shell.
         area: (P,) m².
-        votes: (P, width) how many pairs each piece has with each part.
+        votes: (P, width) pairs of each assembly with each part.
     """
 
-    of_shell: npt.NDArray[np.int32]
-    area: npt.NDArray[np.float64]
-    votes: npt.NDArray[np.int64]
+    of_shell: Int32
+    area: Float64
+    votes: Int64
 
 
-def _alone(
-    votes: npt.NDArray[np.int64], share: float = 1.0, least: int = 1
-) -> tuple[Bool, npt.NDArray[np.int64]]:
-    """(P,) pieces that lie beside one part alone, by ``share`` of their pairs, and which."""
+def _with_one_part(votes: Int64, share: float = 1.0, least: int = 1) -> tuple[Bool, Int64]:
+    """(P,) assemblies that have ``share`` of their pairs with one part, and (P,) that part."""
     total, best = votes.sum(1), votes.argmax(1)
     return (total >= least) & (votes.max(1) >= share * total) & (best != BASE), best
 
 
 @dataclass(frozen=True, eq=False)
-class Fittings:
-    """What the small shells of a mesh are fastened to.
+class AttachedShells:
+    """The small shells of a mesh and their neighbours.
 
     Attributes:
         mesh: faces in metres, z up.
@@ -104,25 +91,25 @@ class Fittings:
     """
 
     mesh: Mesh
-    shells: Plates
+    shells: FaceGroups
     touching: Pairs
     beside: Pairs
 
-    def joined(self, labels: Labels, steps: Iterable[Step]) -> Labels:
-        """Labels (F,) where shells left to the base belong to the one part they are fastened to.
+    def attach(self, labels: Labels, steps: Iterable[Step]) -> Labels:
+        """Labels (F,) with the base's shells in the one part that they are attached to.
 
-        Shells that a prompt speaks of stay as they are.
+        Shells that a prompt touches stay as they are.
         """
         if not self.shells.number or not labels.any():
             return labels
         steps = tuple(steps)
-        labels = self._mounted(labels, steps)
-        return self._pulled(labels, steps)
+        labels = self._with_mounted(labels, steps)
+        return self._with_trays(labels, steps)
 
-    def merged(self, labels: Labels) -> Labels:
-        """Labels (F,) where trays that are parts of their own are one with their fronts.
+    def merge_trays(self, labels: Labels) -> Labels:
+        """Labels (F,) with trays that are parts by themselves merged into their fronts.
 
-        So are specks with what they are mounted on.
+        Tiny parts are merged into the part that they are mounted on.
         """
         out, weight = labels, self.shells.weight
         if not self.shells.number:
@@ -130,66 +117,68 @@ class Fittings:
         for part in np.unique(labels[labels != BASE]):
             own = labels == part
             rest = np.where(own, BASE, out).astype(np.int16)
-            joined = self._pulled(rest, ())[own]
-            if weight[own].sum() <= _SPECK * weight.sum():
-                joined = self._mounted(rest, ())[own]
+            joined = self._with_trays(rest, ())[own]
+            if weight[own].sum() <= _TINY * weight.sum():
+                joined = self._with_mounted(rest, ())[own]
             if joined[0] != BASE and (joined == joined[0]).all():
                 out = np.where(own, joined[0], out).astype(np.int16)
         return out
 
-    def freed(self, labels: Labels) -> Labels:
-        """Labels (F,) where specks are the base's, so that what they are fastened to decides.
+    def release_tiny(self, labels: Labels) -> Labels:
+        """Labels (F,) with tiny shells returned to the base, so that their contacts decide.
 
-        A mask that is nearly a drawer has knuckles of the hinge beside it. Parts that are hardly
-        more than a speck themselves, as keys are, stay.
+        A mask that is nearly a drawer holds knuckles of the hinge beside it. Parts that are hardly
+        larger themselves, such as keys, stay.
         """
         of_face, weight = self.shells.of_face, self.shells.weight
         small = np.append(self.shells.area, np.inf)[of_face]
         part = np.bincount(labels, weight)[labels]
-        speck = (small <= _SPECK * weight.sum()) & (small <= _SPECK_OF_PART * part)
-        return np.where(speck, BASE, labels).astype(np.int16)
+        tiny = (small <= _TINY * weight.sum()) & (small <= _TINY_OF_PART * part)
+        return np.where(tiny, BASE, labels).astype(np.int16)
 
     def mount(self, face: int) -> int | None:
-        """A face beside the bar that ``face`` is of, on what the bar is mounted on, a door's
-        handle say; None where ``face`` is of no bar.
+        """A face beside the bar that ``face`` belongs to, on the panel behind it.
 
-        A bar is some small shells in contact, longer than wide, and standing out at least as far as
-        it is wide.
+        None if ``face`` belongs to no bar: some small shells in contact, longer than wide, and
+        standing out about as far as they are wide.
         """
-        shell = int(self.shells.of_face[face])
-        if shell < 0:
-            return None
-        area, all_area = self.shells.area, float(self.shells.weight.sum())
-        small = area <= min(_BAR_SHARE * all_area, _BAR_PIECES * area[shell])
-        if not small[shell]:
-            return None
-        one, two = self.touching.shell, self.shells.of_face[self.touching.face]
-        near = (two >= 0) & small[one] & small[two]
-        _, piece = components(self.shells.number, one[near], two[near])
-        own = small & (piece == piece[shell])
-        if area[own].sum() > _BAR_SHARE * all_area:
-            return None
-        faces = self._beside(own)
-        if not len(faces):
+        bar = self._bar_shells(face)
+        faces = np.zeros(0, np.int32) if bar is None else self._faces_beside(bar)
+        if bar is None or not len(faces):
             return None
         normals = self.mesh.face_normals[faces]
-        # What it lies beside faces mostly to one side.
+        # Its neighbours face mostly to one side.
         main = normals[np.abs(normals @ normals.T).sum(0).argmax()]
         flat = faces[np.abs(normals @ main) > _ALONG]
-        corners = self._corners(self._faces(own)).astype(np.float64)
+        corners = self._corners(self._faces(bar)).astype(np.float64)
         out = corners @ main
         plane = corners - out[:, None] * main
         _, _, axes = np.linalg.svd(plane - plane.mean(0), full_matrices=False)
         long, wide = np.ptp(plane @ axes[:2].T, axis=0)
         if long < _BAR_LENGTH * wide or np.ptp(out) < _BAR_OUT * wide:
             return None
-        # Posts reach through a drawer's front to what is behind it.
+        # Posts reach through a drawer's front, and touch the shells behind it, too.
         apart = self.mesh.vertices[self.mesh.faces[flat]].mean(1) - corners.mean(0)
         off = np.abs(apart @ main)
         close = np.flatnonzero(off < off.min() + _BAR_THROUGH * wide)
         return int(flat[close[(apart[close] ** 2).sum(1).argmin()]])
 
-    def _beside(self, own: Bool) -> npt.NDArray[np.int32]:
+    def _bar_shells(self, face: int) -> Bool | None:
+        """(S,) the small shells in contact with that of ``face``, if together they are small."""
+        shell = int(self.shells.of_face[face])
+        if shell < 0:
+            return None
+        area, all_area = self.shells.area, float(self.shells.weight.sum())
+        small = area <= min(_BAR_SHARE * all_area, _BAR_SHELLS * area[shell])
+        if not small[shell]:
+            return None
+        one, two = self.touching.shell, self.shells.of_face[self.touching.face]
+        near = (two >= 0) & small[one] & small[two]
+        _, component = components(self.shells.number, one[near], two[near])
+        own = small & (component == component[shell])
+        return own if area[own].sum() <= _BAR_SHARE * all_area else None
+
+    def _faces_beside(self, own: Bool) -> Int32:
         """Faces of larger shells beside some small ones, or in contact with them."""
         least = _BAR_MOUNT * self.shells.area[own].sum()
         for pairs in (self.beside, self.touching):
@@ -200,77 +189,80 @@ class Fittings:
                 return np.unique(pairs.face[chosen])
         return np.zeros(0, np.int32)
 
-    def _mounted(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
-        """Labels where pieces that are small beside the part they lie on belong to it."""
-        idle = self.shells.idle(labels, steps)
-        if not idle.any():
+    def _with_mounted(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
+        """Labels with assemblies in the part that they lie on, if they are small beside it."""
+        unclaimed = self.shells.unclaimed(labels, steps)
+        if not unclaimed.any():
             return labels
-        # What is larger than any part's fitting is what they may be mounted on.
+        # Larger shells are what small ones may be mounted on.
         part_area = np.bincount(labels, self.shells.weight)
-        idle &= self.shells.area <= _FITTING_SHARE * part_area[BASE + 1 :].max(initial=0.0)
-        pieces = self._pieces(labels, idle, self.beside)
-        joins, best = _alone(pieces.votes, _ALONE, _LEAST_TOUCHES)
-        # Where nothing else is touched, less of what lies beside is enough.
-        nearly, _ = _alone(pieces.votes, _MOSTLY, _LEAST_TOUCHES)
-        count = len(pieces.area)
-        votes = self._votes(labels, idle, pieces.of_shell, count, self.touching)
-        touched, only = _alone(votes)
+        most = _ATTACHED_SHARE * part_area[BASE + 1 :].max(initial=0.0)
+        unclaimed &= self.shells.area <= most
+        found = self._assemblies(labels, unclaimed, self.beside)
+        joins, best = _with_one_part(found.votes, _ALONE, _LEAST_PAIRS)
+        nearly, _ = _with_one_part(found.votes, _MOSTLY, _LEAST_PAIRS)
+        count = len(found.area)
+        votes = self._votes(labels, unclaimed, found.of_shell, count, self.touching)
+        touched, only = _with_one_part(votes)
         joins |= nearly & touched & (only == best)
-        joins &= pieces.area <= _FITTING_SHARE * part_area[best]
-        return self._moved(labels, idle, pieces, joins, best)
+        joins &= found.area <= _ATTACHED_SHARE * part_area[best]
+        return self._joined(labels, unclaimed, found, joins, best)
 
-    def _pulled(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
-        """Labels where pieces that are fastened to one upright front alone belong to it.
+    def _with_trays(self, labels: Labels, steps: tuple[Step, ...]) -> Labels:
+        """Labels with assemblies in the upright front that alone they touch.
 
-        They have to lie behind the front: within its outline, and less than is left of the base.
-        Nobody sees a closed drawer's tray, so nobody clicks it.
+        They have to lie behind the front, within its outline, and be less than the rest of the
+        base. Nobody sees the tray of a closed drawer, so nobody clicks it.
         """
-        idle = self.shells.idle(labels, steps)
-        pieces = self._pieces(labels, idle, self.touching)
-        joins, best = _alone(pieces.votes)
-        joins &= pieces.area <= _TRAY_OF_BASE * self.shells.weight[labels == BASE].sum()
+        unclaimed = self.shells.unclaimed(labels, steps)
+        found = self._assemblies(labels, unclaimed, self.touching)
+        joins, best = _with_one_part(found.votes)
+        joins &= found.area <= _TRAY_OF_BASE * self.shells.weight[labels == BASE].sum()
         for part in np.unique(best[joins]):
             outline = self._outline(labels == part)
-            for piece in np.nonzero(joins & (best == part))[0]:
-                faces = self._faces(idle & (pieces.of_shell == piece))
-                joins[piece] = outline is not None and _within(self._corners(faces), outline)
-        return self._moved(labels, idle, pieces, joins, best)
+            for assembly in np.nonzero(joins & (best == part))[0]:
+                faces = self._faces(unclaimed & (found.of_shell == assembly))
+                joins[assembly] = outline is not None and _within(self._corners(faces), outline)
+        return self._joined(labels, unclaimed, found, joins, best)
 
-    def _pieces(self, labels: Labels, idle: Bool, pairs: Pairs) -> _Pieces:
+    def _assemblies(self, labels: Labels, unclaimed: Bool, pairs: Pairs) -> _Assemblies:
         one, two = pairs.shell, self.shells.of_face[pairs.face]
-        loose = idle[one] & (two >= 0) & idle[two]
-        count, piece = components(self.shells.number, one[loose], two[loose])
-        area = np.asarray(np.bincount(piece, self.shells.area * idle, count), np.float64)
-        return _Pieces(piece, area, self._votes(labels, idle, piece, count, pairs))
+        loose = unclaimed[one] & (two >= 0) & unclaimed[two]
+        count, component = components(self.shells.number, one[loose], two[loose])
+        area = np.asarray(np.bincount(component, self.shells.area * unclaimed, count), np.float64)
+        votes = self._votes(labels, unclaimed, component, count, pairs)
+        return _Assemblies(component, area, votes)
 
     def _votes(
-        self, labels: Labels, idle: Bool, piece: npt.NDArray[np.int32], count: int, pairs: Pairs
-    ) -> npt.NDArray[np.int64]:
-        """(P, width) how many pairs each piece has with each part, or with what is not idle."""
+        self, labels: Labels, unclaimed: Bool, component: Int32, count: int,
+        pairs: Pairs,
+    ) -> Int64:  # fmt: skip
+        """(P, width) pairs of each assembly with each part, and with other shells of the base."""
         two, width = self.shells.of_face[pairs.face], int(labels.max()) + 1
-        asked = idle[pairs.shell] & ~((two >= 0) & idle[two])
-        key = piece[pairs.shell[asked]] * width + labels[pairs.face[asked]]
+        counted = unclaimed[pairs.shell] & ~((two >= 0) & unclaimed[two])
+        key = component[pairs.shell[counted]] * width + labels[pairs.face[counted]]
         return np.bincount(key, minlength=count * width).reshape(count, width)
 
     def _faces(self, shells: Bool) -> Bool:
         return (self.shells.of_face >= 0) & shells[self.shells.of_face]
 
-    def _moved(
-        self, labels: Labels, idle: Bool, pieces: _Pieces, joins: Bool, best: npt.NDArray[np.int64]
-    ) -> Labels:
-        joined = idle & joins[pieces.of_shell]
+    def _joined(
+        self, labels: Labels, unclaimed: Bool, found: _Assemblies, joins: Bool,
+        best: Int64,
+    ) -> Labels:  # fmt: skip
+        joined = unclaimed & joins[found.of_shell]
         if not joined.any():
             return labels
-        moved = self._faces(joined)
+        changed = self._faces(joined)
         out = labels.copy()
-        out[moved] = best[pieces.of_shell[self.shells.of_face[moved]]]
+        out[changed] = best[found.of_shell[self.shells.of_face[changed]]]
         return out
 
-    def _corners(self, faces: Bool) -> npt.NDArray[np.floating]:
+    def _corners(self, faces: Bool) -> Float:
         return self.mesh.vertices[self.mesh.faces[faces].reshape(-1)]
 
-    def _outline(self, front: Bool) -> npt.NDArray[np.float64] | None:
-        """(2, 3) lowest and highest coordinates of what can lie behind an upright front."""
+    def _outline(self, front: Bool) -> Float64 | None:
+        """(2, 3) bounds of what can lie behind an upright front; None if it isn't flat."""
         corners = self._corners(front)
         box = np.stack([corners.min(0), corners.max(0)]).astype(np.float64)
         size = box[1] - box[0]
@@ -283,20 +275,18 @@ class Fittings:
         return box
 
 
-def _within(corners: npt.NDArray[np.floating], box: npt.NDArray[np.float64]) -> bool:
+def _within(corners: Float, box: Float64) -> bool:
     return bool((corners.min(0) >= box[0]).all() and (corners.max(0) <= box[1]).all())
 
 
-def fittings_of(mesh: Mesh, a: npt.NDArray[np.integer], b: npt.NDArray[np.integer]) -> Fittings:
-    """What the small shells of ``mesh`` are fastened to.
+def find_attached_shells(mesh: Mesh, a: Int, b: Int) -> AttachedShells:
+    """The small shells of ``mesh`` and their neighbours.
 
     Args:
         a, b: (M,) faces that lie beside each other.
     """
-    from model.geometry.topology import connected_shells
-
     shell = np.asarray(connected_shells(mesh))
-    shells = small_shells_of(mesh, shell)
+    shells = find_small_shells(mesh, shell)
     of_face = shells.of_face
     one, two = np.zeros((2, 0), np.int32)
     if shells.number:
@@ -305,4 +295,4 @@ def fittings_of(mesh: Mesh, a: npt.NDArray[np.integer], b: npt.NDArray[np.intege
     face = np.concatenate([b, a]).astype(np.int32)
     keep = (mine >= 0) & (mine != of_face[face])
     beside = Pairs(mine[keep], face[keep])
-    return Fittings(mesh, shells, Pairs(of_face[one].astype(np.int64), two), beside)
+    return AttachedShells(mesh, shells, Pairs(of_face[one].astype(np.int64), two), beside)

@@ -1,22 +1,23 @@
-"""Close-ups: a small part is answered on the nodes round its first click, not on superpoints.
+"""Finish small parts: answer their clicks on the nodes around the first one, not on superpoints.
 
-A button of a remote is a few superpoints, so nothing made of superpoints has its outline, and every click near
-its border takes a superpoint too many or too few. The few thousand nodes round the click, each a superpoint of
-its own, are an object of their own with merge trees, walks and boxes, encoded in a tenth of a
-second; clicks there take milliseconds.
+A button of a remote is a few superpoints, so no union of superpoints has its outline, and every
+click near its border takes one too many or too few. The few thousand nodes around the click, each a
+superpoint of its own, form an object with merge trees, walks and boxes. Its encoding takes a tenth
+of a second; clicks there take milliseconds.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
-import numpy.typing as npt
+from cachetools import LRUCache, cachedmethod
 from scipy.spatial import KDTree
 
+from model.segmentation.arrays import Bool, Float, Int16, Int32
 from model.segmentation.encode.edge_strength import edge_weight
 from model.segmentation.encode.encoding import Encoding
 from model.segmentation.encode.graph import Graph
@@ -26,51 +27,48 @@ from model.segmentation.encode.random_walk import RandomWalk
 from model.segmentation.encode.superpoints import build_superpoints
 from model.segmentation.finish.alternatives import offered
 from model.segmentation.parallel import together
+from model.segmentation.part_state import PartState
 from model.segmentation.prompt_steps import ClickStep, Step
 from model.segmentation.prompts import BASE
-from model.segmentation.propose.boxes import ObjectSolver
 from model.segmentation.score.scorers import shipped_scorers
-from model.segmentation.solver import PartState, Ranked, with_click
+from model.segmentation.solver import PartSolver, ScoredProposals
+from model.segmentation.solvers import object_solver
 
 SMALL = 0.012
-"""Of all nodes: a part that has no more is looked at closely."""
+"""Share of all nodes up to which a part is refined."""
 _NODES = 4000
-"""Of a close-up: with twice as many the smallest parts are chosen worse."""
-_LARGE = 0.4
-"""Of a close-up: what takes more doesn't fit into it."""
-_KEPT = 12
-"""Close-ups, some megabytes each."""
-
-Float = npt.NDArray[np.floating]
-Bool = npt.NDArray[np.bool_]
-Int = npt.NDArray[np.int32]
+"""Of a neighbourhood; with twice as many the smallest parts are chosen worse."""
+_FITS = 0.4
+"""Share of the neighbourhood above which a part doesn't fit into it."""
+_CACHED = 12
+"""Neighbourhoods, some megabytes each."""
 
 
 @dataclass(frozen=True, eq=False)
-class ClosePart:
-    """What is known of a part in a close-up.
+class RefinedPart:
+    """A part in its neighbourhood.
 
     Attributes:
-        nodes: (K,) ascending, those of the whole object that are in the close-up.
-        state: its clicks and mask, over these nodes.
-        ranked: the hypotheses of its latest click.
+        nodes: (K,) ascending, the whole object's nodes in the neighbourhood.
+        state: the part's clicks and mask, over these nodes.
+        scored: the proposals of its latest click.
     """
 
-    nodes: Int
+    nodes: Int32
     state: PartState
-    ranked: Ranked
+    scored: ScoredProposals
 
-    def shows(self, step: Step) -> bool:
-        """Whether a prompt says anything of what is in the close-up."""
-        said = step.node if isinstance(step, ClickStep) else step.nodes
-        return bool(np.isin(said, self.nodes).any())
+    def concerns(self, step: Step) -> bool:
+        """Whether a prompt touches the neighbourhood."""
+        nodes = step.node if isinstance(step, ClickStep) else step.nodes
+        return bool(np.isin(nodes, self.nodes).any())
 
 
-class Closeup:
+class Neighborhood:
     """The surroundings of a node, encoded like an object.
 
     Attributes:
-        nodes: (K,) ascending, those of the whole object that are in it; each is a superpoint.
+        nodes: (K,) ascending, the whole object's nodes in it; each is a superpoint here.
     """
 
     def __init__(self, encoding: Encoding, anchor: int, axes: Float) -> None:
@@ -82,73 +80,68 @@ class Closeup:
         self._encoding, self._axes = encoding, axes
 
     @cached_property
-    def _solver(self) -> ObjectSolver:
-        """Made when a click first needs it: most prompts only confirm what is there."""
+    def solver(self) -> PartSolver:
+        """Made when a click first needs it: most prompts only confirm the mask."""
         nodes, graph = self._encoding.nodes, self._encoding.graph
         part, edges = _part_of(nodes, graph, self.nodes, self._place)
         strength = self._encoding.strength[edges]
         superpoints = build_superpoints(
             *part, strength, edge_weight(strength, part[1]), len(self.nodes)
         )
-        # Factors are freed by the thread that made them.
+        # SuperLU frees memory only on the thread that allocated it: factorise on this one.
         walk, hierarchy = together(
             lambda: RandomWalk(superpoints), lambda: build_hierarchy(superpoints)
         )
-        return ObjectSolver(
-            superpoints,
-            hierarchy,
-            walk,
-            *shipped_scorers("mesh" if nodes.of_mesh else "close-up"),
-            axes=self._axes,
-            of_mesh=nodes.of_mesh,
+        scorers = shipped_scorers("mesh" if nodes.of_mesh else "local")
+        return object_solver(
+            superpoints, hierarchy, walk, *scorers, axes=self._axes, of_mesh=nodes.of_mesh
         )
 
     def after(
-        self, known: ClosePart | None, steps: tuple[Step, ...], part: int, blocked: Bool
-    ) -> ClosePart | None:
-        """What is known of ``part`` after ``steps``, None where it doesn't fit in here.
+        self, known: RefinedPart | None, steps: tuple[Step, ...], part: int, blocked: Bool
+    ) -> RefinedPart | None:
+        """``part`` after ``steps``, None if it doesn't fit in here.
 
         Args:
-            known: before them.
-            blocked: (K,) nodes that other parts have for certain.
+            known: the part before them.
+            blocked: (K,) nodes inside other parts.
         """
         state = known.state if known is not None else None
-        ranked = known.ranked if known is not None else None
+        scored = known.scored if known is not None else None
         foreign: list[int] = []
         for step in steps:
             if not isinstance(step, ClickStep):
                 state = self._with_region(state, step.nodes, step.part == part, step.positive)
                 continue
-            superpoint, own = int(self._place[step.node]), step.part == part
-            if superpoint < 0:
+            node, own = int(self._place[step.node]), step.part == part
+            if node < 0:
                 continue
             if state is None or state.mask is None:
-                if own and step.positive:
-                    state = PartState(negative=tuple(foreign))
-                else:
+                if not own or not step.positive:
                     if not own and step.positive:
-                        foreign.append(superpoint)
+                        foreign.append(node)
                     continue
+                state = PartState(negative=tuple(foreign))
             elif not own and not step.positive:
                 continue
             positive = own and step.positive
-            if state.mask is not None and bool(state.mask[superpoint]) == positive:
-                state = with_click(state, superpoint, positive)
+            if state.mask is not None and bool(state.mask[node]) == positive:
+                state = state.with_click(node, positive)
                 continue
-            stopped = blocked.copy()
-            stopped[superpoint] = False
-            ranked = self._solver.answer(state, superpoint, positive, stopped)
-            mask = self._solver.tidy(ranked.best, state, superpoint)
-            state = self._solver.moved(state, superpoint, positive, mask)
-        if state is None or state.mask is None or ranked is None:
+            free = blocked.copy()
+            free[node] = False
+            scored = self.solver.answer(state, node, positive, free)
+            mask = self.solver.tidy(scored.best, state, node)
+            state = self.solver.moved(state, node, positive, mask)
+        if state is None or state.mask is None or scored is None:
             return None
-        fits = 0 < state.mask.sum() <= _LARGE * len(self.nodes)
-        return ClosePart(self.nodes, state, ranked) if fits else None
+        fits = 0 < state.mask.sum() <= _FITS * len(self.nodes)
+        return RefinedPart(self.nodes, state, scored) if fits else None
 
     def _with_region(
-        self, state: PartState | None, nodes: Int, own: bool, positive: bool
+        self, state: PartState | None, nodes: Int32, own: bool, positive: bool
     ) -> PartState | None:
-        """``state`` after a region: drawn, or chosen from what was offered."""
+        """``state`` after a region that the person drew or chose."""
         if state is None or state.mask is None or (not own and not positive):
             return state
         place = self._place[nodes]
@@ -160,8 +153,10 @@ class Closeup:
         return replace(state, mask=mask, drawn=state.drawn + own)
 
 
-def _part_of(nodes: Nodes, graph: Graph, kept: Int, place: Int) -> tuple[tuple[Nodes, Graph], Int]:
-    """The nodes ``kept`` with what lies between them, and the edges that do.
+def _part_of(
+    nodes: Nodes, graph: Graph, kept: Int32, place: Int32
+) -> tuple[tuple[Nodes, Graph], Int32]:
+    """The nodes ``kept`` with their graph, and the edges between them.
 
     Args:
         place: (N,) of each node among those kept, -1 for the others.
@@ -191,44 +186,40 @@ def _part_of(nodes: Nodes, graph: Graph, kept: Int, place: Int) -> tuple[tuple[N
     return (few, among), edges
 
 
-class Closeups:
-    """The close-ups of an encoded object, made where they are needed."""
+class LocalRefinement:
+    """Refines the small parts of an encoded object."""
 
     def __init__(self, encoding: Encoding, axes: Float) -> None:
         """``axes`` (3, 3): main directions of the whole object."""
         self._encoding, self._axes = encoding, axes
-        self._of: OrderedDict[int, Closeup] = OrderedDict()
+        self._cache: LRUCache = LRUCache(_CACHED)
 
-    def __getitem__(self, anchor: int) -> Closeup:
-        """The close-up round a node."""
-        if anchor not in self._of:
-            self._of[anchor] = Closeup(self._encoding, anchor, self._axes)
-            if len(self._of) > _KEPT:
-                self._of.popitem(last=False)
-        self._of.move_to_end(anchor)
-        return self._of[anchor]
+    @cachedmethod(attrgetter("_cache"))
+    def around(self, anchor: int) -> Neighborhood:
+        """The neighbourhood of a node."""
+        return Neighborhood(self._encoding, anchor, self._axes)
 
-    def small(self, mask: Bool) -> bool:
-        """Whether a mask over the object's superpoints (C,) is looked at closely."""
+    def applies_to(self, mask: Bool) -> bool:
+        """Whether a mask over the object's superpoints (C,) is small enough to be refined."""
         size = self._encoding.superpoints.size
         return 0 < float(size[mask].sum()) <= SMALL * float(size.sum())
 
     def after(
         self,
-        known: Mapping[int, ClosePart],
+        known: Mapping[int, RefinedPart],
         parts: Mapping[int, PartState],
         steps: tuple[Step, ...],
-    ) -> dict[int, ClosePart]:
-        """What close-ups show of the small parts.
+    ) -> dict[int, RefinedPart]:
+        """The refined small parts after ``steps``.
 
         Args:
-            known: the same before the last of ``steps``.
-            parts: what is known of all parts after it, in superpoints of the whole object.
+            known: the same before the last step.
+            parts: all parts after it, in superpoints of the whole object.
         """
-        superpoints = self._encoding.superpoints
-        out: dict[int, ClosePart] = {}
-        for part, own in parts.items():
-            if own.mask is None or not self.small(own.mask):
+        of_node = self._encoding.superpoints.of_node
+        out: dict[int, RefinedPart] = {}
+        for part, state in parts.items():
+            if state.mask is None or not self.applies_to(state.mask):
                 continue
             anchor = next(
                 (s.node for s in steps
@@ -237,24 +228,24 @@ class Closeups:
             if anchor is None:
                 continue
             before = known.get(part)
-            if before is not None and not before.shows(steps[-1]):
+            if before is not None and not before.concerns(steps[-1]):
                 out[part] = before
                 continue
-            closeup = self[anchor]
-            blocked = self._blocked(parts, part)[superpoints.of_node[closeup.nodes]]
+            neighborhood = self.around(anchor)
+            blocked = self._blocked(parts, part)[of_node[neighborhood.nodes]]
             todo = steps if before is None else steps[-1:]
-            close = closeup.after(before, todo, part, blocked)
-            if close is not None:
-                out[part] = close
+            refined = neighborhood.after(before, todo, part, blocked)
+            if refined is not None:
+                out[part] = refined
         return out
 
     def _blocked(self, parts: Mapping[int, PartState], part: int) -> Bool:
-        """(C,) superpoints that other parts have for certain: those inside them, not at their border."""
-        superpoints, links = self._encoding.superpoints, self._encoding.superpoints.links
-        of_superpoint = np.zeros(len(superpoints), np.int32)
-        for other, its in parts.items():
-            if its.mask is not None:
-                of_superpoint[its.mask] = other
+        """(C,) superpoints inside other parts, not at their border."""
+        links = self._encoding.superpoints.links
+        of_superpoint = np.zeros(len(self._encoding.superpoints), np.int32)
+        for other, state in parts.items():
+            if state.mask is not None:
+                of_superpoint[state.mask] = other
         out = (of_superpoint != BASE) & (of_superpoint != part)
         if out.any():
             border = of_superpoint[links.a] != of_superpoint[links.b]
@@ -262,13 +253,13 @@ class Closeups:
             out[links.b[border]] = False
         return out
 
-    def place(self, of_node: npt.NDArray[np.int16], close: Mapping[int, ClosePart]) -> None:
-        """Change the parts of nodes (N,), in place, to what close-ups show.
+    def apply(self, of_node: Int16, refined: Mapping[int, RefinedPart]) -> None:
+        """Write refined parts into the parts of nodes (N,), in place.
 
-        A node that a part gives up goes to what lies next to it.
+        A node that a part gives up goes to the nearest other part.
         """
         points = self._encoding.nodes.points
-        for part, its in close.items():
+        for part, its in refined.items():
             mask = its.state.mask
             assert mask is not None
             here = of_node[its.nodes]
@@ -280,24 +271,24 @@ class Closeups:
             here[mask] = part
             of_node[its.nodes] = here
 
-    def superpoints(self, close: ClosePart, own: PartState) -> Bool:
-        """(C,) superpoints of the whole object most of which are in a mask, at least one.
+    def coarse_mask(self, refined: RefinedPart, state: PartState) -> Bool:
+        """(C,) the whole object's superpoints that lie mostly in a refined part, at least one.
 
         Args:
-            own: what is known of the part in these superpoints; it counts outside the close-up.
+            state: the part in these superpoints; it counts outside the neighbourhood.
         """
         superpoints = self._encoding.superpoints
-        assert own.mask is not None and close.state.mask is not None
-        node = own.mask[superpoints.of_node]
-        node[close.nodes] = close.state.mask
-        held = np.bincount(superpoints.of_node, node, len(superpoints)) / superpoints.size
+        assert state.mask is not None and refined.state.mask is not None
+        of_node = state.mask[superpoints.of_node]
+        of_node[refined.nodes] = refined.state.mask
+        held = np.bincount(superpoints.of_node, of_node, len(superpoints)) / superpoints.size
         out = held > 0.5
         out[held.argmax()] = True
         return out
 
-    def others(self, close: ClosePart) -> Iterator[ClosePart]:
-        """``close`` with the other masks that a person is offered."""
-        masks, own = close.ranked.candidates.masks, close.state.mask
-        assert own is not None
-        for index in offered(masks, close.ranked.scores, own, np.ones(len(own))):
-            yield replace(close, state=replace(close.state, mask=masks[index]))
+    def alternatives(self, refined: RefinedPart) -> Iterator[RefinedPart]:
+        """``refined`` with the other masks that a person is offered."""
+        masks, mask = refined.scored.proposals.masks, refined.state.mask
+        assert mask is not None
+        for index in offered(masks, refined.scored.scores, mask, np.ones(len(mask))):
+            yield replace(refined, state=replace(refined.state, mask=masks[index]))

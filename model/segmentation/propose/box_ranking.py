@@ -1,22 +1,23 @@
-"""How likely each box between planes is the part that a click means.
+"""Rank the boxes between planes by how likely each is the part that a click means.
 
-A drawer's tray lies against the carcass and a door against its frame, so what leaks through the
-sides of a box says little of whether it is a part. A small network looks at every side, where the
-click lies between them, and what the box holds; some thousand boxes take milliseconds.
+A drawer's tray touches the carcass and a door its frame, so the leak through a box's sides says
+little about whether it is a part. A small network looks at every side, at where the click lies
+between them, and at the content; some thousand boxes take milliseconds.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import attrgetter
 
 import numpy as np
-import numpy.typing as npt
+from cachetools import LRUCache, cachedmethod
 
 from model.core.resources import static_assets
+from model.segmentation.arrays import Bool, Float, Int, Int16, Int64, Uint8
+from model.segmentation.models.mlp import Mlp, load_mlp
 from model.segmentation.propose.plane_boxes import SIDE_FEATURES, STEPS, PlaneBoxes
-from model.segmentation.score.mlp import Mlp, load_mlp
 
 WEIGHTS = "segmentation/boxes.npz"
 _AXES, _ENDS = ("short", "long", "upright"), ("near", "far")
@@ -28,20 +29,17 @@ BOX_SCORE_FEATURES = (
     "share", "surface_filled", "inner_strength", "leak", "volume",
 )  # fmt: skip
 
-_KEPT = 16
-"""Clicked superpoints whose boxes are kept."""
-_LOOKED_AT, _ALIKE = 400, 0.65
-"""Likeliest boxes among which others are looked for, and the overlap of those that are alike."""
-_SIZES = 0.3
-"""Boxes of nearly the same size (logarithm) compete where one of each size is wanted."""
-
-Float = npt.NDArray[np.floating]
-Int = npt.NDArray[np.int16]
+_CACHED = 16
+"""Clicked superpoints whose scores are cached."""
+_CONSIDERED, _ALIKE = 400, 0.65
+"""Likeliest boxes that are thinned, and the volume overlap of those that are alike."""
+_SIZE_BIN = 0.3
+"""Logarithmic size of the bins from which one box each is taken."""
 
 
 @lru_cache(maxsize=1)
 def shipped_box_model() -> Mlp | None:
-    """The network that ships, or None where it is not there."""
+    """The project's trained network, or None if its file is absent."""
     path = static_assets() / WEIGHTS
     return load_mlp(path, BOX_SCORE_FEATURES) if path.is_file() else None
 
@@ -49,9 +47,8 @@ def shipped_box_model() -> Mlp | None:
 class BoxDescriber:
     """Describes boxes for a click.
 
-    Level directions are told apart by the box's length along them, their sides by which is nearer
-    to the click: what is learned holds for objects that are turned or mirrored. Up and down are
-    not the same.
+    Horizontal directions are sorted by the box's length and their sides by the distance from the
+    click, so what is learned holds for turned and mirrored objects. Up and down stay apart.
     """
 
     def __init__(self, boxes: PlaneBoxes, step: Float) -> None:
@@ -76,12 +73,7 @@ class BoxDescriber:
             axis=1,
         ).astype(np.float32)  # fmt: skip
 
-    def __call__(
-        self,
-        found: npt.NDArray[np.int64],
-        spot: npt.NDArray[np.integer],
-        faces: npt.NDArray[np.bool_],
-    ) -> Float:
+    def __call__(self, found: Int64, spot: Int, faces: Bool) -> Float:
         """(K, F) features of the boxes ``found``, in the order of ``BOX_SCORE_FEATURES``.
 
         Args:
@@ -106,21 +98,21 @@ class BoxDescriber:
 
 
 @dataclass(frozen=True, eq=False)
-class Believed:
-    """Boxes that hold all clicks of a part and none against it, the likeliest first.
+class RankedBoxes:
+    """Boxes that hold all positive clicks and no negative one, the likeliest first.
 
     Attributes:
         low, high: (3, K) steps. score: (K,) log-odds. share: (K,) of the surface that they hold.
     """
 
-    low: Int
-    high: Int
+    low: Int16
+    high: Int16
     score: Float
     share: Float
 
-    def apart(self, most: int) -> npt.NDArray[np.int64]:
-        """The likeliest that are not much like a likelier one."""
-        low, high = self.low[:, :_LOOKED_AT].T, self.high[:, :_LOOKED_AT].T
+    def apart(self, most: int) -> Int64:
+        """The likeliest that aren't alike."""
+        low, high = self.low[:, :_CONSIDERED].T, self.high[:, :_CONSIDERED].T
         free = np.ones(len(low), bool)
         out: list[int] = []
         while len(out) < most and free.any():
@@ -130,68 +122,57 @@ class Believed:
             free[best] = False
         return np.array(out, np.int64)
 
-    def of_all_sizes(self, most: int) -> npt.NDArray[np.int64]:
+    def of_all_sizes(self, most: int) -> Int64:
         """The likeliest of each size, the likeliest first."""
-        _, first = np.unique(np.floor(np.log(self.share) / _SIZES), return_index=True)
+        _, first = np.unique(np.floor(np.log(self.share) / _SIZE_BIN), return_index=True)
         return np.sort(first)[:most]
 
-    def like(self, low: Int, high: Int, least: float) -> npt.NDArray[np.int64]:
+    def alike(self, low: Int16, high: Int16, least: float) -> Int64:
         """Those whose volume overlaps with a box (1, 3) by ``least``, the likeliest first."""
         overlap = volume_overlap(low, high, self.low.T, self.high.T)[0]
         return np.nonzero(overlap >= least)[0]
 
 
-class BoxBeliefs:
-    """Ranks the boxes between planes for the first click of a part, and keeps the scores."""
+class BoxRanker:
+    """Ranks the boxes between planes for the first click of a part."""
 
     def __init__(
-        self,
-        boxes: PlaneBoxes,
-        place: npt.NDArray[np.uint8],
-        facing: npt.NDArray[np.bool_],
-        step: Float,
-        model: Mlp | None,
+        self, boxes: PlaneBoxes, place: Uint8, facing: Bool, step: Float, model: Mlp | None
     ) -> None:
-        """``place``, ``facing`` (3, C) and ``step`` (3,): see ``Boxes``."""
+        """``place``, ``facing`` (3, C) and ``step`` (3,): see :class:`.BoxGrid`."""
         self._boxes, self._place, self._facing = boxes, place, facing
-        # Without a network nothing needs to be described.
         self._describe = None if model is None else BoxDescriber(boxes, step)
         self._model = model
-        self._of: OrderedDict[int, tuple[npt.NDArray[np.int64], Float]] = OrderedDict()
+        self._cache: LRUCache = LRUCache(_CACHED)
 
-    def _scored(self, superpoint: int) -> tuple[npt.NDArray[np.int64], Float]:
+    @cachedmethod(attrgetter("_cache"))
+    def _scored(self, superpoint: int) -> tuple[Int64, Float]:
         """Boxes that hold a superpoint, the likeliest first, and their scores."""
-        if superpoint not in self._of:
-            found = self._boxes.holding(self._place[:, superpoint])
-            if self._model is None or self._describe is None:
-                score = -np.log(self._boxes.leak[found] + 1e-6)
-            else:
-                faces = self._facing[:, superpoint]
-                score = self._model(self._describe(found, self._place[:, superpoint], faces))
-            order = np.argsort(-score, kind="stable")
-            self._of[superpoint] = found[order], score[order]
-            if len(self._of) > _KEPT:
-                self._of.popitem(last=False)
-        return self._of[superpoint]
+        found = self._boxes.holding(self._place[:, superpoint])
+        if self._model is None or self._describe is None:
+            score = -np.log(self._boxes.leak[found] + 1e-6)
+        else:
+            faces = self._facing[:, superpoint]
+            score = self._model(self._describe(found, self._place[:, superpoint], faces))
+        order = np.argsort(-score, kind="stable")
+        return found[order], score[order]
 
-    def __call__(self, positive: tuple[int, ...], negative: tuple[int, ...]) -> Believed:
-        """The boxes that clicks on these superpoints leave, as the first positive one sees them."""
+    def __call__(self, positive: tuple[int, ...], negative: tuple[int, ...]) -> RankedBoxes:
+        """The boxes that agree with clicks, scored for the first positive one."""
         found, score = self._scored(positive[0])
         left = self._left(found, positive[1:], negative)
-        return self._believed(found[left], score[left])
+        return self._ranked(found[left], score[left])
 
-    def tight(self, superpoint: int, negative: tuple[int, ...]) -> Believed:
+    def tight(self, superpoint: int, negative: tuple[int, ...]) -> RankedBoxes:
         """The boxes that hold a superpoint and no negative ones, the least leak first.
 
-        For what a later click is about; to score these boxes as well would cost every click.
+        For later clicks: scoring their boxes with the network would slow each one down.
         """
         found = self._boxes.holding(self._place[:, superpoint])
         found = found[self._left(found, (), negative)]
-        return self._believed(found, -self._boxes.leak[found])
+        return self._ranked(found, -self._boxes.leak[found])
 
-    def _left(
-        self, found: npt.NDArray[np.int64], positive: tuple[int, ...], negative: tuple[int, ...]
-    ) -> npt.NDArray[np.int64]:
+    def _left(self, found: Int64, positive: tuple[int, ...], negative: tuple[int, ...]) -> Int64:
         low, high = self._boxes.low[:, found], self._boxes.high[:, found]
         ok = np.ones(len(found), bool)
         for superpoints, wanted in ((positive, True), (negative, False)):
@@ -200,12 +181,12 @@ class BoxBeliefs:
                 ok &= ((low <= spot) & (high >= spot)).all(0) == wanted
         return np.nonzero(ok)[0]
 
-    def _believed(self, found: npt.NDArray[np.int64], score: Float) -> Believed:
+    def _ranked(self, found: Int64, score: Float) -> RankedBoxes:
         boxes = self._boxes
-        return Believed(boxes.low[:, found], boxes.high[:, found], score, boxes.share[found])
+        return RankedBoxes(boxes.low[:, found], boxes.high[:, found], score, boxes.share[found])
 
 
-def volume_overlap(low: Int, high: Int, other_low: Int, other_high: Int) -> Float:
+def volume_overlap(low: Int16, high: Int16, other_low: Int16, other_high: Int16) -> Float:
     """(H, K) IoU of the volumes of boxes (H, 3) with others (K, 3), in steps."""
     common, one, two = np.ones((len(low), len(other_low)), np.float32), 1.0, 1.0
     for k in range(3):

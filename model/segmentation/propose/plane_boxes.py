@@ -1,9 +1,9 @@
-"""Boxes between planes: all of an object's at once, ranked by how well they stand apart.
+"""All boxes between an object's planes, measured once.
 
-Planes are where much of the surface faces along a main direction (boards, bottoms, fronts) and
-where strong cuts line up (gaps between doors). All boxes between them are measured with summed-area
-tables over the grid that the planes make: what they hold, how much leaks through their sides, and
-how much of their sides is lined with surface. A click then looks up those that hold it.
+Planes lie where much of the surface faces along a main direction (boards, bottoms, fronts) and
+where strong cuts line up (gaps between doors). Summed-area tables over the grid of planes give the
+content of all boxes between them, the leak through their sides, and the share of their sides that
+is lined with surface. A click then looks up the boxes that hold it.
 """
 
 from __future__ import annotations
@@ -15,37 +15,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from model.segmentation.arrays import Bool, Float, Float64, Int, Int16, Int64, Uint8
 from model.segmentation.encode.superpoints import Superpoints, totals
-
-Float = npt.NDArray[np.floating]
-Int = npt.NDArray[np.int16]
-Places = npt.NDArray[np.integer]
 
 STEPS = 256
 """Of the grid along each direction."""
 _SURFACES, _GAPS = 8, 3
-"""Planes of each direction, at most."""
+"""Most planes of each direction."""
 _LEAST_FACING = 0.001
-"""Share of the surface that faces along a plane at least."""
+"""Least share of the surface that faces along a plane."""
 _APART, _WIDE = 3, 15
-"""Steps between planes, and round one that it is compared with."""
+"""Least steps between planes, and steps around one that it is compared with."""
 _SLAB, _SLAB_SHARE = 3, 0.15
-"""A board's plane is as thick as neighbouring steps face along it, in steps and of its own."""
+"""Most steps of a board on each side of its plane, and their least share of its surface."""
 _STRONG = 2.0
-"""Strength of a link that counts as a gap; see ``edge_strength``."""
+"""Least strength of a link that counts as a gap; see ``edge_strength``."""
 _LONG = 12
-"""Steps: links that are longer bridge something and say nothing of gaps."""
+"""Steps above which a link is a bridge and no sign of a gap."""
 _THIN = 4
 _SMALLEST, _LARGEST = 0.002, 0.95
-"""Share of the surface that a box holds."""
+"""Least and largest share of the surface that a box holds."""
 _SHEET = 1.35
-"""Nodes by area, with the spacing told by superpoints, where a side of a box is lined with surface."""
-_KEPT = 60_000
+"""Nodes on a lined side of a box, in areas of the spacing squared."""
+_MOST = 60_000
+"""Boxes, those that leak least."""
 
 
 SIDE_FEATURES = ("walked", "crossed", "strength", "lined")
-"""Of each side of a box, by its area: what the random walk leaks through it and the links across
-it; their mean strength; how much of it is lined with surface."""
+"""Of each side of a box, by its area: conductance and number of the links through it; their mean
+strength; the share that is lined with surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,32 +52,32 @@ class PlaneBoxes:
 
     Attributes:
         low, high: (3, B) first and last step of each along each direction.
-        leak: (B,) what the random walk leaks through the sides, by the root of what a box holds,
-            less where surface lines its sides; ascending.
-        share: (B,) float32 of the surface that a box holds.
-        inner: (B,) float32 mean strength of the links of what it holds.
+        leak: (B,) conductance through the sides by the root of the content, less where surface
+            lines the sides; ascending.
+        share: (B,) float32 of the surface in each box.
+        inner: (B,) float32 mean strength of the links of its content.
         sides: (B, 3, 2, 4) float32 ``SIDE_FEATURES`` of the low and the high side along each
             direction.
         surface: (B,) float32 nodes that would line all sides.
     """
 
-    low: Int
-    high: Int
+    low: Int16
+    high: Int16
     leak: Float
     share: Float
     inner: Float
     sides: Float
     surface: Float
 
-    def holding(self, spot: Places) -> npt.NDArray[np.int64]:
-        """Those that hold a place, three steps; the least leak first."""
+    def holding(self, spot: Int) -> Int64:
+        """The boxes that hold a place (three steps), the least leak first."""
         at = spot.astype(np.int16)[:, None]
         return np.nonzero(((self.low <= at) & (self.high >= at)).all(0))[0]
 
-    def sums(self, place: npt.NDArray[np.uint8], values: npt.NDArray) -> npt.NDArray[np.float64]:
-        """(B,) sums of (C,) ``values`` at (3, C) steps over what each box holds."""
+    def sums(self, place: Uint8, values: npt.NDArray) -> Float64:
+        """(B,) sums of ``values`` (C,) at ``place`` (3, C) over the content of each box."""
         cuts = [np.unique(np.r_[0, self.low[k], self.high[k] + 1, STEPS]) for k in range(3)]
-        slot: list[Places] = [
+        slot: list[Int] = [
             np.asarray(np.searchsorted(c, p, side="right"))
             for c, p in zip(cuts, place, strict=True)
         ]
@@ -99,10 +97,10 @@ class PlaneBoxes:
 class _Axis:
     """Planes of one direction, and the intervals between them as indices of cuts."""
 
-    cut: npt.NDArray[np.int64]
-    first: npt.NDArray[np.int64]
-    last: npt.NDArray[np.int64]
-    slot: npt.NDArray[np.int64]
+    cut: Int64
+    first: Int64
+    last: Int64
+    slot: Int64
 
     def between(self, table: Float) -> Float:
         """Sums over the intervals, from sums up to each cut along the first axis."""
@@ -110,9 +108,8 @@ class _Axis:
 
 
 def plane_boxes(
-    superpoints: Superpoints, place: npt.NDArray[np.uint8], facing: npt.NDArray[np.bool_], step: Float,
-    spacing: float,
-) -> PlaneBoxes:  # fmt: skip
+    superpoints: Superpoints, place: Uint8, facing: Bool, step: Float, spacing: float
+) -> PlaneBoxes:
     """Measure all boxes between the planes.
 
     Args:
@@ -126,60 +123,72 @@ def plane_boxes(
     for k in range(3):
         held = np.moveaxis(axes[k].between(np.moveaxis(held, k, 0)), 0, k)
     leak, lined = np.zeros_like(held), np.zeros_like(held)
-    links = superpoints.links
-    tables: list[list[npt.NDArray[np.float64]]] = []
-    for k in range(3):
-        others = [axes[o] for o in range(3) if o != k]
-        low, high = _ordered(axes[k].slot, links.a, links.b)
-        times = high - low
-        link = np.repeat(np.arange(len(times)), times)
-        cut = low[link] + 1 + np.arange(len(link)) - np.repeat(np.cumsum(times) - times, times)
-        side = [o.slot[links.a[link]] for o in others]
-        through, crossed, strong = (
-            _sides(axes[k], others, cut, side, v[link])
-            for v in (links.conductance, links.count, links.strength)
-        )
+    tables = [_side_tables(superpoints, axes, k, facing[k], step, spacing) for k in range(3)]
+    for k, (through, _, _, faces, full) in enumerate(tables):
         leak += np.moveaxis(through[axes[k].first] + through[axes[k].last], 0, k)
-        on = facing[k]
-        faces = _sides(axes[k], others, axes[k].slot[on], [o.slot[on] for o in others],
-                       superpoints.size[on])  # fmt: skip
-        wide, high_ = (
-            (o.cut[o.last] - o.cut[o.first]) * step[d]
-            for o, d in zip(others, [d for d in range(3) if d != k], strict=True)
-        )
-        full = _SHEET * wide[:, None] * high_[None] / spacing**2
         for slots in (axes[k].first, axes[k].last - 1):
             lined += np.moveaxis(np.minimum(faces[slots] / full[None], 1), 0, k)
-        tables.append([through, crossed, strong, faces, full])
     share = held / total
     leak = (leak + 1e-6) / np.sqrt(np.maximum(np.minimum(held, total - held), 1)) / (0.5 + lined)
     usable = np.nonzero(((share > _SMALLEST) & (share < _LARGEST)).ravel())[0]
     leak = leak.ravel()[usable]
-    if len(usable) > _KEPT:
-        best = np.argpartition(leak, _KEPT)[:_KEPT]
+    if len(usable) > _MOST:
+        best = np.argpartition(leak, _MOST)[:_MOST]
         usable, leak = usable[best], leak[best]
     order = np.argsort(leak, kind="stable")
     usable, leak = usable[order], leak[order]
     index = np.unravel_index(usable, held.shape)
     first = np.stack([a.cut[a.first[i]] for a, i in zip(axes, index, strict=True)])
     last = np.stack([a.cut[a.last[i]] - 1 for a, i in zip(axes, index, strict=True)])
-    sides, surface = _described(axes, index, tables)
+    made = PlaneBoxes(
+        first.astype(np.int16), last.astype(np.int16), leak.astype(np.float32),
+        share.ravel()[usable].astype(np.float32), leak, *_described(axes, index, tables)
+    )  # fmt: skip
+    links = superpoints.links
     strength, count = (
         totals(links.a, v, len(superpoints)) + totals(links.b, v, len(superpoints))
         for v in (links.strength, links.count)
     )
-    made = PlaneBoxes(
-        first.astype(np.int16), last.astype(np.int16), leak.astype(np.float32),
-        share.ravel()[usable].astype(np.float32), leak, sides, surface
-    )  # fmt: skip
     inner = made.sums(place, strength) / np.maximum(made.sums(place, count), 1e-9)
     return replace(made, inner=inner.astype(np.float32))
 
 
-def _described(
+def _side_tables(
+    superpoints: Superpoints,
     axes: Sequence[_Axis],
-    index: Sequence[npt.NDArray[np.int64]],
-    tables: Sequence[Sequence[npt.NDArray[np.float64]]],
+    k: int,
+    facing: Bool,
+    step: Float,
+    spacing: float,
+) -> tuple[Float64, ...]:
+    """Sums over all rectangles in each layer across direction ``k``.
+
+    Returns:
+        (layers, intervals, intervals) conductance, number and strength of the links through each,
+        and nodes that face along ``k``; (intervals, intervals) nodes that would line each.
+    """
+    links, axis = superpoints.links, axes[k]
+    others, rest = zip(*((axes[o], o) for o in range(3) if o != k), strict=True)
+    low, high = _ordered(axis.slot, links.a, links.b)
+    times = high - low
+    link = np.repeat(np.arange(len(times)), times)
+    cut = low[link] + 1 + np.arange(len(link)) - np.repeat(np.cumsum(times) - times, times)
+    side = [o.slot[links.a[link]] for o in others]
+    through, crossed, strong = (
+        _sides(axis, others, cut, side, v[link])
+        for v in (links.conductance, links.count, links.strength)
+    )
+    faces = _sides(
+        axis, others, axis.slot[facing], [o.slot[facing] for o in others], superpoints.size[facing]
+    )
+    wide, tall = (
+        (o.cut[o.last] - o.cut[o.first]) * step[d] for o, d in zip(others, rest, strict=True)
+    )
+    return through, crossed, strong, faces, _SHEET * wide[:, None] * tall[None] / spacing**2
+
+
+def _described(
+    axes: Sequence[_Axis], index: Sequence[Int64], tables: Sequence[Sequence[Float64]]
 ) -> tuple[Float, Float]:
     """``sides`` and ``surface`` of the boxes with these intervals along each direction."""
     sides = np.zeros((len(index[0]), 3, 2, len(SIDE_FEATURES)), np.float32)
@@ -203,9 +212,7 @@ def _described(
     return sides, surface
 
 
-def _corners(
-    table: npt.NDArray[np.float64], ends: Sequence[tuple[Places, Places]]
-) -> npt.NDArray[np.float64]:
+def _corners(table: Float64, ends: Sequence[tuple[Int, Int]]) -> Float64:
     """(B,) sums over boxes between two entries of a summed-area table along each axis."""
     out = np.zeros(len(ends[0][0]))
     for corner in itertools.product((0, 1), repeat=3):
@@ -214,13 +221,11 @@ def _corners(
     return out
 
 
-def _ordered(slot: Places, a: Places, b: Places) -> tuple[Places, Places]:
+def _ordered(slot: Int, a: Int, b: Int) -> tuple[Int, Int]:
     return np.minimum(slot[a], slot[b]), np.maximum(slot[a], slot[b])
 
 
-def _table(
-    index: Sequence[Places], axes: Sequence[_Axis], values: Float
-) -> npt.NDArray[np.float64]:
+def _table(index: Sequence[Int], axes: Sequence[_Axis], values: Float) -> Float64:
     """Summed-area table over the slots between cuts."""
     shape = [len(a.cut) for a in axes]
     flat = np.ravel_multi_index([i + 1 for i in index], shape)
@@ -231,8 +236,8 @@ def _table(
 
 
 def _sides(
-    axis: _Axis, others: Sequence[_Axis], layer: Places, index: Sequence[Places], values: Float
-) -> npt.NDArray[np.float64]:
+    axis: _Axis, others: Sequence[_Axis], layer: Int, index: Sequence[Int], values: Float
+) -> Float64:
     """(layers, intervals, intervals) sums over rectangles in each layer across ``axis``."""
     shape = [len(axis.cut), *(len(o.cut) for o in others)]
     flat = np.ravel_multi_index([layer, *(i + 1 for i in index)], shape)
@@ -241,9 +246,7 @@ def _sides(
     return out[:, :, others[1].last] - out[:, :, others[1].first]
 
 
-def _axis(
-    superpoints: Superpoints, at: Places, facing: npt.NDArray[np.bool_], total: float
-) -> _Axis:
+def _axis(superpoints: Superpoints, at: Int, facing: Bool, total: float) -> _Axis:
     held = totals(at[facing], superpoints.size[facing], STEPS)
     near = held + np.r_[held[1:], 0] + np.r_[0, held[:-1]]
     around = np.convolve(held, np.ones(_WIDE), "same") - near
@@ -270,8 +273,8 @@ def _axis(
     return _Axis(cut, first[thick], last[thick], np.searchsorted(cut, at, side="right") - 1)
 
 
-def _gaps(superpoints: Superpoints, at: Places, taken: list[int]) -> list[int]:
-    """Steps before which most strong cuts line up."""
+def _gaps(superpoints: Superpoints, at: Int, taken: list[int]) -> list[int]:
+    """Steps before which strong cuts line up most."""
     links = superpoints.links
     low, high = _ordered(at, links.a, links.b)
     weight = np.maximum(links.strength - _STRONG * links.count, 0) * (high - low < _LONG)
@@ -284,10 +287,8 @@ def _gaps(superpoints: Superpoints, at: Places, taken: list[int]) -> list[int]:
     return _peaks(cuts, stands_out, cuts > 0, taken, _GAPS)
 
 
-def _peaks(
-    profile: Float, score: Float, allowed: npt.NDArray[np.bool_], taken: list[int], most: int
-) -> list[int]:
-    """The local maxima with the best scores, not beside each other nor beside those taken."""
+def _peaks(profile: Float, score: Float, allowed: Bool, taken: list[int], most: int) -> list[int]:
+    """The local maxima with the best scores, apart from each other and from those taken."""
     top = (profile >= np.r_[0, profile[:-1]]) & (profile > np.r_[profile[1:], 0]) & allowed
     found = np.nonzero(top)[0]
     chosen: list[int] = []

@@ -1,14 +1,12 @@
-"""Masks over elements and over nodes: from one to the other."""
+"""Convert masks between elements and nodes."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.errors import PromptError
+from model.segmentation.arrays import Bool, Int64
 from model.segmentation.default import DefaultSession
-
-Bool = npt.NDArray[np.bool_]
 
 
 def to_elements(session: DefaultSession, nodes: Bool) -> Bool:
@@ -20,7 +18,7 @@ def to_nodes(session: DefaultSession, mask: Bool) -> Bool:
     """(N,) the nodes of the elements in (E,) ``mask``.
 
     Raises:
-        PromptError: for a mask of another length.
+        PromptError: if the mask has another length.
     """
     mask = checked(session, mask)
     out = np.zeros(len(session.encoding.nodes), bool)
@@ -32,7 +30,7 @@ def checked(session: DefaultSession, mask: Bool) -> Bool:
     """``mask`` as booleans.
 
     Raises:
-        PromptError: where its length is not the number of elements.
+        PromptError: if its length is not the number of elements.
     """
     mask = np.asarray(mask, bool)
     if mask.shape != (session.asset.element_count,):
@@ -43,7 +41,7 @@ def checked(session: DefaultSession, mask: Bool) -> Bool:
     return mask
 
 
-def first_elements(session: DefaultSession) -> npt.NDArray[np.int64]:
+def first_elements(session: DefaultSession) -> Int64:
     """(N,) one element that each node stands for."""
     elements = session.encoding.nodes.elements
     first = np.zeros(len(session.encoding.nodes), np.int64)

@@ -1,17 +1,15 @@
-"""Parts like another: the same shape elsewhere, and the counterpart across a plane."""
+"""Find parts like another one: the same shape elsewhere, the counterpart across a plane."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.errors import PromptError
 from model.geometry.upright_box import box_yaw
+from model.segmentation.arrays import Bool, Float64
 from model.segmentation.default import DefaultSession
 from model.segmentation.tools.element_masks import to_elements, to_nodes
-
-Bool = npt.NDArray[np.bool_]
 
 _SAMPLE = 3000
 _SYMMETRIC = 0.025
@@ -22,7 +20,7 @@ def mirrored(session: DefaultSession, mask: Bool) -> Bool:
     """(E,) the mask's counterpart across the object's plane of symmetry.
 
     Raises:
-        PromptError: where the object has no such plane, or the mask lies on both sides of it.
+        PromptError: if the object has no such plane, or the mask lies on both sides of it.
     """
     inside = to_nodes(session, mask)
     points = session.encoding.nodes.points.astype(float)
@@ -33,7 +31,7 @@ def mirrored(session: DefaultSession, mask: Bool) -> Bool:
     image = image - 2 * (image @ normal - offset)[:, None] * normal
     reach = max(2.0 * session.encoding.graph.spacing, _REACH * session.asset.diagonal)
     far, _ = KDTree(image).query(points, distance_upper_bound=reach, workers=2)
-    # Whole superpoints, so that the border follows the other side's own gaps and creases.
+    # Whole superpoints: the border follows the gaps and creases of that side.
     superpoints = session.encoding.superpoints
     share = (
         np.bincount(superpoints.of_node, np.isfinite(far) & ~inside, len(superpoints))
@@ -42,12 +40,10 @@ def mirrored(session: DefaultSession, mask: Bool) -> Bool:
     return to_elements(session, (share > 0.5)[superpoints.of_node]) & ~mask
 
 
-def symmetry_plane(
-    session: DefaultSession, part: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], float]:
-    """The upright plane that maps the object onto itself and ``part`` elsewhere.
+def symmetry_plane(session: DefaultSession, part: Float64) -> tuple[Float64, float]:
+    """The vertical plane that maps the object onto itself and ``part`` elsewhere.
 
-    Planes square to the sides of the tightest upright box are tried, near the middle of the box.
+    Planes perpendicular to the sides of the tightest upright box are tried, near its middle.
 
     Args:
         part: (K, 3) points of the part to mirror, metres.
@@ -56,7 +52,7 @@ def symmetry_plane(
         Unit normal (3,) and offset: x lies on the plane where normal · x = offset.
 
     Raises:
-        PromptError: where no plane fits.
+        PromptError: if no plane fits.
     """
     points = session.encoding.nodes.points.astype(float)
     some = points[:: max(1, len(points) // _SAMPLE)]
@@ -69,20 +65,18 @@ def symmetry_plane(
             offset = (low + high) / 2 + shift * (high - low)
             here = part @ normal - offset
             if min((here > 0).mean(), (here < 0).mean()) > 0.1:
-                continue  # the part straddles the plane: it would be its own counterpart
+                continue  # the part would be its own counterpart
             image = some - 2 * (along - offset)[:, None] * normal
             far, _ = tree.query(image, distance_upper_bound=0.05 * diagonal)
             cost = float(np.minimum(far, 0.05 * diagonal).mean())
             if cost < best:
                 best, answer = cost, (normal, float(offset))
     if answer is None:
-        raise PromptError(
-            f"{session.asset.name}: no plane of symmetry was found that has this part on one side"
-        )
+        raise PromptError(f"{session.asset.name}: no plane of symmetry with this part on one side")
     return answer
 
 
-def _side_normals(points: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+def _side_normals(points: Float64) -> list[Float64]:
     """The two horizontal directions of the smallest upright box around the points."""
     best = box_yaw(points[:: max(1, len(points) // _SAMPLE), :2], 0.98)
     c, s = np.cos(best), np.sin(best)
@@ -92,9 +86,9 @@ def _side_normals(points: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float6
 def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Bool]:
     """Other parts like this one (the other knobs, the other handles), best first.
 
-    Regions of the merge trees with about the same size, extents and normals are laid over the
-    mask (as they are, mirrored, or turned by quarters about the upright axis) and kept where
-    they cover each other. No two answers overlap, and none overlaps the mask.
+    Regions of the merge trees with about the same size, extents and normals are matched with the
+    mask: unchanged, mirrored, or turned by quarters about the vertical axis. No two results
+    overlap, and none overlaps the mask.
     """
     inside = to_nodes(session, mask)
     superpoints = session.encoding.superpoints
@@ -142,8 +136,8 @@ def _regions_of_size(session: DefaultSession, size: float) -> list[Bool]:
     return out
 
 
-def _shape(session: DefaultSession, mask: Bool) -> npt.NDArray[np.float64]:
-    """(4,) sorted extents and the length of the mean normal: what turning does not change."""
+def _shape(session: DefaultSession, mask: Bool) -> Float64:
+    """(4,) sorted extents and length of the mean normal, which rotations don't change."""
     superpoints = session.encoding.superpoints
     x, w = superpoints.center[mask], superpoints.size[mask] / superpoints.size[mask].sum()
     x = x - w @ x
@@ -154,7 +148,7 @@ def _shape(session: DefaultSession, mask: Bool) -> npt.NDArray[np.float64]:
 
 
 def _fit(session: DefaultSession, model: Bool, other: Bool) -> float:
-    """Mean distance between two regions laid over each other, relative to their radius."""
+    """Mean distance between two matched regions, relative to their radius."""
     center, weight = session.encoding.superpoints.center, session.encoding.superpoints.size
     a = center[model] - np.average(center[model], axis=0, weights=weight[model])
     b = center[other] - np.average(center[other], axis=0, weights=weight[other])

@@ -1,1 +1,1 @@
-"""Training of the two small networks of the default segmenter, on procedural objects alone."""
+"""Training of the small models of the default segmenter, on procedural objects only."""

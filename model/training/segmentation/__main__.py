@@ -1,25 +1,29 @@
-"""Trains the shipped networks again: ``python -m model.training.segmentation --help``."""
+"""Train the small models of the default segmenter: ``python -m model.training.segmentation``."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import tyro
 
 from model.core.resources import static_assets
 from model.training.segmentation.boxes import BoxTraining, train_boxes
 from model.training.segmentation.clicks import ClickTraining, train_room_scorers, train_scorers
 from model.training.segmentation.clouds import CloudTraining, train_clouds
-from model.training.segmentation.corrective_clicks import MendingTraining, train_mending
+from model.training.segmentation.corrective_clicks import CorrectiveClickTraining, train_corrective
 from model.training.segmentation.edges import EdgeTraining, train_edges
-from model.training.segmentation.first_clicks import MovingTraining, train_moving
+from model.training.segmentation.first_clicks import train_moving
 from model.training.segmentation.part_masks import PartMaskTraining, train_part_masks
+from model.training.segmentation.visible_objects import MovingPartTraining
 
 
 @dataclass(frozen=True)
 class Training:
-    """All trainings; about three hours on two cores.
+    """All trainings; about three hours on two cores. Options keep these names.
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
@@ -27,7 +31,7 @@ class Training:
             ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
             rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
         skip_edges, skip_boxes, skip_parts, skip_clouds, skip_rooms, skip_moving, skip_mending,
-        skip_proposals: keep the networks that are there.
+        skip_proposals: keep the models that are there.
         edges, boxes, clicks, clouds, moving, mending, proposals: their settings.
     """
 
@@ -44,33 +48,30 @@ class Training:
     boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
     clouds: CloudTraining = field(default_factory=CloudTraining)
-    moving: MovingTraining = field(default_factory=MovingTraining)
-    mending: MendingTraining = field(default_factory=MendingTraining)
+    moving: MovingPartTraining = field(default_factory=MovingPartTraining)
+    mending: CorrectiveClickTraining = field(default_factory=CorrectiveClickTraining)
     proposals: PartMaskTraining = field(default_factory=PartMaskTraining)
 
 
 def main() -> None:
-    """Train and print the scores; they are kept in the files as well."""
-    import tyro
+    """Train and print the scores; the files hold them as well."""
 
     config = tyro.cli(Training, description=__doc__)
     config.out.mkdir(parents=True, exist_ok=True)
-    if not config.skip_edges:
-        print(json.dumps(train_edges(config.edges, config.out / "edges.npz"), indent=1))
-    if not config.skip_boxes:
-        print(json.dumps(train_boxes(config.boxes, config.out / "boxes.npz"), indent=1))
-    if not config.skip_parts:
-        print(json.dumps(train_scorers(config.clicks, config.out), indent=1))
-    if not config.skip_clouds:
-        print(json.dumps(train_clouds(config.clouds, config.out), indent=1))
-    if not config.skip_rooms:
-        print(json.dumps(train_room_scorers(config.clicks, config.out), indent=1))
-    if not config.skip_moving:
-        print(json.dumps(train_moving(config.moving, config.out), indent=1))
-    if not config.skip_mending:
-        print(json.dumps(train_mending(config.mending, config.out), indent=1))
-    if not config.skip_proposals:
-        print(json.dumps(train_part_masks(config.proposals, config.out), indent=1))
+    out = config.out
+    trainings: tuple[tuple[bool, Callable[[], dict[str, float]]], ...] = (
+        (config.skip_edges, lambda: train_edges(config.edges, out / "edges.npz")),
+        (config.skip_boxes, lambda: train_boxes(config.boxes, out / "boxes.npz")),
+        (config.skip_parts, lambda: train_scorers(config.clicks, out)),
+        (config.skip_clouds, lambda: train_clouds(config.clouds, out)),
+        (config.skip_rooms, lambda: train_room_scorers(config.clicks, out)),
+        (config.skip_moving, lambda: train_moving(config.moving, out)),
+        (config.skip_mending, lambda: train_corrective(config.mending, out)),
+        (config.skip_proposals, lambda: train_part_masks(config.proposals, out)),
+    )
+    for skip, train in trainings:
+        if not skip:
+            print(json.dumps(train(), indent=1))
 
 
 if __name__ == "__main__":

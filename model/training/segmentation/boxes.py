@@ -1,4 +1,4 @@
-"""The network that ranks boxes between planes: which overlap most with the part that was meant?"""
+"""Train the network that ranks boxes between planes by their overlap with the clicked part."""
 
 from __future__ import annotations
 
@@ -7,34 +7,32 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.data.simulated.scans import SQUARE, build, random_scan
 from model.evaluation.pool import in_order
+from model.segmentation.arrays import Float
 from model.segmentation.encode.edge_strength import shipped_edge_model
 from model.segmentation.encode.encoding import encode_superpoints
+from model.segmentation.models.mlp import Mlp, save_mlp
+from model.segmentation.propose.box_grid import BoxGrid
 from model.segmentation.propose.box_ranking import BOX_SCORE_FEATURES, BoxDescriber
-from model.segmentation.propose.boxes import Boxes
-from model.segmentation.score.mlp import Mlp, save_mlp
 from model.segmentation.simulated_clicks import central, deepest
-from model.training.segmentation.clicks import asked_by_size
 from model.training.segmentation.fit import averaged, fit_ranker
-
-Float = npt.NDArray[np.floating]
+from model.training.segmentation.rows import asked_by_size
 
 
 @dataclass(frozen=True)
 class BoxTraining:
-    """What is needed to train the shipped network again.
+    """Settings that trained ``boxes.npz``.
 
     Attributes:
         objects: half of them of all families, half of those whose parts fill boxes.
         held_out: every n-th measures in a fit of its own.
         parts: asked for in each object, spread over the logarithm of their sizes.
-        boxes: of each click that are learned from: the best ones, those that leak least, others.
-        mesh_share: of the objects that are met as meshes.
-        networks: that are fitted and averaged; a click pays for each of them.
+        boxes: of each click that are learned from: the best ones, the least leaking ones, others.
+        mesh_share: share of the objects that are meshes.
+        networks: that are fitted and averaged; each makes clicks slower.
         first_seed: of the objects.
         workers: processes.
     """
@@ -54,7 +52,7 @@ Row = tuple[Float, Float, Float]
 
 
 def rows_of(seed: int, config: BoxTraining) -> list[Row]:
-    """Boxes round some clicks on each part of one object."""
+    """Boxes around some clicks on each part of one object."""
     rng = np.random.default_rng([seed, 5])
     families = SQUARE if seed % 2 else None
     if rng.random() < config.mesh_share:
@@ -65,7 +63,7 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
         truth, asset = data.labels, Asset("object", cloud=data.cloud)
     nodes, _, _, superpoints = encode_superpoints(asset, shipped_edge_model())
     labels, points = truth[nodes.elements.element_of_node], nodes.points
-    grid = Boxes(superpoints)
+    grid = BoxGrid(superpoints)
     boxes = grid.between_planes(superpoints)
     describe = BoxDescriber(boxes, grid.step)
     held = boxes.sums(grid.place, superpoints.size)
@@ -93,7 +91,7 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
 
 
 def collect(config: BoxTraining) -> list[list[Row]]:
-    """Rows of each object; they do not depend on ``workers``."""
+    """Rows of each object; they don't depend on ``workers``."""
     seeds = range(config.first_seed, config.first_seed + config.objects)
     return in_order(partial(rows_of, config=config), seeds, config.workers)
 

@@ -1,8 +1,7 @@
-"""The scorers of clicks on clouds: sessions on objects of all kinds, as the shipped scorers play
-them. Trees learn from them, and for later clicks in close-ups a network.
+"""Train the scorers of clicks on clouds: trees, and for local refinements a network.
 
-That of later clicks sees how well a mask explains all clicks so far, see ``HISTORY_FEATURES``.
-Meshes keep the scorers that learned from both: on them what is known of shells and faces says more.
+Sessions are played by the project's scorers. Later clicks also have ``HISTORY_FEATURES``. Meshes
+keep the scorers that learned from both: their shells and faces say more.
 """
 
 from __future__ import annotations
@@ -11,20 +10,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from model.segmentation.propose.boxes import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
+from model.segmentation.describe.objects import HISTORY_FEATURES, OBJECT_FEATURE_NAMES
 from model.segmentation.score.scorers import SCORERS, shipped_scorers
-from model.training.segmentation.clicks import (
-    ClickTraining,
-    Round,
-    Rows,
-    collect,
-    fit_scorer,
-    fit_trees_to,
-)
-from model.training.segmentation.first_clicks import fitted
+from model.training.segmentation.clicks import ClickTraining, Round, collect
 from model.training.segmentation.fit import Boosting
+from model.training.segmentation.rows import Rows, fit_and_save, fit_scorer, fit_trees_to
 
-Played = tuple[Round, int, int]
+PlayedRound = tuple[Round, int, int]
 """Kind of objects, first seed, end."""
 
 FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_FEATURES)
@@ -33,18 +25,18 @@ FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_
 
 @dataclass(frozen=True)
 class CloudTraining:
-    """What is needed to train ``first_click_cloud.npz``, ``later_click_cloud.npz`` and
-    ``later_click_close.npz`` again.
+    """Settings that trained ``first_click_cloud.npz``, ``later_click_cloud.npz`` and
+    ``later_click_close.npz``.
 
     Attributes:
         rounds: the objects that are clicked.
         clicks: how they are clicked.
         held_out: every n-th object measures in a fit of its own.
         first, later: how the trees of both are grown.
-        networks: that are fitted and averaged, for close-ups.
+        networks: that are fitted and averaged, for local refinements.
     """
 
-    rounds: tuple[Played, ...] = (
+    rounds: tuple[PlayedRound, ...] = (
         ("all", 60_000, 60_400),
         ("drawers", 90_000, 90_240),
         ("small", 70_000, 70_200),
@@ -61,7 +53,7 @@ class CloudTraining:
 
 
 def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
-    """Rows of the first and of the later clicks on each object, as the shipped scorers play."""
+    """Rows of the first and of the later clicks on each object."""
     played = [
         rows
         for kind, first, end in config.rounds
@@ -72,14 +64,14 @@ def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
 
 
 def train_clouds(config: CloudTraining, folder: Path) -> dict[str, float]:
-    """Play, fit, measure and write the scorers into ``folder``; see :func:`.moving.fitted`."""
+    """Play, fit, measure and write the scorers into ``folder``; see :func:`.fit_and_save`."""
     first, later = play_rounds(config)
     for_first, for_later = (folder / name for name in SCORERS["cloud"])
     at_first = partial(fit_trees_to, config=config.first, names=FIRST_FEATURE_NAMES)
     after = partial(fit_trees_to, config=config.later, names=OBJECT_FEATURE_NAMES)
-    close = partial(fit_scorer, networks=config.networks)
+    local = partial(fit_scorer, networks=config.networks)
     return {
-        **fitted(first, config, "first", for_first, at_first),
-        **fitted(later, config, "later", for_later, after),
-        **fitted(later, config, "close", folder / SCORERS["close-up"][1], close),
+        **fit_and_save(first, config, "first", for_first, at_first),
+        **fit_and_save(later, config, "later", for_later, after),
+        **fit_and_save(later, config, "close", folder / SCORERS["local"][1], local),
     }

@@ -1,4 +1,4 @@
-"""The edge model: does an edge of the node graph cross a border between parts?"""
+"""Train the edge model: does an edge of the node graph cross a border between parts?"""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.data.simulated.scans import random_scan
+from model.segmentation.arrays import Float
 from model.segmentation.encode.edge_features import FEATURE_NAMES, edge_features
 from model.segmentation.encode.edge_strength import hand_set_strength
 from model.segmentation.encode.graph import build_graph
 from model.segmentation.encode.nodes import nodes_of_asset
-from model.segmentation.score.mlp import save_mlp
+from model.segmentation.models.mlp import save_mlp
 from model.training.segmentation.fit import area_under_curve, fit_mlp
-
-Float = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class EdgeTraining:
-    """What is needed to train the shipped edge model again.
+    """Settings that trained ``edges.npz``.
 
     Attributes:
         objects: training objects.
@@ -52,7 +50,7 @@ def edges_of(seed: int, limit: int) -> tuple[Float, Float, Float]:
         picked.append(take)
         weight.append(np.full(len(take), len(index) / max(len(take), 1)))
     index = np.concatenate(picked)
-    # Borders are rare; counting them three times sharpens the model where it matters.
+    # Borders are rare: with three times their weight the model gets sharper there.
     share = np.concatenate([weight[0] * 3, weight[1]])
     share = share / max(share.sum(), 1e-9) * limit
     return features[index], border[index].astype(np.float32), share.astype(np.float32)

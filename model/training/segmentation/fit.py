@@ -1,18 +1,24 @@
-"""Fits small perceptrons with torch and trees with LightGBM, and hands them over as plain numpy."""
+"""Fit small perceptrons with torch and trees with LightGBM, and convert them to plain numpy."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+import torch
 from scipy.linalg import block_diag
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits
 
-from model.segmentation.score.mlp import Mlp
-from model.segmentation.score.trees import Trees
+from model.segmentation.arrays import Bool, Float, Int
+from model.segmentation.models.mlp import Mlp
+from model.segmentation.models.trees import Trees
 
-Float = npt.NDArray[np.floating]
+_EDGE_BATCH, _CLICK_BATCH = 4096, 128
+_CALIBRATION = 0.1
+"""Weight of the loss that keeps a ranker's output a calibrated score."""
 
 
 def fit_mlp(
@@ -34,30 +40,19 @@ def fit_mlp(
         features: (N, D). target, weight: (N,).
         rate: the highest learning rate. decay: of the weights.
     """
-    import torch  # pyright: ignore[reportMissingImports]
-
     torch.manual_seed(seed)
-    mean = features.mean(0)
-    scale = np.maximum(features.std(0), 1e-6)
-    x = torch.from_numpy(np.clip((features - mean) / scale, -8, 8).astype(np.float32))
+    mean, scale, x = _standardised(features)
     y, w = torch.from_numpy(target.astype(np.float32)), torch.from_numpy(weight.astype(np.float32))
-    net = torch.nn.Sequential(*_layers(features.shape[1], hidden, dropout))
-    batch = 4096
-    steps = epochs * (len(x) // batch + 1)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps)
+    net = nn.Sequential(*_layers(features.shape[1], hidden, dropout))
     generator = torch.Generator().manual_seed(seed)
-    for _ in range(epochs):
+
+    def losses() -> Iterator[Tensor]:
         order = torch.randperm(len(x), generator=generator)
-        for begin in range(0, len(x), batch):
-            pick = order[begin : begin + batch]
-            loss = torch.nn.functional.binary_cross_entropy_with_logits(
-                net(x[pick])[:, 0], y[pick], w[pick]
-            )
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
+        for begin in range(0, len(x), _EDGE_BATCH):
+            pick = order[begin : begin + _EDGE_BATCH]
+            yield binary_cross_entropy_with_logits(net(x[pick])[:, 0], y[pick], w[pick])
+
+    _optimise(net, losses, epochs, len(x) // _EDGE_BATCH + 1, rate, decay)
     return _plain(names, mean, scale, net)
 
 
@@ -65,7 +60,7 @@ def fit_ranker(
     names: tuple[str, ...],
     features: Float,
     value: Float,
-    group: npt.NDArray[np.integer],
+    group: Int,
     weight: Float,
     *,
     hidden: tuple[int, ...] = (64, 32),
@@ -79,60 +74,79 @@ def fit_ranker(
         features: (N, D). value: (N,) in [0, 1]. group: (N,) ascending ids.
         weight: (G,) of each group, by its id.
     """
-    import torch  # pyright: ignore[reportMissingImports]
-
     torch.manual_seed(seed)
-    mean, scale = features.mean(0), np.maximum(features.std(0), 1e-6)
-    x = torch.from_numpy(np.clip((features - mean) / scale, -8, 8).astype(np.float32))
+    mean, scale, x = _standardised(features)
     y = torch.from_numpy(value.astype(np.float32))
     start = np.nonzero(np.r_[True, np.diff(group) != 0])[0]
     size = np.diff(np.r_[start, len(group)])
     share = torch.from_numpy(weight[group[start]].astype(np.float32))
-    net = torch.nn.Sequential(*_layers(features.shape[1], hidden, dropout))
-    batch = 128
-    steps = epochs * (len(start) // batch + 1)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=0.05)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps)
+    net = nn.Sequential(*_layers(features.shape[1], hidden, dropout))
     rng = np.random.default_rng(seed)
-    for _ in range(epochs):
+
+    def losses() -> Iterator[Tensor]:
         order = rng.permutation(len(start))
-        for begin in range(0, len(order), batch):
-            chosen = order[begin : begin + batch]
+        for begin in range(0, len(order), _CLICK_BATCH):
+            chosen = order[begin : begin + _CLICK_BATCH]
             rows = np.concatenate(
                 [np.arange(int(start[c]), int(start[c] + size[c])) for c in chosen.tolist()]
             )
             number = torch.from_numpy(np.repeat(np.arange(len(chosen)), size[chosen]))
-            logit, target = net(x[rows])[:, 0], y[rows]
-            top = torch.full((len(chosen),), -1e9).scatter_reduce(0, number, logit, "amax")
-            power = torch.exp(logit - top.detach()[number])
-            total = torch.zeros(len(chosen)).index_add(0, number, power)
-            expected = torch.zeros(len(chosen)).index_add(0, number, power / total[number] * target)
-            # The second term keeps the output a calibrated score, comparable between clicks.
             heavy = share[torch.from_numpy(chosen)]
-            calibrated = torch.nn.functional.binary_cross_entropy_with_logits(
-                logit, target**2, heavy[number]
-            )
-            loss = (heavy * (1 - expected)).mean() + 0.1 * calibrated
+            yield _ranking_loss(net(x[rows])[:, 0], y[rows], number, heavy)
+
+    _optimise(net, losses, epochs, len(start) // _CLICK_BATCH + 1, 3e-3, 0.05)
+    return _plain(names, mean, scale, net)
+
+
+def _ranking_loss(logit: Tensor, target: Tensor, number: Tensor, weight: Tensor) -> Tensor:
+    """Expected loss of value under the softmax of each group, and calibration across groups.
+
+    Args:
+        logit, target: (N,). number: (N,) group of each. weight: (G,).
+    """
+    groups = len(weight)
+    top = torch.full((groups,), -1e9).scatter_reduce(0, number, logit, "amax")
+    power = torch.exp(logit - top.detach()[number])
+    total = torch.zeros(groups).index_add(0, number, power)
+    expected = torch.zeros(groups).index_add(0, number, power / total[number] * target)
+    calibrated = binary_cross_entropy_with_logits(logit, target**2, weight[number])
+    return (weight * (1 - expected)).mean() + _CALIBRATION * calibrated
+
+
+def _standardised(features: Float) -> tuple[Float, Float, Tensor]:
+    mean, scale = features.mean(0), np.maximum(features.std(0), 1e-6)
+    x = np.clip((features - mean) / scale, -8, 8).astype(np.float32)
+    return mean, scale, torch.from_numpy(x)
+
+
+def _optimise(
+    net: nn.Module, losses: Callable[[], Iterator[Tensor]], epochs: int, batches: int, rate: float,
+    decay: float,
+) -> None:  # fmt: skip
+    """AdamW with a one-cycle schedule over the losses of each epoch's batches."""
+    optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=epochs * batches)
+    for _ in range(epochs):
+        for loss in losses():
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             schedule.step()
-    return _plain(names, mean, scale, net)
 
 
 @dataclass(frozen=True)
 class Boosting:
-    """How trees are grown that rank the hypotheses of a click (LambdaMART: Burges, *From RankNet to
+    """How to grow trees that rank the proposals of a click (LambdaMART: Burges, *From RankNet to
     LambdaRank to LambdaMART*, 2010).
 
     Attributes:
-        trees: that are summed. leaves: of each. least: hypotheses in a leaf.
+        trees: that are summed. leaves: of each. least: proposals in a leaf.
         forests: that are averaged.
-        scale: of the scores, against what the solver takes off for other reasons.
-        rate: what each tree adds of what it has learned. ridge: penalty on what leaves say.
-        features, hypotheses: shares of both that each tree sees.
-        grades: that the IoU is cut into; each ``grade_doubles`` of them is worth twice as much.
-        among: how many of the best ones are told apart from the others.
+        scale: of the scores, against the solver's penalties.
+        rate: learning rate. ridge: penalty on the leaves' values.
+        features, hypotheses: shares of features and proposals that each tree learns from.
+        grades: steps of the IoU; ``grade_doubles`` of them double the gain.
+        among: how many of the best ones are ranked exactly.
     """
 
     trees: int = 400
@@ -153,11 +167,11 @@ def fit_trees(
     names: tuple[str, ...],
     features: Float,
     value: Float,
-    group: npt.NDArray[np.integer],
+    group: Int,
     weight: Float,
     config: Boosting,
 ) -> Trees:
-    """Trees whose highest score of a group is for the largest value.
+    """Trees whose highest score of a group is that of the largest value.
 
     Args:
         features: (N, D). value: (N,) in [0, 1]. group: (N,) ascending ids.
@@ -193,13 +207,13 @@ def fit_trees(
 
 
 def plain_trees(names: tuple[str, ...], grown: list[dict[str, Any]], scale: float = 1.0) -> Trees:
-    """The ``tree_info`` of LightGBM's ``dump_model`` in arrays, the leaves times ``scale``."""
+    """The ``tree_info`` of LightGBM's ``dump_model`` as arrays, the leaves times ``scale``."""
     feature: list[int] = []
     threshold: list[np.float32] = []
     child: list[int] = []
     value: list[float] = []
 
-    def leaf() -> int:
+    def new_leaf() -> int:
         feature.append(0)
         threshold.append(np.float32(np.inf))
         child.append(len(child))
@@ -208,7 +222,7 @@ def plain_trees(names: tuple[str, ...], grown: list[dict[str, Any]], scale: floa
 
     roots, depth = [], 0
     for tree in grown:
-        roots.append(leaf())
+        roots.append(new_leaf())
         waiting = [(tree["tree_structure"], roots[-1], 0)]
         while waiting:
             node, at, level = waiting.pop()
@@ -217,9 +231,9 @@ def plain_trees(names: tuple[str, ...], grown: list[dict[str, Any]], scale: floa
                 value[at] = scale * node["leaf_value"]
                 continue
             feature[at], threshold[at] = node["split_feature"], _at_most(node["threshold"])
-            child[at] = leaf()
+            child[at] = new_leaf()
             waiting.append((node["left_child"], child[at], level + 1))
-            waiting.append((node["right_child"], leaf(), level + 1))
+            waiting.append((node["right_child"], new_leaf(), level + 1))
     return Trees(
         names,
         np.array(feature, np.int32),
@@ -232,7 +246,7 @@ def plain_trees(names: tuple[str, ...], grown: list[dict[str, Any]], scale: floa
 
 
 def _at_most(threshold: float) -> np.float32:
-    """The largest float32 up to ``threshold``: every float32 is on the same side of both."""
+    """The largest float32 up to ``threshold``: every float32 lies on the same side of both."""
     near = np.float32(threshold)
     return np.nextafter(near, np.float32(-np.inf)) if float(near) > threshold else near
 
@@ -254,14 +268,12 @@ def averaged(models: list[Mlp]) -> Mlp:
 
 
 def _layers(width: int, hidden: tuple[int, ...], dropout: float = 0.0) -> list[Any]:
-    import torch  # pyright: ignore[reportMissingImports]
-
     sizes = (width, *hidden)
     layers: list[Any] = []
     for i in range(len(hidden)):
-        layers += [torch.nn.Linear(sizes[i], sizes[i + 1]), torch.nn.ReLU()]
-        layers += [torch.nn.Dropout(dropout)] if dropout else []
-    return [*layers, torch.nn.Linear(sizes[-1], 1)]
+        layers += [nn.Linear(sizes[i], sizes[i + 1]), nn.ReLU()]
+        layers += [nn.Dropout(dropout)] if dropout else []
+    return [*layers, nn.Linear(sizes[-1], 1)]
 
 
 def _plain(names: tuple[str, ...], mean: Float, scale: Float, net: Any) -> Mlp:
@@ -274,7 +286,7 @@ def _plain(names: tuple[str, ...], mean: Float, scale: Float, net: Any) -> Mlp:
     )
 
 
-def area_under_curve(score: Float, positive: npt.NDArray[np.bool_]) -> float:
+def area_under_curve(score: Float, positive: Bool) -> float:
     """Probability that a random positive scores above a random negative."""
     rank = np.empty(len(score))
     rank[np.argsort(score, kind="stable")] = np.arange(1, len(score) + 1)

@@ -8,10 +8,10 @@ import pytest
 from model.evaluation.segmentation.bench import BenchConfig, run
 from model.evaluation.segmentation.visible_clicks import (
     Picture,
-    clicked_as_seen,
-    largest_piece,
+    largest_component,
     middle_of,
     picture_of,
+    visible_click_ious,
 )
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.prompts import PartSegmentation, Prompts
@@ -28,11 +28,11 @@ def test_the_middle_of_the_largest_piece() -> None:
     region = np.zeros((20, 30), bool)
     region[2:9, 3:14] = True
     region[12:14, 20:29] = True
-    piece, size = largest_piece(region)
+    piece, size = largest_component(region)
     assert size == 77 and not piece[12:].any()
     row, column = middle_of(piece)
     assert row == 5 and 6 <= column <= 10
-    assert largest_piece(np.zeros((4, 4), bool))[1] == 0
+    assert largest_component(np.zeros((4, 4), bool))[1] == 0
 
 
 def test_a_picture_shows_the_front_and_not_the_back(picture, mesh_cabinet) -> None:
@@ -80,7 +80,7 @@ def test_what_is_wrong_is_clicked_as_what_it_is(picture, mesh_cabinet) -> None:
     wrong = truth.copy()
     wrong[truth == 2] = 0
     asked = Asked([wrong, truth])
-    rounds = clicked_as_seen(asked, picture, truth, area)
+    rounds = visible_click_ious(asked, picture, truth, area)
     assert rounds[0] == pytest.approx((0.5, 0.5)) and rounds[-1] == (1.0, 1.0)
     first, more = asked.prompts[0].clicks, asked.prompts[1].clicks
     assert [(c.part, c.positive) for c in first] == [(1, True), (2, True)]
@@ -89,14 +89,14 @@ def test_what_is_wrong_is_clicked_as_what_it_is(picture, mesh_cabinet) -> None:
     # What is too much of a part is taken away from it.
     all_ = np.where(truth == 0, np.int16(1), truth)
     asked = Asked([all_, truth])
-    clicked_as_seen(asked, picture, truth, area)
+    visible_click_ious(asked, picture, truth, area)
     last = asked.prompts[1].clicks[-1]
     assert (last.part, last.positive) == (1, False) and truth[last.element] == 0
 
 
 def test_a_person_gets_the_doors(picture, mesh_cabinet) -> None:
     session = DefaultSegmenter().encode(mesh_cabinet.asset)
-    rounds = clicked_as_seen(
+    rounds = visible_click_ious(
         session, picture, mesh_cabinet.labels, mesh_cabinet.asset.mesh.face_areas
     )
     assert len(rounds) == 3
@@ -106,7 +106,7 @@ def test_a_person_gets_the_doors(picture, mesh_cabinet) -> None:
 def test_nothing_moves_nothing_is_clicked(picture, mesh_cabinet) -> None:
     asked = Asked([mesh_cabinet.labels])
     still = np.zeros_like(mesh_cabinet.labels)
-    assert clicked_as_seen(asked, picture, still, np.ones(len(still))) == []
+    assert visible_click_ious(asked, picture, still, np.ones(len(still))) == []
     assert not asked.prompts
 
 
@@ -114,7 +114,7 @@ def test_a_person_gets_the_doors_of_a_scan(make_cabinet_cloud) -> None:
     cloud = make_cabinet_cloud(40_000)
     session = DefaultSegmenter().encode(cloud.asset)
     shown = picture_of(cloud.asset, AHEAD)
-    rounds = clicked_as_seen(session, shown, cloud.labels, np.ones(len(cloud.labels)))
+    rounds = visible_click_ious(session, shown, cloud.labels, np.ones(len(cloud.labels)))
     assert rounds[-1][0] > 0.9
 
 

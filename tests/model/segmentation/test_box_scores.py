@@ -8,17 +8,17 @@ import pytest
 from model.core.asset import Asset
 from model.segmentation.encode.edge_strength import shipped_edge_model
 from model.segmentation.encode.encoding import encode_superpoints
+from model.segmentation.models.mlp import load_mlp
+from model.segmentation.propose.box_grid import BoxGrid
 from model.segmentation.propose.box_ranking import (
     BOX_SCORE_FEATURES,
-    Believed,
-    BoxBeliefs,
     BoxDescriber,
+    BoxRanker,
+    RankedBoxes,
     shipped_box_model,
     volume_overlap,
 )
-from model.segmentation.propose.boxes import Boxes
 from model.segmentation.propose.plane_boxes import SIDE_FEATURES, PlaneBoxes
-from model.segmentation.score.mlp import load_mlp
 from model.training.segmentation.boxes import BoxTraining, rows_of, train_boxes
 from tests.model.segmentation.conftest import cabinet_cloud
 
@@ -27,7 +27,7 @@ from tests.model.segmentation.conftest import cabinet_cloud
 def cabinet():
     data = cabinet_cloud()
     nodes, _, _, superpoints = encode_superpoints(data.asset, shipped_edge_model())
-    grid = Boxes(superpoints)
+    grid = BoxGrid(superpoints)
     return nodes, superpoints, grid, grid.between_planes(superpoints), data.labels
 
 
@@ -52,8 +52,8 @@ def test_a_side_along_a_gap_is_strong_and_one_on_a_wall_is_lined(cabinet) -> Non
     if elsewhere.any():
         assert strength[gap].max() > strength[elsewhere].mean()
     all_ = (boxes.low[0] <= 2) & (boxes.high[0] >= 253) & (boxes.low[2] <= 2)
-    lined = boxes.sides[all_, 0, :, SIDE_FEATURES.index("lined")]
-    assert len(lined) and lined.max() > 0.5
+    with_fronts = boxes.sides[all_, 0, :, SIDE_FEATURES.index("lined")]
+    assert len(with_fronts) and with_fronts.max() > 0.5
 
 
 def mirrored(boxes: PlaneBoxes, axis: int) -> PlaneBoxes:
@@ -90,7 +90,7 @@ def test_features_are_the_same_for_mirrored_objects_and_turned_ones(cabinet) -> 
 
 def test_clicks_leave_boxes_that_hold_them_the_likeliest_first(cabinet) -> None:
     _, superpoints, grid, boxes, labels = cabinet
-    beliefs = BoxBeliefs(boxes, grid.place, grid.facing, grid.step, shipped_box_model())
+    beliefs = BoxRanker(boxes, grid.place, grid.facing, grid.step, shipped_box_model())
     left, right = (int(superpoints.of_node[np.nonzero(labels == p)[0][50]]) for p in (1, 2))
     before, after = beliefs((left,), ()), beliefs((left,), (right,))
     assert 0 < len(after.score) < len(before.score)
@@ -119,12 +119,12 @@ def test_overlap_of_volumes() -> None:
 
 def test_without_boxes_none_are_offered() -> None:
     zero = np.zeros(0, np.float32)
-    none = Believed(np.zeros((3, 0), np.int16), np.zeros((3, 0), np.int16), zero, zero)
+    none = RankedBoxes(np.zeros((3, 0), np.int16), np.zeros((3, 0), np.int16), zero, zero)
     box = np.zeros((1, 3), np.int16)
     assert (
         not len(none.apart(3))
         and not len(none.of_all_sizes(3))
-        and not len(none.like(box, box, 0.5))
+        and not len(none.alike(box, box, 0.5))
     )
 
 

@@ -12,12 +12,14 @@ from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.data.simulated.primitives import block
 from model.geometry.sampling import sample_surface
-from model.segmentation.describe.masks import Candidates, Clicked, MendingClick
+from model.segmentation.describe.masks import ClickContext
 from model.segmentation.encode.edge_strength import shipped_edge_model
 from model.segmentation.encode.encoding import encode
-from model.segmentation.propose.boxes import Boxes, ObjectSolver, main_directions
-from model.segmentation.score.scorers import solver_of
-from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.part_state import CorrectiveClick, PartState
+from model.segmentation.propose.box_grid import BoxGrid, main_directions
+from model.segmentation.propose.proposals import Proposals
+from model.segmentation.solver import PartSolver
+from model.segmentation.solvers import object_solver, solver_of
 
 DRAWER = 2
 """The middle one of three."""
@@ -72,9 +74,9 @@ def best(solver, drawers, superpoints) -> float:
     state, found = PartState(), 0.0
     for superpoint in superpoints:
         answer = solver.answer(state, superpoint, True, None)
-        all_ = [overlap(m, encoding, truth) for m in answer.candidates.masks]
+        all_ = [overlap(m, encoding, truth) for m in answer.proposals.masks]
         found = max(all_)
-        state = solver.moved(state, superpoint, True, answer.candidates.masks[int(np.argmax(all_))])
+        state = solver.moved(state, superpoint, True, answer.proposals.masks[int(np.argmax(all_))])
     return found
 
 
@@ -82,7 +84,7 @@ def test_a_drawer_is_on_offer_after_its_front_and_its_back(drawers) -> None:
     encoding, labels = drawers
     made = (encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
     superpoints = [cell_at(encoding, labels, s) for s in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))]
-    with_boxes = best(ObjectSolver(*made), drawers, superpoints)
+    with_boxes = best(object_solver(*made), drawers, superpoints)
     assert with_boxes > 0.75
     assert with_boxes > best(PartSolver(*made), drawers, superpoints) + 0.1
 
@@ -90,7 +92,7 @@ def test_a_drawer_is_on_offer_after_its_front_and_its_back(drawers) -> None:
 def test_a_negative_click_cuts_along_a_plane(drawers) -> None:
     """The carcass with a drawer by mistake: a click on the drawer takes all of that off."""
     encoding, labels = drawers
-    solver = ObjectSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
+    solver = object_solver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
     chosen = np.isin(labels, (1, 2))
     mask = np.bincount(encoding.superpoints.of_node, chosen, len(encoding.superpoints)) > 0.5 * (
         encoding.superpoints.size
@@ -99,7 +101,7 @@ def test_a_negative_click_cuts_along_a_plane(drawers) -> None:
     below = int(encoding.superpoints.of_node[np.nonzero(labels == 1)[0][0]])
     state = PartState((below,), (), mask)
     answer = solver.answer(state, front, False, None)
-    assert max(overlap(m, encoding, labels == 1) for m in answer.candidates.masks) > 0.9
+    assert max(overlap(m, encoding, labels == 1) for m in answer.proposals.masks) > 0.9
 
 
 def test_on_a_mesh_boxes_give_whole_shells() -> None:
@@ -119,15 +121,13 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
     mask = np.bincount(of_node, panel, len(encoding.superpoints)) > 0.5 * encoding.superpoints.size
     state = PartState((front,), (), mask)
     answer = solver.answer(state, back, True, None)
-    assert max(overlap(m, encoding, labels == DRAWER) for m in answer.candidates.masks) > 0.99
+    assert max(overlap(m, encoding, labels == DRAWER) for m in answer.proposals.masks) > 0.99
 
 
 def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
     """On meshes, of one shell too, it made later clicks worse."""
     asked: list[None] = []
-    monkeypatch.setattr(
-        "model.segmentation.propose.boxes.shipped_box_model", lambda: asked.append(None)
-    )
+    monkeypatch.setattr("model.segmentation.solvers.shipped_box_model", lambda: asked.append(None))
     ends = ((0.0, 0.0, 0.0), (0.4, 0.5, 0.6))
     triangles = block(*ends)
     faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
@@ -141,47 +141,47 @@ def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
 
 def test_features_have_their_names_and_are_finite(drawers) -> None:
     encoding, labels = drawers
-    solver = ObjectSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
+    solver = object_solver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
     superpoint = cell_at(encoding, labels, (0.4, -0.02, 0.3))
     first = solver.answer(PartState(), superpoint, True, None)
     later = solver.answer(
         PartState((superpoint,), (), first.best), int(labels.argmin()), False, None
     )
     for answer in (first, later):
-        assert answer.features.shape == (len(answer.candidates), len(solver.describe.names))
+        assert answer.features.shape == (len(answer.proposals), len(solver.describe.names))
         assert np.isfinite(answer.features).all()
 
 
-def feature(solver: ObjectSolver, masks, clicked: Clicked, name: str) -> list[float]:
-    found = solver.describe(Candidates.of(list(masks), "keep"), clicked)
+def feature(solver: PartSolver, masks, clicked: ClickContext, name: str) -> list[float]:
+    found = solver.describe(Proposals.of(list(masks), "keep"), clicked)
     return found[:, solver.describe.names.index(name)].tolist()
 
 
 def test_features_say_on_which_side_of_the_clicks_a_mask_lies(drawers) -> None:
     """Halves of the chest, told by a click in the middle of each."""
     superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
-    solver = ObjectSolver(superpoints, hierarchy, walk, None, None)
+    solver = object_solver(superpoints, hierarchy, walk, None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
     left, right = (int(np.linalg.norm(at - [x, 0.25, 0.3], axis=1).argmin()) for x in (0.2, 0.6))
     masks = np.stack([across < 0.4, across > 0.4, across < 9])
-    clicked = Clicked((left,), (right,), right, False, masks[2])
+    clicked = ClickContext((left,), (right,), right, False, masks[2])
     near = feature(solver, masks, clicked, "near_negatives")
     size = superpoints.size
     beyond = float(size[across > 0.4].sum() / size.sum())
     assert near[0] < 0.2 and near[1] > 0.8 and near[2] == pytest.approx(beyond, abs=0.15)
 
-    both = Clicked((left, right), (), right, True, masks[0])
+    both = ClickContext((left, right), (), right, True, masks[0])
     held = feature(solver, masks, both, "between_positives")
     assert held[2] == 1 and held[0] + held[1] == pytest.approx(1, abs=0.05)
     assert feature(solver, masks, both, "near_negatives") == [0, 0, 0]
-    alone = Clicked((left,), (), left, True)
+    alone = ClickContext((left,), (), left, True)
     assert feature(solver, masks, alone, "between_positives") == [1, 1, 1]
 
 
 def test_a_first_click_in_the_middle_is_deep_in_what_it_means(drawers) -> None:
     superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
-    solver = ObjectSolver(superpoints, hierarchy, walk, None, None)
+    solver = object_solver(superpoints, hierarchy, walk, None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     half = at[:, 0] < 0.4
     middle, edge = (
@@ -189,7 +189,7 @@ def test_a_first_click_in_the_middle_is_deep_in_what_it_means(drawers) -> None:
         for x in (0.05, 0.38)
     )
     (deep,), (shallow,) = (
-        feature(solver, half[None], Clicked((c,), (), c, True), "first_deepest")
+        feature(solver, half[None], ClickContext((c,), (), c, True), "first_deepest")
         for c in (middle, edge)
     )
     assert -0.5 < deep <= 1 and shallow < deep - 1
@@ -200,7 +200,7 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     the middle of what was too much were needed.
     """
     superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
-    solver = ObjectSolver(superpoints, hierarchy, walk, None, None)
+    solver = object_solver(superpoints, hierarchy, walk, None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
     left, right, edge = (
@@ -212,23 +212,23 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     without_edge = all_ & ~((across > 0.72) & (at[:, 2] > 0.2))
     without_edge[right] = False
     masks = np.stack([meant, without_edge])
-    first = MendingClick(left, True, np.zeros(len(superpoints), bool))
-    clicked = Clicked((left,), (right,), right, False, all_, steps=(first,))
+    first = CorrectiveClick(left, True, np.zeros(len(superpoints), bool))
+    clicked = ClickContext((left,), (right,), right, False, all_, corrections=(first,))
     deepest = feature(solver, masks, clicked, "change_deepest")
     assert deepest[0] > -0.5 and deepest[0] >= deepest[1]
     # The same click when only a strip beside it would have been wrong: not in its middle.
-    beside = Clicked((left,), (edge,), edge, False, all_, steps=(first,))
+    beside = ClickContext((left,), (edge,), edge, False, all_, corrections=(first,))
     assert feature(solver, masks, beside, "change_deepest")[0] < deepest[0] - 0.5
     # Something was missing, says a click. Of the half more was too much then; of all nothing was.
-    missing = Clicked((right, left), (), left, True, across > 0.3)
+    missing = ClickContext((right, left), (), left, True, across > 0.3)
     other = feature(solver, np.stack([meant, all_]), missing, "change_other")
     assert -1 < other[0] < 0 and other[1] == 4
     # What an earlier click says stays, whatever the last one is.
-    second = Clicked((left,), (right, edge), edge, False, all_ & ~(across > 0.72),
-                     steps=(first, MendingClick(right, False, all_)))  # fmt: skip
+    second = ClickContext((left,), (right, edge), edge, False, all_ & ~(across > 0.72),
+                     corrections=(first, CorrectiveClick(right, False, all_)))  # fmt: skip
     worst = feature(solver, masks, second, "past_deepest_worst")
-    alone = feature(solver, masks, Clicked((left,), (right, edge), edge, False,
-                                           all_ & ~(across > 0.72), steps=(first,)),
+    alone = feature(solver, masks, ClickContext((left,), (right, edge), edge, False,
+                                           all_ & ~(across > 0.72), corrections=(first,)),
                     "past_deepest_worst")  # fmt: skip
     assert all(w <= a + 1e-6 for w, a in zip(worst, alone, strict=True)) and worst != alone
 
@@ -245,12 +245,12 @@ def test_states_remember_the_masks_that_clicks_were_to_change(drawers) -> None:
             np.zeros(len(encoding.superpoints), bool) if state.mask is None else state.mask
         )
         state = solver.moved(state, superpoint, positive, found.best)
-    assert [(s.superpoint, s.positive) for s in state.steps] == [(a, True), (b, False)]
-    assert all(np.array_equal(s.before, m) for s, m in zip(state.steps, masks, strict=True))
+    assert [(s.superpoint, s.positive) for s in state.corrections] == [(a, True), (b, False)]
+    assert all(np.array_equal(s.before, m) for s, m in zip(state.corrections, masks, strict=True))
 
 
 def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:
-    boxes = Boxes(drawers[0].superpoints)
+    boxes = BoxGrid(drawers[0].superpoints)
     truth = drawers[1] == DRAWER
     mask = np.bincount(drawers[0].superpoints.of_node, truth, len(drawers[0].superpoints)) > 0
     low, high = boxes.bounds(mask[None])
@@ -264,7 +264,7 @@ def test_contents_hold_what_bounds_were_taken_of(drawers) -> None:
 
 
 def test_behind_a_front_a_box_ends_at_the_back(drawers) -> None:
-    boxes = Boxes(drawers[0].superpoints)
+    boxes = BoxGrid(drawers[0].superpoints)
     points = drawers[0].superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     front = (points[:, 1] < 0.002) & (abs(points[:, 2] - 0.3) < 0.08)
     low, high = boxes.behind(*boxes.bounds(front[None]), 4)

@@ -17,7 +17,7 @@ from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.encode.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.tools.all_parts import propose
+from model.segmentation.tools.all_parts import propose_parts
 
 EXAMPLES = static_assets() / "examples"
 
@@ -92,7 +92,7 @@ def test_both_sides_of_a_face_are_in_one_part(cabinet: DefaultSession) -> None:
             assert ((said == last.part) == last.positive).all()
     for mask in cabinet.candidates(Prompts((door,)), door.part):
         assert np.array_equal(mask[:half], mask[half:])
-    labels = propose(cabinet).labels
+    labels = propose_parts(cabinet).labels
     assert labels.any()
     assert np.array_equal(labels[:half], labels[half:])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,14 +15,16 @@ from model.data.procedural.examples import joined
 from model.data.procedural.generate import make
 from model.data.simulated.primitives import block
 from model.io.open_asset import open_asset
+from model.segmentation import default
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.describe.masks import FEATURE_NAMES
 from model.segmentation.describe.repeats import Repeats
+from model.segmentation.models.mlp import Mlp
+from model.segmentation.part_state import PartState
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.propose import fronts
-from model.segmentation.score.mlp import Mlp
+from model.segmentation.propose import front_rectangles
 from model.segmentation.simulated_clicks import central, deepest, iou, next_click, next_part_click
-from model.segmentation.solver import PartSolver, PartState
+from model.segmentation.solver import PartSolver
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +83,7 @@ def test_a_click_inside_a_region_takes_a_part_of_it(session, cloud_cabinet):
 @pytest.mark.parametrize("close", [True, False])
 def test_clicks_for_two_parts_in_one_cell_share_it(session, cloud_cabinet, close):
     if not close:  # cells alone: nodes follow the nearest click
-        session = DefaultSession(session.asset, session.encoding, session.solver)
-        session.closeups = None
+        session = DefaultSession(session.asset, session.encoding, session.solver, refine=False)
     superpoints, points = session.encoding.superpoints, cloud_cabinet.asset.element_centers
     superpoint = int(superpoints.size.argmax())
     nodes = np.nonzero(superpoints.of_node == superpoint)[0]
@@ -133,6 +133,19 @@ def test_the_mesh_is_cut_along_its_edges(mesh_cabinet):
     labels = session.segment(Prompts(tuple(clicks))).labels
     area = mesh_cabinet.asset.mesh.face_areas
     assert area[labels == truth].sum() > 0.95 * area.sum()
+
+
+def test_undo_works_after_more_clicks_than_states_are_cached(
+    cloud_cabinet, session, monkeypatch
+) -> None:
+    """The state of a first click is forgotten before that of the second one."""
+    monkeypatch.setattr(default, "STATES_CACHED", 4)
+    session = DefaultSession(session.asset, session.encoding, session.solver, refine=False)
+    points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels
+    door, other = (click_at(cloud_cabinet, deepest(points, truth == p), p) for p in (1, 2))
+    both = session.segment(Prompts((door, other))).labels
+    session.segment(Prompts((other, door, click_at(cloud_cabinet, 0, 3))))
+    assert np.array_equal(session.segment(Prompts((door, other))).labels, both)
 
 
 def test_progress_rises_and_can_cancel(cloud_cabinet):
@@ -318,7 +331,9 @@ def test_a_first_click_on_a_mesh_seldom_means_most_of_it(mesh_cabinet) -> None:
     names = solver.describe.names
     weight = np.array([[0.5 * (n == "log_size") for n in names]], np.float32)
     zero = np.zeros(len(names), np.float32)
-    solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    solver = solver.with_first(
+        Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    )
     door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
     best = solver.answer(PartState(), door, True, None).best
     assert (
@@ -328,52 +343,55 @@ def test_a_first_click_on_a_mesh_seldom_means_most_of_it(mesh_cabinet) -> None:
 
 def test_a_first_click_beside_others_seldom_means_most_of_a_scan(session) -> None:
     """Alone it may: the base of a scan is asked for as well."""
-    encoding, solver = session.encoding, copy(session.solver)
+    encoding, solver = session.encoding, session.solver
     names = solver.describe.names
     weight = np.array([[1.0 * (n == "log_size") for n in names]], np.float32)
     zero = np.zeros(len(names), np.float32)
-    solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    solver = solver.with_first(
+        Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    )
     size, center = encoding.superpoints.size, encoding.superpoints.center
     door = int(np.abs(center - (0.25, -0.02, 0.4)).sum(1).argmin())
-    alone = solver.answer(PartState(), door, True, None, of_a_part=False).best
+    alone = solver.answer(PartState(), door, True, None, moving=False).best
     assert size[alone].sum() > 0.7 * size.sum()
     taken = np.zeros(len(size), bool)
     taken[np.abs(center - (0.9, 0.5, 0.1)).sum(1).argmin()] = True
-    best = solver.answer(PartState(), door, True, taken, of_a_part=False).best
+    best = solver.answer(PartState(), door, True, taken, moving=False).best
     assert best[door] and size[best].sum() < 0.6 * size.sum()
 
 
 def test_a_first_click_means_no_speck(session) -> None:
     """However much the scorer likes small masks: nobody clicks for a handful of points."""
-    encoding, solver = session.encoding, copy(session.solver)
+    encoding, solver = session.encoding, session.solver
     names = solver.describe.names
     weight = np.array([[-0.5 * (n == "log_size") for n in names]], np.float32)
     zero = np.zeros(len(names), np.float32)
-    solver._first = Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    solver = solver.with_first(
+        Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
+    )
     size = encoding.superpoints.size
     door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
-    found = solver.answer(PartState(), door, True, None, of_a_part=False)
-    held = found.candidates.masks @ size
+    found = solver.answer(PartState(), door, True, None, moving=False)
+    held = found.proposals.masks @ size
     assert held.min() < 16 < size[found.best].sum() < 0.1 * size.sum()
 
 
 def test_of_equally_likely_masks_no_detail_is_meant(session) -> None:
     """But in a close-up, which is there for details, all but specks are equal."""
-    encoding, solver = session.encoding, copy(session.solver)
+    encoding, solver = session.encoding, session.solver
     names = solver.describe.names
     zero = np.zeros(len(names), np.float32)
     same = Mlp(names, zero, np.ones_like(zero), ((zero[None], np.zeros(1, np.float32)),))
-    solver._first = same
+    solver = solver.with_first(same)
     door = int(np.abs(encoding.nodes.points - (0.25, -0.02, 0.4)).sum(1).argmin())
     best = solver.answer(PartState(), int(encoding.superpoints.of_node[door]), True, None).best
     assert encoding.superpoints.size[best].sum() > 0.018 * encoding.superpoints.size.sum()
-    closeup = session.closeups[door]
-    near = copy(closeup._solver)
-    near._first = same
-    found = near.answer(PartState(), int(np.searchsorted(closeup.nodes, door)), True, None)
-    held = found.candidates.masks.sum(1)
+    neighborhood = session.refinement.around(door)
+    near = neighborhood.solver.with_first(same)
+    found = near.answer(PartState(), int(np.searchsorted(neighborhood.nodes, door)), True, None)
+    held = found.proposals.masks.sum(1)
     assert held.min() < 10 <= found.best.sum()
-    assert (found.scores[(held >= 10) & (held <= 0.9 * len(closeup.nodes))] == 0).all()
+    assert (found.scores[(held >= 10) & (held <= 0.9 * len(neighborhood.nodes))] == 0).all()
 
 
 @pytest.fixture
@@ -402,9 +420,11 @@ def test_clicks_in_vain_make_the_next_one_count(session, stubborn) -> None:
     assert lost(state) < 0.01
     for _ in range(3):
         state = solver.moved(state, body, False, everything)
-    assert state.stalls == 3
+    assert state.ineffective == 3
     assert lost(state) > 0.1
-    assert solver.moved(state, body, False, encoding.superpoints.center[:, 0] < 0.5).stalls == 0
+    assert (
+        solver.moved(state, body, False, encoding.superpoints.center[:, 0] < 0.5).ineffective == 0
+    )
 
 
 def test_a_click_far_from_a_small_mask_means_more_than_a_speck(session, stubborn) -> None:
@@ -457,21 +477,25 @@ def test_one_kind_of_click_again_and_again_counts_as_in_vain(session, cloud_cabi
     solver, size = session.solver, session.encoding.superpoints.size
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
     door = int(session.encoding.superpoints.of_node[deepest(points, truth)])
-    wide = solver.chain(door).masks
+    wide = solver.regions.nested(door).masks
     masks = wide[np.argsort(wide @ size)[[2, len(wide) // 3, len(wide) // 2]]]
     state = solver.moved(PartState(), door, True, masks[0])
-    assert state.run == 0
+    assert state.streak == 0
     for mask, run in ((masks[1], 1), (masks[2], 2), (masks[1], 3)):
         state = solver.moved(state, door, True, mask)
-        assert state.run == run and state.stalls == 0
-    assert solver.moved(state, door, False, masks[0]).run == -1
+        assert state.streak == run and state.ineffective == 0
+    assert solver.moved(state, door, False, masks[0]).streak == -1
     barely = state.mask.copy()
     barely[door] = False
     nothing = np.zeros(1, np.float32)
 
     def against(run: int) -> float:
-        known = replace(state, run=run)
-        return float(solver._unlikely(known, door, False, barely[None], nothing)[0])
+        known = replace(state, streak=run)
+        return float(
+            solver.penalties.of_later(
+                solver.superpoints, known, door, False, barely[None], nothing
+            )[0]
+        )
 
     assert against(-6) > against(-1) + 1
     assert against(6) == against(-1)
@@ -481,14 +505,16 @@ def test_what_is_taken_away_leaves_no_speck(session, cloud_cabinet) -> None:
     solver, superpoints = session.solver, session.encoding.superpoints
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
     door = int(superpoints.of_node[deepest(points, truth)])
-    wide = solver.chain(door).masks
+    wide = solver.regions.nested(door).masks
     mask = wide[np.argsort(wide @ superpoints.size)[len(wide) // 2]]
     state = solver.moved(PartState(), door, True, mask)
     small = np.argsort(np.where(mask, superpoints.size, np.inf))[:30]
     kept = np.zeros((30, len(superpoints)), bool)
     kept[np.arange(30), small] = True
     kept = np.maximum.accumulate(kept)
-    against = solver._unlikely(state, door, False, kept, np.ones(30, np.float32))
+    against = solver.penalties.of_later(
+        superpoints, state, door, False, kept, np.ones(30, np.float32)
+    )
     left = kept @ superpoints.size
     assert (left < 16).any() and (left > 16).any()
     expected = np.clip(3 * np.log(16 / left), 0, 9)
@@ -499,20 +525,19 @@ def test_a_click_beside_the_border_means_what_is_there(session, cloud_cabinet) -
     solver, superpoints = session.solver, session.encoding.superpoints
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
     door = int(superpoints.of_node[deepest(points, truth)])
-    wide = solver.chain(door).masks
+    wide = solver.regions.nested(door).masks
     mask = wide[np.argsort(wide @ superpoints.size)[len(wide) // 2]]
     links = superpoints.links
     edge = int(links.b[mask[links.a] & ~mask[links.b]][0])
     state = solver.moved(PartState(), door, True, mask)
 
     def scores(penalty: float) -> tuple[np.ndarray, np.ndarray]:
-        solver._far_penalty = penalty
-        answer = solver.answer(state, edge, True, None)
-        return answer.candidates.masks, answer.scores
+        other = solver.with_penalties(replace(solver.penalties, far=penalty))
+        answer = other.answer(state, edge, True, None)
+        return answer.proposals.masks, answer.scores
 
     masks, free = scores(0.0)
     same, fell = scores(0.3)
-    del solver._far_penalty
     assert np.array_equal(masks, same)
     apart = ((superpoints.center - superpoints.center[edge]) ** 2).sum(1)
     near = superpoints.size[apart < apart[mask].min()].sum()
@@ -526,7 +551,7 @@ def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabine
     size = encoding.superpoints.size
     points, truth = cloud_cabinet.asset.element_centers, cloud_cabinet.labels == 1
     door = int(encoding.superpoints.of_node[deepest(points, truth)])
-    wide = solver.chain(door).masks
+    wide = solver.regions.nested(door).masks
     mask = wide[np.argsort(wide @ size)[len(wide) // 2]]
     own = float(size[mask].sum())
     superpoint = int(np.nonzero(~mask)[0][0])
@@ -535,7 +560,7 @@ def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabine
 
     def scores(known: PartState) -> dict[bytes, float]:
         answer = solver.answer(known, superpoint, True, None)
-        pairs = zip(answer.candidates.masks, answer.scores, strict=True)
+        pairs = zip(answer.proposals.masks, answer.scores, strict=True)
         return {m.tobytes(): float(s) for m, s in pairs}
 
     free, bound = scores(state), scores(replace(state, most=2 * own))
@@ -552,7 +577,9 @@ def test_a_mask_that_held_too_much_bounds_the_ones_to_come(session, cloud_cabine
 
 def test_clicks_that_agree_do_not_hold_the_mask_as_it_is(monkeypatch) -> None:
     """The clicks beside the bundled oven: five on the glass of its door, then its frame."""
-    monkeypatch.setattr(fronts, "_MORE", 0)  # else the first click takes the whole door
+    monkeypatch.setattr(
+        front_rectangles, "EXTRA_RECTANGLES", 0
+    )  # else the first click takes the whole door
     folder = static_assets() / "examples"
     session = DefaultSegmenter().encode(open_asset(folder / "oven_scan.ply"))
     runs = json.loads((folder / "truth" / "oven_scan.json").read_text())["runs"]

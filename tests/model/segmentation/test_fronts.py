@@ -13,14 +13,16 @@ from model.core.resources import static_assets
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.describe.fronts import FRONT_FEATURES, front_features
+from model.segmentation.describe.objects import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.encode.edge_strength import shipped_edge_model
 from model.segmentation.encode.encoding import encode
+from model.segmentation.part_state import PartState
 from model.segmentation.prompts import Click, Prompts
-from model.segmentation.propose.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.propose.fronts import Fronts, support
-from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers, solver_of
+from model.segmentation.propose.front_rectangles import support
+from model.segmentation.propose.fronts import Fronts
+from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers
 from model.segmentation.simulated_clicks import iou
-from model.segmentation.solver import PartState
+from model.segmentation.solvers import solver_of
 
 WIDE, HIGH, DEEP = 1.2, 0.8, 0.4
 COLUMNS, ROWS = (0.0, 0.5, 1.2), (0.0, 0.3, 0.8)
@@ -238,13 +240,13 @@ def test_a_line_behind_a_handle_goes_by_what_is_beside_it(fronts, panels) -> Non
     u, v = np.round(front.knobs[0]).astype(int)
     assert front.knob_of[u, v] == 0 and (front.length < 2).all()
     low, high = front.bounds[2:]
-    shown = front.upright(low, high)[u]
+    shown = front.vertical(low, high)[u]
     hidden = front.knob_of[u, low : high + 1] >= 0
     each = np.diff(front.columns[u, low : high + 2, -2]) / np.where(hidden, 0.05, 1)
     assert 4 < hidden.sum() < 0.3 * len(hidden)
     assert shown == pytest.approx(each[~hidden].mean(), abs=0.05)
     for square in range(*front.shape[:1]):
-        assert np.isfinite(front.upright(low, high)[square])
+        assert np.isfinite(front.vertical(low, high)[square])
 
 
 def test_a_normal_that_was_turned_round_changes_nothing(fronts, panels) -> None:
@@ -294,12 +296,12 @@ def test_the_solver_offers_rectangles_for_parts_alone(panels) -> None:
     solver = solver_of(encoding, *shipped_scorers())
     superpoint = cell_at(encoding, (1.0, 0, 0.2))
     part = solver.answer(PartState(), superpoint, True, None)
-    anything = solver.answer(PartState(), superpoint, True, None, of_a_part=False)
+    anything = solver.answer(PartState(), superpoint, True, None, moving=False)
     assert part.features.shape[1] == len(MOVING_FEATURE_NAMES)
-    assert len(part.candidates) > len(anything.candidates)
-    assert best_overlap(encoding, part.candidates.masks, labels == 2) > 0.85
+    assert len(part.proposals) > len(anything.proposals)
+    assert best_overlap(encoding, part.proposals.masks, labels == 2) > 0.85
     again = solver.answer(PartState(), superpoint, True, None)
-    assert np.array_equal(part.candidates.masks, again.candidates.masks)
+    assert np.array_equal(part.proposals.masks, again.proposals.masks)
     assert np.array_equal(part.scores, again.scores)
 
 
@@ -313,7 +315,7 @@ def test_a_later_click_knows_where_the_panel_ends(panels, begin: float) -> None:
     state = PartState(positive=(first,), mask=own & (superpoints.center[:, 0] > begin))
     solver = solver_of(encoding, *shipped_scorers(), shipped_moving_scorers())
     part = solver.answer(state, missing, True, None)
-    anything = solver.answer(state, missing, True, None, of_a_part=False)
+    anything = solver.answer(state, missing, True, None, moving=False)
     assert part.features.shape[1] == len(MOVING_FEATURE_NAMES)
     assert anything.features.shape[1] == len(OBJECT_FEATURE_NAMES)
     assert best_overlap(encoding, part.best[None], labels == 2) > 0.75
@@ -341,10 +343,10 @@ def test_what_may_be_the_base_is_asked_for_by_name(panels) -> None:
     cloud, _ = flush_fronts(20_000)
     session = DefaultSegmenter().encode(Asset("panels", cloud=cloud))
     prompts = Prompts((Click((1.2, 0.2, 0.4), 1),))
-    anything = session.of_anything()
+    anything = session.including_base()
     assert anything.encoding is session.encoding
     superpoint = cell_at(session.encoding, (1.2, 0.2, 0.4))
-    expected = session.solver.first_answer(superpoint, of_a_part=False).best
+    expected = session.solver.first_answer(superpoint, moving=False).best
     taken = np.bincount(
         session.encoding.superpoints.of_node,
         anything.segment(prompts).labels[session.encoding.nodes.elements.element_of_node] == 1,

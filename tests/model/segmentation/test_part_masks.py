@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.describe.objects import HISTORY_FEATURES
 from model.segmentation.finish.alternatives import overlaps
-from model.segmentation.propose.boxes import HISTORY_FEATURES, ObjectSolver
-from model.segmentation.score.mlp import load_mlp
-from model.segmentation.tools import all_parts as proposal
+from model.segmentation.models.mlp import load_mlp
+from model.segmentation.tools import all_parts
 from model.segmentation.tools.mask_votes import (
     PART_FEATURE_NAMES,
     PART_SCORER,
-    parts_apart,
+    exclusive_parts,
     shipped_part_scorer,
-    spoken_of,
+    vote_for_masks,
 )
-from model.training.segmentation.first_clicks import MovingTraining
 from model.training.segmentation.part_masks import PartMaskTraining, play_masks, train_part_masks
+from model.training.segmentation.visible_objects import MovingPartTraining
 
 SMALL = PartMaskTraining(asked=6, spread=40, networks=1, held_out=2, workers=1)
 
@@ -40,38 +40,37 @@ def test_parts_exclude_each_other_but_small_ones_may_sit_on_large_ones() -> None
     masks[5, :6] = True  # half of it
     common, _ = overlaps(masks, np.ones(20))
     worth = np.array([2.0, 1.9, 1.0, 1.5, -0.5, 1.8], np.float32)
-    assert parts_apart(worth, common, -1.0) == [0, 2, 4]
-    assert parts_apart(worth, common, 0.0) == [0, 2]
-    assert parts_apart(worth, common, 3.0) == []
-    assert parts_apart(worth[:0], common[:0, :0], -1.0) == []
+    assert exclusive_parts(worth, common, -1.0) == [0, 2, 4]
+    assert exclusive_parts(worth, common, 0.0) == [0, 2]
+    assert exclusive_parts(worth, common, 3.0) == []
+    assert exclusive_parts(worth[:0], common[:0, :0], -1.0) == []
 
 
-def test_what_cells_speak_of_is_described(session: DefaultSession) -> None:
+def test_voted_masks_are_described(session: DefaultSession) -> None:
     solver, superpoints = session.solver, session.encoding.superpoints
-    assert isinstance(solver, ObjectSolver)
-    asked = proposal.spread(superpoints.center, 12)
-    assert len(set(asked.tolist())) == 12
-    spoken = spoken_of(solver, asked)
-    assert spoken.masks.shape == (len(spoken.features), len(superpoints))
-    assert len(np.unique(np.packbits(spoken.masks, axis=1), axis=0)) == len(spoken.masks)
-    assert spoken.masks[:, asked].any(1).all(), "some cell within speaks of each"
-    assert np.isfinite(spoken.features).all()
-    named = dict(zip(PART_FEATURE_NAMES, spoken.features.T, strict=True))
+    voters = all_parts.spread(superpoints.center, 12)
+    assert len(set(voters.tolist())) == 12
+    voted = vote_for_masks(solver, voters)
+    assert voted.masks.shape == (len(voted.features), len(superpoints))
+    assert len(np.unique(np.packbits(voted.masks, axis=1), axis=0)) == len(voted.masks)
+    assert voted.masks[:, voters].any(1).all(), "some superpoint within votes for each"
+    assert np.isfinite(voted.features).all()
+    named = dict(zip(PART_FEATURE_NAMES, voted.features.T, strict=True))
     for share in ("said", "likely", "agreed", "agreed_most", "asked"):
         assert (named[share] >= 0).all() and (named[share] <= 1 + 1e-5).all(), share
-    np.testing.assert_allclose(named["asked"], spoken.masks[:, asked].mean(1), atol=1e-6)
+    np.testing.assert_allclose(named["asked"], voted.masks[:, voters].mean(1), atol=1e-6)
     assert (named["score_most"] >= named["score"] - 1e-5).all()
     assert (named["behind_least"] <= 1e-6).all() and (named["behind_least"] == 0).any()
-    again = spoken_of(solver, asked)
-    assert np.array_equal(spoken.features, again.features)
-    # Who is asked first does not matter.
-    turned = spoken_of(solver, asked[::-1])
-    assert len(turned.masks) == len(spoken.masks)
+    again = vote_for_masks(solver, voters)
+    assert np.array_equal(voted.features, again.features)
+    # Who is voters first does not matter.
+    turned = vote_for_masks(solver, voters[::-1])
+    assert len(turned.masks) == len(voted.masks)
 
 
 def test_proposed_parts_are_doors_and_not_the_body(cloud_cabinet, session: DefaultSession) -> None:
-    labels, true = proposal.propose(session).labels, cloud_cabinet.labels
-    assert np.array_equal(labels, proposal.propose(session).labels)
+    labels, true = all_parts.propose_parts(session).labels, cloud_cabinet.labels
+    assert np.array_equal(labels, all_parts.propose_parts(session).labels)
     found = [labels == part for part in np.unique(labels[labels > 0])]
     assert found
     best = [
@@ -85,19 +84,19 @@ def test_proposed_parts_are_doors_and_not_the_body(cloud_cabinet, session: Defau
 def test_without_a_scorer_cells_agree_on_parts(
     cloud_cabinet, session: DefaultSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(proposal, "shipped_part_scorer", lambda: None)
-    labels = proposal.propose(session).labels
+    monkeypatch.setattr(all_parts, "shipped_part_scorer", lambda: None)
+    labels = all_parts.propose_parts(session).labels
     assert len(labels) == len(cloud_cabinet.labels) and labels.max() > 0
 
 
 def test_the_shipped_scorer_says_how_it_was_made() -> None:
     scorer = shipped_part_scorer()
-    asked = tuple(n for n in PART_FEATURE_NAMES if n not in HISTORY_FEATURES)
-    assert scorer is not None and scorer.names == asked, "nothing was clicked before"
+    voters = tuple(n for n in PART_FEATURE_NAMES if n not in HISTORY_FEATURES)
+    assert scorer is not None and scorer.names == voters, "nothing was clicked before"
 
 
 def test_masks_of_a_made_object_are_worth_their_overlap_with_what_moves() -> None:
-    config = replace(SMALL, objects=MovingTraining(mesh=1.0, camera=0.0, one_sided=0.0))
+    config = replace(SMALL, objects=MovingPartTraining(mesh=1.0, camera=0.0, one_sided=0.0))
     rows = play_masks(200_004, config)
     assert rows.features.shape == (len(rows.masks), len(PART_FEATURE_NAMES))
     assert rows.overlap.shape[0] == len(rows.masks) and rows.overlap.shape[1] >= 1
@@ -111,7 +110,7 @@ def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
     config = replace(
         SMALL,
         seeds=((200_000, 200_004, 1),),
-        objects=MovingTraining(mesh=1.0, camera=0.0, one_sided=0.0),
+        objects=MovingPartTraining(mesh=1.0, camera=0.0, one_sided=0.0),
     )
     scores = train_part_masks(config, tmp_path)
     assert 0 <= scores["parts_right"] <= 1 and 0 <= scores["parts_found"] <= 1

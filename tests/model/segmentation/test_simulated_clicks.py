@@ -22,8 +22,8 @@ from model.evaluation.segmentation.bench import (
     run,
 )
 from model.evaluation.segmentation.bench_data import BenchObject, dataset_objects
+from model.segmentation.models.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.prompts import PartSegmentation, Prompts
-from model.segmentation.score.mlp import Mlp, load_mlp, save_mlp
 from model.segmentation.score.scorers import read_scorers
 from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
 from model.training.segmentation.clicks import ClickTraining, train_scorers

@@ -9,21 +9,22 @@ import pytest
 
 from model.data.simulated.ornaments import ornamented
 from model.data.simulated.scans import build
-from model.segmentation.propose.boxes import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.describe.objects import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.models.trees import load_scorer
 from model.segmentation.score.scorers import MOVING_SCORERS, SCORERS
-from model.segmentation.score.trees import load_scorer
 from model.training.segmentation.clicks import ClickTraining
 from model.training.segmentation.clouds import CloudTraining, train_clouds
 from model.training.segmentation.corrective_clicks import (
-    MendingTraining,
+    CorrectiveClickTraining,
     play_sessions,
-    train_mending,
+    train_corrective,
 )
-from model.training.segmentation.first_clicks import MovingTraining, play, train_moving
+from model.training.segmentation.first_clicks import play, train_moving
 from model.training.segmentation.fit import Boosting
+from model.training.segmentation.visible_objects import MovingPartTraining
 
 FEW = Boosting(trees=8, leaves=4, least=5, forests=2)
-SMALL = MovingTraining(parts=2, clicks=2, networks=1, held_out=2, workers=1)
+SMALL = MovingPartTraining(parts=2, clicks=2, networks=1, held_out=2, workers=1)
 
 
 def test_ornaments_stand_out_of_the_parts_that_they_are_on() -> None:
@@ -77,7 +78,7 @@ def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
 
 
 def test_sessions_are_clicks_on_what_is_still_wrong() -> None:
-    config = MendingTraining(objects=replace(SMALL, camera=1.0, mesh=0.0), later=3)
+    config = CorrectiveClickTraining(objects=replace(SMALL, camera=1.0, mesh=0.0), later=3)
     rows = play_sessions(200_004, config)
     clicks = len(rows.share)
     assert 0 < clicks <= 3 * 2 * 2, "at most three later ones of each of two on two parts"
@@ -89,11 +90,11 @@ def test_sessions_are_clicks_on_what_is_still_wrong() -> None:
 
 
 def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> None:
-    config = MendingTraining(
+    config = CorrectiveClickTraining(
         ((200_000, 200_004, 1),), replace(SMALL, camera=0.0, mesh=0.0), held_out=2, networks=1,
         workers=1,
     )  # fmt: skip
-    scores = train_mending(config, tmp_path)
+    scores = train_corrective(config, tmp_path)
     assert 0 <= scores["mending_iou"] <= scores["mending_best_possible"] <= 1
     scorer = load_scorer(tmp_path / MOVING_SCORERS[1], MOVING_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(MOVING_FEATURE_NAMES)))
@@ -105,7 +106,7 @@ def test_clicks_on_clouds_learn_from_rounds_of_all_kinds(tmp_path) -> None:
     clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0)
     config = CloudTraining(rounds, clicks, held_out=2, first=FEW, later=FEW, networks=1)
     scores = train_clouds(config, tmp_path)
-    files = (*SCORERS["cloud"], SCORERS["close-up"][1])
+    files = (*SCORERS["cloud"], SCORERS["local"][1])
     for kind, file in zip(("first", "later", "close"), files, strict=True):
         assert 0 <= scores[f"{kind}_iou"] <= scores[f"{kind}_best_possible"] <= 1
         assert scores[f"{kind}_clicks"] > 1

@@ -1,4 +1,4 @@
-"""Boosted decision trees in plain numpy, and the npz that holds them."""
+"""Boosted decision trees in plain numpy, and their npz file."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from model.segmentation.arrays import Float32, Int32, Int64
+from model.segmentation.models.mlp import Mlp, columns, load_mlp, open_npz, save_mlp
 from model.segmentation.parallel import mapped
-from model.segmentation.score.mlp import Mlp, columns, load_mlp, open_npz, save_mlp
 
 FORMAT = 1
 _CHUNK = 2048
@@ -18,49 +18,49 @@ _CHUNK = 2048
 
 @dataclass(frozen=True, eq=False)
 class Trees:
-    """The sum of what the leaves say that an input comes to, one in each tree.
+    """Sums the values of the leaves that an input reaches, one in each tree.
 
     Attributes:
         names: of the input features, checked against the code that makes them.
-        feature: (N,) int32 column that a node asks about.
+        feature: (N,) int32 column that a node compares.
         threshold: (N,) float32; inputs up to it go to ``child``, larger ones to the node after it.
-            A leaf is its own child, and its threshold is infinite.
+            A leaf is its own child with an infinite threshold.
         child: (N,) int32.
-        value: (N,) float32 what a leaf says.
-        roots: (T,) int32. depth: questions until the last leaf is reached.
-        picks: (D,) columns of what they are asked about, where those are more than their own.
+        value: (N,) float32 of leaves.
+        roots: (T,) int32. depth: comparisons to the deepest leaf.
+        picks: (D,) columns of the given features that they read, None for all.
     """
 
     names: tuple[str, ...]
-    feature: npt.NDArray[np.int32]
-    threshold: npt.NDArray[np.float32]
-    child: npt.NDArray[np.int32]
-    value: npt.NDArray[np.float32]
-    roots: npt.NDArray[np.int32]
+    feature: Int32
+    threshold: Float32
+    child: Int32
+    value: Float32
+    roots: Int32
     depth: int
-    picks: npt.NDArray[np.int64] | None = None
+    picks: Int64 | None = None
 
-    def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def __call__(self, features: Float32) -> Float32:
         """(N,) outputs of (N, D) features."""
         out = np.empty(len(features), np.float32)
 
-        def answer(begin: int) -> None:
+        def evaluate(begin: int) -> None:
             x = features[begin : begin + _CHUNK]
             x = np.ascontiguousarray(x if self.picks is None else x[:, self.picks], np.float32)
             row = (np.arange(len(x), dtype=np.int32) * x.shape[1])[:, None]
             flat = x.ravel()
             node = np.tile(self.roots, (len(x), 1))
             for _ in range(self.depth):
-                asked = flat.take(self.feature.take(node) + row)
-                node = self.child.take(node) + (asked > self.threshold.take(node))
+                compared = flat.take(self.feature.take(node) + row)
+                node = self.child.take(node) + (compared > self.threshold.take(node))
             out[begin : begin + _CHUNK] = self.value.take(node).sum(1)
 
-        mapped(answer, range(0, len(features), _CHUNK))
+        mapped(evaluate, range(0, len(features), _CHUNK))
         return out
 
 
 Scorer = Mlp | Trees
-"""What ranks hypotheses by what they show."""
+"""Ranks proposals by their features."""
 
 
 def save_trees(trees: Trees, path: Path, config: dict[str, object]) -> None:
@@ -80,14 +80,7 @@ def save_trees(trees: Trees, path: Path, config: dict[str, object]) -> None:
 
 
 def load_trees(path: Path, names: tuple[str, ...]) -> Trees:
-    """Read what :func:`save_trees` wrote.
-
-    Args:
-        names: of the features that they will be asked about; they may ask for some of them.
-
-    Raises:
-        InputFileError: where the file is absent, newer, or made for other features.
-    """
+    """Read what :func:`save_trees` wrote; arguments and errors as for :func:`.mlp.load_mlp`."""
     with open_npz(path) as data:
         found, picks = columns(data, "trees_format", FORMAT, path, names)
         return Trees(

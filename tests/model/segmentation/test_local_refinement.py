@@ -66,10 +66,8 @@ def small_parts(labels: np.ndarray, least: float = 0.0) -> list[int]:
 
 
 def without(session: DefaultSession) -> DefaultSession:
-    """The same without close-ups."""
-    plain = DefaultSession(session.asset, session.encoding, session.solver)
-    plain.closeups = None
-    return plain
+    """The same without local refinement."""
+    return DefaultSession(session.asset, session.encoding, session.solver, refine=False)
 
 
 def test_small_parts_have_their_own_outline() -> None:
@@ -96,7 +94,7 @@ def test_small_parts_of_a_real_mesh(shared_data: Path) -> None:
     found = partnet_objects(shared_data / "partnet_mobility", "mesh", 1, 14, 20, 5, 3)
     item = next(item for item in found if item.name == "26800")
     session = DefaultSegmenter().encode(item.asset)
-    assert session.closeups is not None
+    assert session.refinement is not None
     close, plain = (played(s, item.labels, [2, 3, 4], 1) for s in (session, without(session)))
     assert min(close) > 0.8 and np.mean(close) > np.mean(plain) + 0.1
 
@@ -131,9 +129,9 @@ def test_what_a_small_part_leaves_goes_to_what_is_round_it(remote: Remote) -> No
     assert iou(found == 2, labels == 6) > 0.8
 
 
-def test_a_part_that_grows_leaves_its_closeup(remote: Remote) -> None:
+def test_a_part_that_grows_leaves_its_neighborhood(remote: Remote) -> None:
     session, points, labels = remote
-    assert session.closeups is not None
+    assert session.refinement is not None
     first = click(points, deepest(points, labels == 6), 1)
     board = Region(1, np.flatnonzero(labels == 0))
     found = session.segment(Prompts((first, board))).labels

@@ -14,10 +14,10 @@ from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.finish.attached_shells import fittings_of
+from model.segmentation.finish.attached_shells import find_attached_shells
 from model.segmentation.finish.contacts import contacts_of
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.tools.all_parts import propose
+from model.segmentation.tools.all_parts import propose_parts
 from model.segmentation.tools.connected import hover
 from tests.model.segmentation.conftest import subdivide
 
@@ -51,7 +51,7 @@ def pulled(mesh: Mesh, of: np.ndarray, *parts: int) -> list[int]:
     for box, part in enumerate(parts):
         labels[of == box] = part
     none = np.zeros(0, np.int32)
-    out = fittings_of(mesh, none, none).joined(labels, ())
+    out = find_attached_shells(mesh, none, none).attach(labels, ())
     found = [set(out[of == box].tolist()) for box in range(of.max() + 1)]
     assert all(len(one) == 1 for one in found)
     return [one.pop() for one in found]
@@ -132,7 +132,7 @@ def test_a_click_on_a_handle_takes_what_it_moves(
     """Bar or post; Tab shows it alone, and dots show beforehand what the click will take."""
     session, labels, parts = bundled
     mesh = session.asset.mesh
-    assert mesh is not None and session.fittings is not None
+    assert mesh is not None and session.finisher.attached is not None
     shell, center = np.asarray(connected_shells(mesh)), session.asset.element_centers
     clicked = set()
     for number in np.unique(shell):
@@ -162,10 +162,10 @@ def test_a_key_beside_others_is_no_handle() -> None:
         faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
         mesh = Mesh((10 * triangles).reshape(-1, 3), faces)
         none = np.zeros(0, np.int32)
-        face = fittings_of(mesh, none, none).mount(len(deck))
+        face = find_attached_shells(mesh, none, none).mount(len(deck))
         assert (face is not None) == bar, size
         assert face is None or face < len(deck)
-    assert fittings_of(mesh, none, none).mount(0) is None, "the deck itself"
+    assert find_attached_shells(mesh, none, none).mount(0) is None, "the deck itself"
 
 
 def test_a_proposal_has_whole_drawers(
@@ -175,7 +175,7 @@ def test_a_proposal_has_whole_drawers(
     session, labels, parts = bundled
     assert session.asset.mesh is not None
     area = session.asset.mesh.face_areas
-    found = propose(session).labels
+    found = propose_parts(session).labels
     for part in parts:
         own = labels == part
         overlap = [
@@ -186,11 +186,11 @@ def test_a_proposal_has_whole_drawers(
     assert found.max() == len(parts)
 
 
-def test_a_mesh_of_one_shell_has_no_fittings() -> None:
+def test_a_mesh_of_one_shell_has_no_attached_shells() -> None:
     triangles = subdivide(block((0, 0, 0), (1, 0.5, 0.3)), 3)
     faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
     session = DefaultSegmenter().encode(Asset("block", Mesh(triangles.reshape(-1, 3), faces)))
-    assert len(propose(session).labels) == len(faces)
+    assert len(propose_parts(session).labels) == len(faces)
     x, y, z = triangles[0].mean(0).tolist()
     labels = session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels
     assert labels[0] == 1 and hover(session, triangles[0].mean(0), 0)[0]

@@ -1,4 +1,4 @@
-"""A small multilayer perceptron in plain numpy, and the npz that holds one."""
+"""A small multilayer perceptron in plain numpy, and its npz file."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy.typing as npt
 from numpy.lib.npyio import NpzFile
 
 from model.core.errors import InputFileError
+from model.segmentation.arrays import Float32, Int64
 from model.segmentation.parallel import mapped
 
 FORMAT = 1
 _CHUNK = 65_536
 _CONSTANT = 1e-5
-"""Spread of an input that never varied in training, so that no weight of it was learned."""
+"""Least spread of an input in training; one that varied less has no learned weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,23 +26,23 @@ class Mlp:
 
     Attributes:
         names: of the input features, checked against the code that makes them.
-        mean, scale: (D,) float32 of the training data; what never varied there is left out.
+        mean, scale: (D,) float32 of the training data; constant inputs are ignored.
         layers: (weight (out, in), bias (out,)) float32 pairs.
-        picks: (D,) columns of what it is asked about, where those are more than its own.
+        picks: (D,) columns of the given features that it reads, None for all.
     """
 
     names: tuple[str, ...]
-    mean: npt.NDArray[np.float32]
-    scale: npt.NDArray[np.float32]
-    layers: tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
-    picks: npt.NDArray[np.int64] | None = None
+    mean: Float32
+    scale: Float32
+    layers: tuple[tuple[Float32, Float32], ...]
+    picks: Int64 | None = None
 
-    def __call__(self, features: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def __call__(self, features: Float32) -> Float32:
         """(N,) outputs of (N, D) features."""
         out = np.empty(len(features), np.float32)
         scale = np.where(self.scale > _CONSTANT, self.scale, np.float32(np.inf))
 
-        def answer(begin: int) -> None:
+        def evaluate(begin: int) -> None:
             x = features[begin : begin + _CHUNK]
             x = ((x if self.picks is None else x[:, self.picks]) - self.mean) / scale
             x = np.clip(x, -8, 8)
@@ -50,7 +51,7 @@ class Mlp:
             weight, bias = self.layers[-1]
             out[begin : begin + _CHUNK] = (x @ weight.T + bias)[:, 0]
 
-        mapped(answer, range(0, len(features), _CHUNK))
+        mapped(evaluate, range(0, len(features), _CHUNK))
         return out
 
 
@@ -73,10 +74,10 @@ def load_mlp(path: Path, names: tuple[str, ...]) -> Mlp:
     """Read what :func:`save_mlp` wrote.
 
     Args:
-        names: of the features that it will be asked about; it may have learned from some of them.
+        names: of the features that it will be given; it may read only some of them.
 
     Raises:
-        InputFileError: where the file is absent, newer, or made for other features.
+        InputFileError: if the file is absent, newer, or made for other features.
     """
     with open_npz(path) as data:
         found, picks = columns(data, "format", FORMAT, path, names)
@@ -88,10 +89,10 @@ def load_mlp(path: Path, names: tuple[str, ...]) -> Mlp:
 
 
 def open_npz(path: Path) -> NpzFile:
-    """What a scorer was written to.
+    """Open a model's file.
 
     Raises:
-        InputFileError: where it is not there.
+        InputFileError: if it is absent.
     """
     if not path.is_file():
         raise InputFileError(path, "not there", "train it: python -m model.training.segmentation")
@@ -100,14 +101,14 @@ def open_npz(path: Path) -> NpzFile:
 
 def columns(
     data: NpzFile, key: str, version: int, path: Path, names: tuple[str, ...]
-) -> tuple[tuple[str, ...], npt.NDArray[np.int64] | None]:
-    """Names of what a scorer learned from, and their places in ``names``, None where all the same.
+) -> tuple[tuple[str, ...], Int64 | None]:
+    """Names of a model's input features, and their places in ``names`` (None if all match).
 
     Args:
-        key: of its format; ``version``: that can be read.
+        key: of its format. version: that this code reads.
 
     Raises:
-        InputFileError: where it is newer, or made for other features.
+        InputFileError: if it is newer, or made for other features.
     """
     if int(data[key]) != version:
         raise InputFileError(path, f"format {int(data[key])}, this version reads {version}")

@@ -11,12 +11,12 @@ from model.core.errors import GeometryError, PromptError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.data.simulated.primitives import block
-from model.geometry.crop import crop, floor_and_walls, largest_piece, outliers
+from model.geometry.crop import crop, floor_and_walls, largest_component, outliers
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.simulated_clicks import iou
-from model.segmentation.tools.all_parts import propose, without_leftovers
+from model.segmentation.tools.all_parts import absorb_small_components, propose_parts
 from model.segmentation.tools.connected import connected, grow, hover
-from model.segmentation.tools.cuts import pieces, straight_cut
+from model.segmentation.tools.cuts import connected_components, straight_cut
 from model.segmentation.tools.rectangles import rectangle_cut
 from model.segmentation.tools.similar import mirrored, same_shape
 
@@ -68,7 +68,7 @@ def test_connected_stops_at_the_gap():
     session = DefaultSegmenter().encode(Asset("two", cloud=PointCloud(points)))
     mask = connected(session, (0.5, 0.5, 1.0)).mask
     assert iou(mask, label == 0) > 0.999
-    both = pieces(session, np.ones(len(points), bool))
+    both = connected_components(session, np.ones(len(points), bool))
     assert sorted(m.sum() for m in both) == sorted(np.bincount(label))
 
 
@@ -180,7 +180,7 @@ def test_same_shape_finds_the_other_buttons(keypad):
 
 def test_propose_finds_parts_without_any_click(keypad):
     session, label = keypad
-    answer = propose(session)
+    answer = propose_parts(session)
     assert answer.labels.shape == label.shape and answer.labels.min() >= 0
     found = [
         max(iou(answer.labels == p, label == b) for p in answer.parts) > 0.7 for b in range(1, 8)
@@ -194,11 +194,11 @@ def test_leftovers_go_to_their_neighbours(session, cloud_cabinet):
     crumb = np.linalg.norm(points - (0.25, -0.02, 0.6), axis=1) < 0.02
     labels[crumb] = 5
     labels[np.linalg.norm(points - (0.5, 0.5, 0.4), axis=1) < 0.02] = -1
-    clean = without_leftovers(session, labels)
+    clean = absorb_small_components(session, labels)
     assert (clean >= 0).all()
     assert (clean[crumb] == 5).all(), "the only piece of a part is never a crumb"
     labels[crumb] = 2
-    clean = without_leftovers(session, labels)
+    clean = absorb_small_components(session, labels)
     assert (clean[crumb] == 1).all()
 
 
@@ -211,9 +211,9 @@ def test_a_box_round_a_thing_keeps_the_thing():
     thing, _ = sampled([((-0.4, -0.4, 0.0), (0.4, 0.4, 1.0))], 6000)
     behind, _ = sampled([((-1.0, 0.7, 0.0), (1.0, 0.75, 1.0))], 4000)
     points = np.concatenate([behind, thing])
-    np.testing.assert_array_equal(largest_piece(points), np.arange(len(points)) >= len(behind))
-    assert largest_piece(points[:1]).all() and len(largest_piece(points[:0])) == 0
-    assert largest_piece(thing + 5e4).mean() > 0.99  # far from the origin, too
+    np.testing.assert_array_equal(largest_component(points), np.arange(len(points)) >= len(behind))
+    assert largest_component(points[:1]).all() and len(largest_component(points[:0])) == 0
+    assert largest_component(thing + 5e4).mean() > 0.99  # far from the origin, too
 
 
 def test_floor_walls_and_outliers_leave_the_object():

@@ -1,0 +1,1 @@
+"""Small trained models in plain numpy, and the files that hold them."""

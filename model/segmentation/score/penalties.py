@@ -1,0 +1,173 @@
+"""Penalties for proposals that people seldom mean, whatever they look like.
+
+Scores are log-odds; a penalty is taken off. Sizes are numbers of nodes. The figures were chosen on
+PartNet-Mobility objects and procedural ones; see docs/benchmarks/segmentation.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.segmentation.arrays import Bool, Float
+from model.segmentation.encode.superpoints import Superpoints
+from model.segmentation.part_state import PartState
+
+_IDLE_SUPERPOINTS, _IDLE_SHARE, _IDLE = 2, 0.1, 3.0
+"""An early click that changes no more than so many superpoints, or so much of the mask."""
+_LOSS = 3.0
+"""A late click that throws away most of the mask."""
+_DRAWN_CLICKS, _DRAWN_LOSS = 4, 5.0
+"""A mask that the person chose or drew counts as so many clicks, and its loss so many times."""
+NEARLY_ALL = 0.9
+"""Share of the free surface above which a first answer is no part: it has to move against
+something."""
+_ALL_RAMP, _ALL = 0.05, 12.0
+_LARGE_FROM, _LARGE_RAMP = 0.5, 0.2
+"""Share of the object above which hardly any moving part lies."""
+LARGE = 2.0
+_SIZE, _SIZE_MOST = 4.0, 1.0
+"""A mask outside the bounds on the part's size, by the logarithm of the factor, and its limit."""
+_INEFFECTIVE = 4.0
+"""A click that follows ineffective ones and again changes little."""
+_DEMAND, _DEMAND_GROWTH, _DEMAND_MOST = 0.05, 3.0, 0.5
+"""Share of the mask that such a click has to change, growth with each ineffective one, limit."""
+_STREAK_FREE = 2
+"""Clicks of one sign in a row that are normal."""
+_FAR, _FAR_MOST = 10.0, 3.0
+"""A mask that changes more than this times the nodes nearer to the click than the border, by the
+logarithm of the factor, up to a limit."""
+_SMALL_NODES, _SMALL, _SMALL_MOST = 16.0, 3.0, 3.0
+"""A mask of fewer nodes, by the logarithm of the factor, up to a limit."""
+_DETAIL, _NO_DETAIL = 2e-4, 0.02
+"""Shares of the object at which a first answer is a detail, and none any more."""
+
+
+@dataclass(frozen=True)
+class Penalties:
+    """Weights that differ between input domains.
+
+    Attributes:
+        far: of a change far larger than the click's distance from the border.
+        large, large_beside: of a first answer that is most of the object: of the first part, and
+            beside other parts.
+        small_first: nodes below which a first answer is too small.
+        detail: of a first answer that is a detail of the object.
+        streak: how much of an ineffective click each further click of one sign counts.
+        demand_near: limit of the demanded change, in the nodes nearer than the border.
+    """
+
+    far: float = 0.3
+    large: float = 0.0
+    large_beside: float = 0.0
+    small_first: float = 32.0
+    detail: float = 0.0
+    streak: float = 0.5
+    demand_near: float = 2.0
+
+    @classmethod
+    def for_object(cls, *, of_mesh: bool, local: bool) -> Penalties:
+        """Those of objects.
+
+        Args:
+            of_mesh: whole shells come and go, however near to their border a click is.
+            local: in a local refinement, which is there for details.
+        """
+        return cls(
+            far=0.0 if of_mesh else cls.far,
+            large=LARGE if of_mesh else 0.0,
+            large_beside=LARGE,
+            small_first=10.0 if local else cls.small_first,
+            detail=0.0 if local else 1.0,
+        )
+
+    @classmethod
+    def for_room(cls) -> Penalties:
+        """Those of rooms, whose objects are many regions: a click for each is normal."""
+        return cls(streak=0.0, demand_near=1.0)
+
+    def of_first(
+        self, superpoints: Superpoints, masks: Bool, after: PartState, blocked: Bool | None,
+        moving: bool,
+    ) -> Float:  # fmt: skip
+        """(H,) of first answers: nearly all that is free, most of the object, or very small.
+
+        Args:
+            after: the clicks so far. blocked: (C,) superpoints of other parts.
+            moving: whether the click means a moving part.
+        """
+        size = superpoints.size
+        held = masks.astype(np.float32) @ size.astype(np.float32)
+        free = size if blocked is None else size[~blocked]
+        share = held / max(float(free.sum()), 1e-9)
+        out = _ALL * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
+        # People who have clicked other parts are after those that move, not after the base.
+        beside = bool(after.negative) or (blocked is not None and bool(blocked.any()))
+        if beside or moving:
+            most = np.clip((held / size.sum() - _LARGE_FROM) / _LARGE_RAMP, 0, 1)
+            out += (self.large_beside if beside else self.large) * most
+        out += _small(held, self.small_first)
+        larger = np.log(np.maximum(held, 1.0) / (_DETAIL * size.sum()))
+        return out + self.detail * (1 - np.clip(larger / np.log(_NO_DETAIL / _DETAIL), 0, 1))
+
+    def of_later(
+        self, superpoints: Superpoints, before: PartState, superpoint: int, positive: bool,
+        masks: Bool, lost: Float,
+    ) -> Float:  # fmt: skip
+        """(H,) of answers to a click on ``superpoint`` that corrects the mask of ``before``.
+
+        Args:
+            lost: (H,) 0..1 how much of that mask is gone.
+        """
+        assert before.mask is not None
+        size = superpoints.size
+        own = float(size[before.mask].sum())
+        sides = np.stack([size, size * before.mask], axis=1).astype(np.float32)
+        now, kept = (masks.astype(np.float32) @ sides).T
+        changed = now + own - 2 * kept
+        clicks = max(before.informative_clicks, 1) + _DRAWN_CLICKS * before.drawn
+        early = np.exp(-(clicks - 1) / 2)
+        idle = changed <= min(_IDLE_SUPERPOINTS * size.mean(), _IDLE_SHARE * own)
+        out = _IDLE * early * idle
+        # A mask that was chosen or drawn isn't thrown away because a click brought little.
+        loss = _LOSS * (_DRAWN_LOSS if before.drawn else 1 / (1 + before.ineffective))
+        out += loss * (1 - early) * lost
+        least, most = before.size_bounds(positive, size)
+        log_now = np.log(np.maximum(now, 1))
+        over, under = log_now - np.log(max(most, 1)), np.log(max(least, 1)) - log_now
+        out += _SIZE * np.clip(np.maximum(over, under), 0, _SIZE_MOST)
+        out += _small(now, np.minimum(_SMALL_NODES, own))
+        near = _nearer_than_border(superpoints, before.mask, superpoint)
+        # People who click right beside the border of a mask mean what is there.
+        far = np.log(np.maximum(changed, 1.0) / (_FAR * max(near, 1e-9)))
+        out += self.far * np.clip(far, 0, _FAR_MOST)
+        # If the next click lies far from a first answer, that was a detail: the handle of a door.
+        detail = near > own and not before.mask[superpoint]
+        demand = self._demanded(before, positive, near, own, detail)
+        if demand is not None:
+            out += _INEFFECTIVE * np.clip(1 - changed / max(demand, 1.0), 0, 1)
+        return out
+
+    def _demanded(
+        self, before: PartState, positive: bool, near: float, own: float, detail: bool
+    ) -> float | None:
+        """Nodes that a click has to change: more after ineffective ones, None without any."""
+        streak = before.streak if positive else -before.streak
+        ineffective = before.ineffective + self.streak * max(streak - _STREAK_FREE, 0)
+        if not ineffective and not detail:
+            return None
+        share = min(_DEMAND * _DEMAND_GROWTH**ineffective, _DEMAND_MOST)
+        return min(share * (near if detail else own), self.demand_near * near)
+
+
+def _small(nodes: Float, least: float | np.floating) -> Float:
+    return _SMALL * np.clip(np.log(least / np.maximum(nodes, 1.0)), 0, _SMALL_MOST)
+
+
+def _nearer_than_border(superpoints: Superpoints, mask: Bool, superpoint: int) -> float:
+    """Nodes nearer to a superpoint than what lies on the other side of the mask's border."""
+    size = superpoints.size
+    apart = ((superpoints.center - superpoints.center[superpoint]) ** 2).sum(1)
+    other = mask != mask[superpoint]
+    return float(size[apart < apart[other].min()].sum() if other.any() else size.sum())
